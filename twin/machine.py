@@ -1,0 +1,406 @@
+"""A machine is data: an MJCF model and a TOML of drives, loops, friction, limits and measuring systems.
+
+`load_machine` reads and checks the file; `Machine.with_values` makes a variant by paths such as
+`axis.X.moving_mass_kg`; `write_machine` writes it back with its MJCF beside it. The tables of the file are kept as
+they are (`document`), the typed views below are made from them in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import copy
+from dataclasses import dataclass, field, fields, replace
+import functools
+import math
+from pathlib import Path
+import shutil
+import tomllib
+from typing import Any
+
+import numpy as np
+
+from twin import machine_keys as keys
+from twin.errors import InputError, nearest
+
+DEFAULT_MACHINE = "mikron_ucp710.toml"
+FEEDFORWARD = ("off", "velocity", "velocity+torque")
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Synchronous servo motor as its control sees it: torque = torque_constant * current (Nm, A), one phase equivalent."""
+
+    torque_constant_nm_per_a: float
+    back_emf_v_s_per_rad: float
+    resistance_ohm: float
+    inductance_h: float
+    peak_current_a: float
+    bus_limit_v: float
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Gains of the cascade, feedforward weights (0 switches off) and delays of the set point."""
+
+    position_gain_per_s: float
+    speed_gain_nm_s_per_rad: float
+    speed_integral_time_s: float
+    current_gain_v_per_a: float
+    current_integral_time_s: float
+    velocity_feedforward: float
+    torque_feedforward: float
+    position_delay_s: float
+    feedforward_delay_s: float
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis in SI: positions in m or rad at the axis, torques and inertias at the motor.
+
+    `ratio` is axis units per motor radian: lead / 2 pi for a screw, 1 / gear ratio for a gear.
+    `commissioned_torque_constant` and `commissioned_inertia` are what the control was told (None: the motor's own,
+    and the model's inertia at the motor in the home pose); the control keeps them whatever the load really is.
+    """
+
+    name: str
+    kind: str
+    travel: tuple[float, float]
+    max_velocity: float
+    max_acceleration: float
+    max_jerk: float
+    ratio: float
+    moving_mass_kg: float | None
+    rotor_inertia_kg_m2: float
+    coulomb_friction_nm: float
+    viscous_friction_nm_s_per_rad: float
+    motor: Motor
+    loops: Loops
+    commissioned_torque_constant: float | None = None
+    commissioned_inertia: float | None = None
+
+    @property
+    def coulomb_friction(self) -> float:
+        """Coulomb friction at the axis [N or Nm]."""
+        return self.coulomb_friction_nm / self.ratio
+
+    @property
+    def viscous_friction(self) -> float:
+        """Viscous friction at the axis [N s/m or Nm s/rad]."""
+        return self.viscous_friction_nm_s_per_rad / self.ratio**2
+
+    @property
+    def reflected_inertia(self) -> float:
+        """Rotor and screw or gear as seen at the axis [kg or kg m2]."""
+        return self.rotor_inertia_kg_m2 / self.ratio**2
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body of the model: mass [kg], centre of mass [m] in its frame, principal inertia about it [kg m2]."""
+
+    name: str
+    mass_kg: float
+    centre_of_mass_m: tuple[float, float, float]
+    inertia_kg_m2: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Measuring noise of one axis in SI: standard deviations, resolutions (0: none)."""
+
+    position: float
+    position_resolution: float
+    motor_resolution: float
+    speed: float
+    current: float
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A checked machine: axes in the order of the file, and where its MJCF lies.
+
+    `path` is the machine file (None for one made in memory), `model_path` its MJCF.
+    """
+
+    name: str
+    axes: tuple[Axis, ...]
+    bodies: tuple[Body, ...]
+    geometry: Mapping[str, Any]
+    gravity: float
+    parameter_tolerance: float
+    current_cycle: float
+    speed_cycle: float
+    position_cycle: float
+    interpolation_cycle: float
+    sample_period: float
+    model_path: Path
+    document: Mapping[str, Any] = field(repr=False)
+    path: Path | None = None
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Axis name -> 'linear' or 'rotary'."""
+        return {axis.name: axis.kind for axis in self.axes}
+
+    @property
+    def base_tick(self) -> float:
+        """The shortest cycle [s]; the others are whole multiples of it."""
+        return min(self.current_cycle, self.speed_cycle, self.position_cycle)
+
+    @property
+    def effects(self) -> tuple[Mapping[str, Any], ...]:
+        """The `[[effect]]` tables as they stand in the file; `twin.effects` gives them their meaning."""
+        return tuple(self.document.get("effect", ()))
+
+    def axis(self, name: str) -> Axis:
+        """The axis of that name, or an InputError with the nearest one."""
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise InputError(f"machine {self.name}: no axis {name}; {nearest(name, self.axis_names)}")
+
+    def noise(self, axis: Axis) -> Noise:
+        """Measuring noise of an axis, from the table `[measurement]`."""
+        table = self.document.get("measurement", {})
+
+        def value(key: str) -> float:
+            return float(table.get(key, 0.0)) * keys.si_from_key(key)
+
+        if axis.kind == "linear":
+            scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
+        else:
+            scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
+        return Noise(*(value(key) for key in scale), value("current_noise_a"))
+
+    def with_axes(self, names: Sequence[str]) -> Machine:
+        """The same machine with only these axes driven; the others stand still."""
+        for name in names:
+            self.axis(name)
+        return replace(self, axes=tuple(axis for axis in self.axes if axis.name in names))
+
+    def with_axis(self, name: str, **changes: Any) -> Machine:
+        """A variant in which the fields of one axis, its `motor` or `loops` are replaced (by field name)."""
+        axis = self.axis(name)
+        parts = {part: {k: changes.pop(k) for k in list(changes) if k in _names(cls)} for part, cls in (("motor", Motor), ("loops", Loops))}
+        for part, values in parts.items():
+            if values:
+                changes[part] = replace(getattr(axis, part), **values)
+        changed = replace(axis, **changes)
+        return replace(self, axes=tuple(changed if a.name == name else a for a in self.axes))
+
+    def with_feedforward(self, feedforward: str | None) -> Machine:
+        """The machine with feedforward 'off', 'velocity' or 'velocity+torque' on all axes; None leaves the file's weights.
+
+        A weight that the file has is kept where the word switches it on; a weight of 0 there becomes 1.
+        """
+        if feedforward is None:
+            return self
+        if feedforward not in FEEDFORWARD:
+            raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}; use one of {', '.join(FEEDFORWARD)}")
+        machine = self
+        for axis in self.axes:
+            weights = {
+                "velocity_feedforward": (axis.loops.velocity_feedforward or 1.0) if "velocity" in feedforward else 0.0,
+                "torque_feedforward": (axis.loops.torque_feedforward or 1.0) if "torque" in feedforward else 0.0,
+            }
+            machine = machine.with_axis(axis.name, **weights)
+        return machine
+
+    def with_values(self, values: Mapping[str, Any]) -> Machine:
+        """A variant by paths into the file, in the file's units: {'axis.X.moving_mass_kg': 690.0}.
+
+        `effect` replaces the list of effects. Raises InputError for a path that does not exist.
+        """
+        document = copy.deepcopy(dict(self.document))
+        for path, value in values.items():
+            *tables, key = path.split(".")
+            table: Any = document
+            for i, name in enumerate(tables):
+                if not isinstance(table, dict) or name not in table:
+                    known = table if isinstance(table, dict) else {}
+                    raise InputError(f"machine {self.name}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
+                table = table[name]
+            if not isinstance(table, dict) or (key not in table and key not in ("effect", "commissioned")):
+                raise InputError(f"machine {self.name}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
+            table[key] = value
+        driven = self.axis_names
+        return machine_from_document(document, self.model_path, self.path, str(self.path or self.name)).with_axes(driven)
+
+
+def default_machine_path() -> Path:
+    """The Mikron that ships with the package (in a checkout: models/ at its top)."""
+    inside = Path(__file__).parent / "models" / DEFAULT_MACHINE
+    return inside if inside.is_file() else Path(__file__).parent.parent / "models" / DEFAULT_MACHINE
+
+
+@functools.lru_cache(maxsize=8)
+def _read_document(path: Path, _modified_ns: int) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+
+
+def load_machine(path: str | Path | None = None) -> Machine:
+    """Read a machine file (default: the Mikron UCP 710); every fault is an InputError with table, key and remedy."""
+    path = default_machine_path() if path is None else Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such machine file; give a .toml with the keys of {DEFAULT_MACHINE}")
+    document = _read_document(path, path.stat().st_mtime_ns)
+    model = document.get("model")
+    if not isinstance(model, str):
+        raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
+    model_path = path.parent / model
+    if not model_path.is_file():
+        raise InputError(f"{path}: model '{model}': no such file beside the machine file; correct 'model' or copy the MJCF there")
+    return machine_from_document(copy.deepcopy(document), model_path, path, str(path))
+
+
+def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
+    """Write a machine file and copy its MJCF beside it.
+
+    Comments of the file that the machine came from are kept; `comments` maps paths ('axis.X.moving_mass_kg') to the
+    comment behind that value (grade, interval, source).
+    """
+    import tomlkit
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    source = machine.path.read_text(encoding="utf-8") if machine.path and machine.path.is_file() else ""
+    written = tomlkit.parse(source)
+    _update(written, {**machine.document, "model": machine.model_path.name})
+    for where, comment in (comments or {}).items():
+        *tables, key = where.split(".")
+        table: Any = written
+        for name in tables:
+            table = table[name]
+        table[key].comment(comment)
+    path.write_text(tomlkit.dumps(written), encoding="utf-8")
+    target = path.parent / machine.model_path.name
+    if target.resolve() != machine.model_path.resolve():
+        shutil.copyfile(machine.model_path, target)
+
+
+def machine_from_document(document: Mapping[str, Any], model_path: Path, path: Path | None, where: str) -> Machine:
+    """A checked Machine from the tables of a machine file."""
+    also = ("name", "structure", "model", "axis_order", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "identified")
+    keys.check_table(document, keys.TOP, where, also)
+    for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
+        if table not in document and table != "geometry":
+            raise InputError(f"{where}: table [{table}] is missing; add it")
+        keys.check_table(document.get(table, {}), known, f"{where}: [{table}]")
+    axes = document.get("axis")
+    if not isinstance(axes, dict) or not axes:
+        raise InputError(f"{where}: no [axis.NAME] table; describe at least one axis")
+    order = document.get("axis_order", list(axes))
+    if not isinstance(order, list) or sorted(map(str, order)) != sorted(axes):
+        raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
+    if not isinstance(document.get("effect", []), list):
+        raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
+    control = {k: v * keys.si_from_key(k) for k, v in document["control"].items()}
+    machine = Machine(
+        name=str(document.get("name", path.stem if path else "machine")),
+        axes=tuple(_axis(name, axes[name], f"{where}: [axis.{name}]") for name in order),
+        bodies=tuple(_body(name, table, f"{where}: [body.{name}]") for name, table in document.get("body", {}).items()),
+        geometry=dict(document.get("geometry", {})),
+        gravity=float(document["gravity_m_per_s2"]),
+        parameter_tolerance=float(document.get("parameter_tolerance", 0.0)),
+        current_cycle=control["current_cycle_us"],
+        speed_cycle=control["speed_cycle_us"],
+        position_cycle=control["position_cycle_us"],
+        interpolation_cycle=control.get("interpolation_cycle_us", control["position_cycle_us"]),
+        sample_period=document["measurement"]["sample_period_us"] * 1e-6,
+        model_path=model_path,
+        document=document,
+        path=path,
+    )
+    for key in ("current_cycle", "speed_cycle", "position_cycle"):
+        cycles = getattr(machine, key) / machine.base_tick
+        if abs(cycles - round(cycles)) > 1e-6:
+            raise InputError(f"{where}: [control]: {key}_us is no whole multiple of the shortest cycle ({machine.base_tick * 1e6:g} us); change it")
+    return machine
+
+
+def _axis(name: str, table: Any, where: str) -> Axis:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: must be a table")
+    kind = table.get("kind")
+    if kind not in keys.AXIS:
+        raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
+    known = dict(keys.AXIS[kind])
+    endless = table.get("travel_deg") == "endless"
+    if endless:
+        del known["travel_deg"]
+    keys.check_table(table, known, where, ("kind", "travel_deg", "motor", "loops", "commissioned"))
+    for part, part_keys in (("motor", keys.MOTOR), ("loops", keys.LOOPS), ("commissioned", keys.COMMISSIONED)):
+        if part not in table and part != "commissioned":
+            raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")
+        keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]")
+    si = {k: table[k] * keys.si_from_key(k) for k in known if keys.AXIS[kind][k].count == 1}
+    if endless:
+        travel = (-math.inf, math.inf)
+    else:
+        key = "travel_m" if kind == "linear" else "travel_deg"
+        low, high = (v * keys.si_from_key(key) for v in table[key])
+        if low >= high:
+            raise InputError(f"{where}: {key} = {table[key]}: the first limit must lie below the second")
+        travel = (low, high)
+    if kind == "linear":
+        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_m_per_min", "max_acceleration_m_per_s2", "max_jerk_m_per_s3"))}
+        ratio, rotor = si["screw_lead_m_per_rev"] / (2.0 * math.pi), si["rotor_and_screw_inertia_kg_m2"]
+    else:
+        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_rev_per_min", "max_acceleration_rev_per_s2", "max_jerk_rev_per_s3"))}
+        ratio, rotor = 1.0 / si["gear_ratio"], si["rotor_and_gear_inertia_kg_m2"]
+    commissioned = table.get("commissioned", {})
+    return Axis(
+        name=name,
+        kind=kind,
+        travel=travel,
+        **motion,
+        ratio=ratio,
+        moving_mass_kg=si.get("moving_mass_kg"),
+        rotor_inertia_kg_m2=rotor,
+        coulomb_friction_nm=float(table["coulomb_friction_nm"]),
+        viscous_friction_nm_s_per_rad=float(table["viscous_friction_nm_s_per_rad"]),
+        motor=Motor(**{k: float(v) for k, v in table["motor"].items()}),
+        loops=Loops(**{k: float(v) for k, v in table["loops"].items()}),
+        commissioned_torque_constant=commissioned.get("torque_constant_nm_per_a"),
+        commissioned_inertia=commissioned.get("inertia_kg_m2"),
+    )
+
+
+_MOTION = ("max_velocity", "max_acceleration", "max_jerk")
+
+
+def _body(name: str, table: Any, where: str) -> Body:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: must be a table")
+    keys.check_table(table, keys.BODY, where)
+    i = np.array(table["inertia_kg_m2"], float)
+    if np.any(i > i.sum() - i + 1e-12):
+        raise InputError(f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others")
+    return Body(name, float(table["mass_kg"]), tuple(table["centre_of_mass_m"]), tuple(table["inertia_kg_m2"]))
+
+
+def _names(cls: type) -> set[str]:
+    return {f.name for f in fields(cls)}
+
+
+def _update(target: Any, source: Mapping[str, Any]) -> None:
+    """Bring a parsed TOML to the values of `source` and keep comments where values stay."""
+    for key in [k for k in target if k not in source]:
+        del target[key]
+    for key, value in source.items():
+        if isinstance(value, Mapping) and key in target:
+            _update(target[key], value)
+        elif key not in target or target[key] != value:
+            comment = target[key].trivia.comment if key in target and hasattr(target[key], "trivia") else ""
+            target[key] = value
+            if comment and hasattr(target[key], "comment"):
+                target[key].comment(comment.lstrip("# "))

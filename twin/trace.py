@@ -1,0 +1,228 @@
+"""Traces: time series of the axes' signals, in SI, read from and written to Parquet and CSV.
+
+A file has a first column `time [s]` and then columns `<axis>.<signal> [<unit>]`; the unit is read from the
+heading. Signals without an axis (block number, path feed) belong to the pseudo axis `program`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+import re
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
+
+# what a signal is, so that a wrong unit is noticed and the right one is written
+POSITIONS = ("setpoint", "position", "motor_position")
+SPEEDS = ("velocity", "velocity_setpoint")
+OTHER_UNITS = {
+    "current": "A",
+    "current_setpoint": "A",
+    "torque": "Nm",
+    "torque_feedforward": "Nm",
+    "torque_friction": "Nm",
+    "torque_gravity": "Nm",
+    "voltage": "V",
+}
+SIGNALS = (*POSITIONS, *SPEEDS, *OTHER_UNITS)
+PROGRAM = "program"
+
+_HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
+_TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
+
+RELATIVE_PERIOD_TOLERANCE = 0.02
+"""Sample times may scatter about the constant period by this fraction (printed times are rounded)."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Signals of several axes on one time base.
+
+    `time` (sample,) [s], strictly increasing with a constant period; `signals` maps (axis, signal) to (sample,)
+    arrays in SI; `kinds` says 'linear' or 'rotary' per axis, which decides the units written.
+    """
+
+    time: np.ndarray
+    signals: Mapping[tuple[str, str], np.ndarray]
+    kinds: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axis names in the order of the columns, without the pseudo axis `program`."""
+        return tuple(dict.fromkeys(axis for axis, _ in self.signals if axis != PROGRAM))
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    def has(self, axis: str, signal: str) -> bool:
+        """Is this signal of this axis recorded?"""
+        return (axis, signal) in self.signals
+
+    def get(self, axis: str, signal: str) -> np.ndarray:
+        """One signal (sample,), SI."""
+        try:
+            return self.signals[axis, signal]
+        except KeyError:
+            have = [s for a, s in self.signals if a == axis]
+            raise InputError(f"trace has no {axis}.{signal}; axis {axis} has: {', '.join(have) or 'nothing'}") from None
+
+    def matrix(self, signal: str, axes: Sequence[str] | None = None) -> np.ndarray:
+        """One signal of several axes as (sample, axis), SI."""
+        return np.column_stack([self.get(axis, signal) for axis in (axes or self.axes)])
+
+    def select(self, axes: Iterable[str]) -> Trace:
+        """The same trace with only these axes (and the program's own columns)."""
+        keep = {*axes, PROGRAM}
+        return Trace(self.time, {k: v for k, v in self.signals.items() if k[0] in keep}, self.kinds)
+
+    def decimated(self, every: int) -> Trace:
+        """Each `every`-th sample."""
+        return Trace(self.time[::every], {k: v[::every] for k, v in self.signals.items()}, self.kinds)
+
+
+def unit_of(signal: str, kind: str) -> str:
+    """The unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
+    if signal in POSITIONS:
+        return AXIS_UNITS[kind].position[0]
+    if signal in SPEEDS:
+        return AXIS_UNITS[kind].speed[0]
+    return OTHER_UNITS.get(signal, "1")
+
+
+def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need: Sequence[str] = ()) -> Trace:
+    """Read a trace, checked.
+
+    `axes` maps the axes that exist to their kind ('linear', 'rotary'): other axes in the file are an error.
+    `need` names signals that every axis of the file must have. Raises InputError with file, column and row.
+    """
+    path = Path(path)
+    table = _read_table(path)
+    names = list(table)
+    if not names or not _TIME_HEADING.match(names[0]):
+        raise InputError(f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}")
+    signals: dict[tuple[str, str], np.ndarray] = {}
+    kinds: dict[str, str] = {}
+    for name in names[1:]:
+        axis, signal, unit = _parse_heading(name, path)
+        if axis != PROGRAM:
+            if axes is not None and axis not in axes:
+                raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}")
+            kind = _kind_from_unit(axis, signal, unit, (axes or {}).get(axis), f"{path}: column '{name}'")
+            if kind:
+                kinds[axis] = kind
+        if (axis, signal) in signals:
+            raise InputError(f"{path}: column '{name}' occurs twice; remove one")
+        values = table[name] * factor_to_si(unit, f"{path}: column '{name}'")
+        signals[axis, signal] = values
+    time = table[names[0]] * factor_to_si(_TIME_HEADING.match(names[0])[1], f"{path}: column '{names[0]}'")  # type: ignore[index]
+    trace = Trace(time, signals, {**kinds, **(axes or {})})
+    _check_samples(trace, path, names)
+    for signal in need:
+        lacking = [axis for axis in trace.axes if not trace.has(axis, signal)]
+        if lacking or not trace.axes:
+            raise InputError(f"{path}: no {signal} column for axis {', '.join(lacking) or 'any'}; expected e.g. 'X.{signal} [mm]'")
+    return trace
+
+
+def write_trace(trace: Trace, path: str | Path) -> None:
+    """Write Parquet or CSV by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    path = Path(path)
+    columns = {"time [s]": trace.time}
+    for (axis, signal), values in trace.signals.items():
+        unit = "1" if axis == PROGRAM else unit_of(signal, trace.kinds[axis])
+        columns[f"{axis}.{signal} [{unit}]"] = values / UNITS[unit][1]
+    table = pa.table(columns)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".csv":
+        pyarrow.csv.write_csv(table, path)
+    elif path.suffix == ".parquet":
+        pyarrow.parquet.write_table(table, path)
+    else:
+        raise InputError(f"{path}: a trace is written as .parquet or .csv; give the file one of these endings")
+
+
+def _read_table(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a Parquet or CSV file as float arrays."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
+    try:
+        table = pyarrow.parquet.read_table(path) if path.suffix == ".parquet" else pyarrow.csv.read_csv(path)
+    except PermissionError:
+        raise InputError(f"{path}: cannot be read; check its permissions") from None
+    except (pa.ArrowException, OSError, UnicodeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a readable {'Parquet' if path.suffix == '.parquet' else 'CSV'} file ({reason})") from None
+    if table.num_rows == 0:
+        raise InputError(f"{path}: the trace is empty; record at least two samples")
+    if len(set(table.column_names)) != len(table.column_names):
+        twice = next(n for n in table.column_names if table.column_names.count(n) > 1)
+        raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
+    columns = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+            # a column of text is bad only if it is a signal: name the first cell that is no number
+            raise InputError(f"{path}: column '{name}': row 1 holds {str(column[0].as_py())[:40]!r}, which is no number")
+        columns[name] = column.cast(pa.float64()).to_numpy()  # missing cells become NaN
+    return columns
+
+
+def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
+    match = _HEADING.match(name)
+    if not match:
+        raise InputError(f"{path}: column '{name}' is not of the form '<axis>.<signal> [<unit>]'; rename it, e.g. 'X.setpoint [mm]'")
+    return match[1], match[2], match[3].strip()
+
+
+def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:
+    """Kind of the axis as its unit tells, checked against the machine's and against the signal."""
+    factor_to_si(unit, where)
+    is_axis_quantity = signal in POSITIONS or signal in SPEEDS
+    told = {"length": "linear", "speed": "linear", "angle": "rotary", "angular speed": "rotary"}.get(dimension(unit))
+    if is_axis_quantity:
+        is_speed = dimension(unit) in ("speed", "angular speed")
+        if told is None or is_speed != (signal in SPEEDS):
+            raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
+        if kind and told != kind:
+            raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {told} axis; use [{unit_of(signal, kind)}]")
+        return told
+    expected = OTHER_UNITS.get(signal)
+    if expected and dimension(expected) != dimension(unit):
+        raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{expected}]")
+    return None
+
+
+def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:
+    """Finite values, at least two samples, strictly increasing time, constant period."""
+    for name, values in zip(names, [trace.time, *trace.signals.values()]):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds no finite number (NaN); repair or cut the recording")
+    if len(trace.time) < 2:
+        raise InputError(f"{path}: only one sample; a trace needs at least two")
+    steps = np.diff(trace.time)
+    bad = np.flatnonzero(steps <= 0)
+    if bad.size:
+        raise InputError(f"{path}: time does not increase at row {bad[0] + 2} ({trace.time[bad[0] + 1]:.6g} s); sort or repair the recording")
+    period = float(np.median(steps))
+    bad = np.flatnonzero(np.abs(steps - period) > RELATIVE_PERIOD_TOLERANCE * period + 2e-9)
+    if bad.size:
+        i = bad[0]
+        raise InputError(
+            f"{path}: gap in time at row {i + 2}: {steps[i] * 1e3:.6g} ms after {trace.time[i]:.6g} s where the period is "
+            f"{period * 1e3:.6g} ms; cut the recording there or resample it"
+        )

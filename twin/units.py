@@ -1,0 +1,67 @@
+"""Units at the border: everything inside is SI (m, rad, s, N, kg, A); conversions live here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+
+from twin.errors import InputError, nearest
+
+# one unit: (dimension, factor to SI)
+_LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0}
+_PER = {"s": 1.0, "min": 1.0 / 60.0}
+UNITS: dict[str, tuple[str, float]] = {
+    "1": ("number", 1.0),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "A": ("current", 1.0),
+    "Nm": ("torque", 1.0),
+    "N": ("force", 1.0),
+    "V": ("voltage", 1.0),
+    **{u: ("length", f) for u, f in _LENGTH.items()},
+    **{u: ("angle", f) for u, f in _ANGLE.items()},
+    **{f"{u}/{p}": ("speed", f * g) for u, f in _LENGTH.items() for p, g in _PER.items()},
+    **{f"{u}/{p}": ("angular speed", f * g) for u, f in _ANGLE.items() for p, g in _PER.items()},
+}
+
+ARCSEC = math.pi / 180.0 / 3600.0
+"""One arc second in rad."""
+
+
+def factor_to_si(unit: str, where: str) -> float:
+    """Factor that turns a value in `unit` into SI; `where` names the place for the error message."""
+    if unit not in UNITS:
+        raise InputError(f"{where}: unknown unit [{unit}]; {nearest(unit, UNITS)}")
+    return UNITS[unit][1]
+
+
+def dimension(unit: str) -> str:
+    """Dimension of a unit of the table: 'length', 'angular speed', 'current', ..."""
+    return UNITS[unit][0]
+
+
+def rad_from_deg(angle_deg: float) -> float:
+    """Degrees to radians."""
+    return angle_deg * math.pi / 180.0
+
+
+def deg_from_rad(angle_rad: float) -> float:
+    """Radians to degrees."""
+    return angle_rad * 180.0 / math.pi
+
+
+class AxisUnits:
+    """The units in which people read one kind of axis: (name, factor from SI) of each quantity."""
+
+    def __init__(self, position: str, speed: str, error: str, error_per_si: float):
+        self.position = (position, 1.0 / UNITS[position][1])
+        self.speed = (speed, 1.0 / UNITS[speed][1])
+        self.error = (error, error_per_si)
+
+
+AXIS_UNITS = {
+    "linear": AxisUnits("mm", "mm/s", "um", 1e6),
+    "rotary": AxisUnits("deg", "deg/s", "arcsec", 1.0 / ARCSEC),
+}
+"""Output units by kind of axis: mm, mm/s, um for linear; deg, deg/s, arcsec for rotary."""
