@@ -1,0 +1,139 @@
+"""The cascade of one drive: P position loop, PI speed loop, PI current loop, and the winding between the ticks.
+
+Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` axis units per motor radian):
+
+    every position cycle:  w* = (Kv (s(t - d_pos) - x) + a_v ds/dt(t - d_ff)) / r
+                           T_ff = a_t J_ff d2s/dt2(t - d_ff) / r
+    every speed cycle:     e = w* - w;  T* = Kp e + I + T_ff;  i* = clip(T* / Kt, +-i_peak);  I += Kp Ts/Tn e unless clipped
+    every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
+    between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
+
+Kt and J_ff are those that the control was commissioned with; the motor's own Kt makes the torque. The functions are
+compiled; `twin.cascade_reference` states the same law in plain numpy and a test holds both equal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+import numpy as np
+
+from twin.machine import Machine
+
+
+class Drives(NamedTuple):
+    """Constants of all drives, each (axis,) float64."""
+
+    ratio: np.ndarray  # axis units per motor rad
+    position_gain: np.ndarray  # 1/s
+    speed_gain: np.ndarray  # Nm s/rad
+    speed_integral_gain: np.ndarray  # Kp Ts / Tn, Nm s/rad a speed cycle
+    control_torque_constant: np.ndarray  # Nm/A, what the control divides by
+    peak_current: np.ndarray  # A
+    current_gain: np.ndarray  # V/A
+    current_integral_gain: np.ndarray  # Kpi Ti / Tni, V/A a current cycle
+    bus_limit: np.ndarray  # V
+    torque_constant: np.ndarray  # Nm/A, the motor's own
+    back_emf: np.ndarray  # V s/rad
+    resistance: np.ndarray  # ohm
+    decay: np.ndarray  # exp(-R h / L) over one base tick h
+    mean_decay: np.ndarray  # mean of exp(-R t / L) over the tick
+
+
+class DriveState(NamedTuple):
+    """State of all drives, each (axis,) float64."""
+
+    speed_setpoint: np.ndarray  # w*, rad/s at the motor
+    torque_feedforward: np.ndarray  # Nm
+    speed_integral: np.ndarray  # I, Nm
+    current_setpoint: np.ndarray  # A
+    current_integral: np.ndarray  # V
+    voltage: np.ndarray  # V
+    current: np.ndarray  # A
+
+
+def drives_of(machine: Machine) -> Drives:
+    """Constants of the cascade, computed from the machine's data sheet."""
+    h = machine.base_tick
+
+    def column(value) -> np.ndarray:  # type: ignore[no-untyped-def]
+        return np.array([value(axis) for axis in machine.axes], float)
+
+    electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
+    return Drives(
+        ratio=column(lambda a: a.ratio),
+        position_gain=column(lambda a: a.loops.position_gain_per_s),
+        speed_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad),
+        speed_integral_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad * machine.speed_cycle / a.loops.speed_integral_time_s),
+        control_torque_constant=column(lambda a: a.commissioned_torque_constant or a.motor.torque_constant_nm_per_a),
+        peak_current=column(lambda a: a.motor.peak_current_a),
+        current_gain=column(lambda a: a.loops.current_gain_v_per_a),
+        current_integral_gain=column(lambda a: a.loops.current_gain_v_per_a * machine.current_cycle / a.loops.current_integral_time_s),
+        bus_limit=column(lambda a: a.motor.bus_limit_v),
+        torque_constant=column(lambda a: a.motor.torque_constant_nm_per_a),
+        back_emf=column(lambda a: a.motor.back_emf_v_s_per_rad),
+        resistance=column(lambda a: a.motor.resistance_ohm),
+        decay=np.exp(-electrical_rate * h),
+        mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
+    )
+
+
+def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
+    """State at standstill: the integrators carry `held_torque` (axis,) [Nm at the motor], the windings its current."""
+    current = held_torque / drives.torque_constant
+    zero = np.zeros_like(current)
+    return DriveState(
+        speed_setpoint=zero.copy(),
+        torque_feedforward=zero.copy(),
+        speed_integral=current * drives.control_torque_constant,
+        current_setpoint=current.copy(),
+        current_integral=drives.resistance * current,
+        voltage=drives.resistance * current,
+        current=current.copy(),
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
+    """w* of axis `a` from the delayed set point, the feedforward (axis units a second; Nm) and the measured position."""
+    state.speed_setpoint[a] = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
+    state.torque_feedforward[a] = torque_feedforward
+
+
+@njit(cache=True, nogil=True, inline="always")
+def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
+    """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
+    error = state.speed_setpoint[a] - motor_speed
+    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) / drives.control_torque_constant[a]
+    limit = drives.peak_current[a]
+    if wanted > limit or wanted < -limit:
+        state.current_setpoint[a] = math.copysign(limit, wanted)
+        return True
+    state.current_setpoint[a] = wanted
+    state.speed_integral[a] += drives.speed_integral_gain[a] * error
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def current_controller(a, drives, state, current_setpoint, current):  # type: ignore[no-untyped-def]
+    """Voltage of axis `a` from set and measured current [A]; True where the bus limit is met."""
+    error = current_setpoint - current
+    wanted = drives.current_gain[a] * error + state.current_integral[a]
+    limit = drives.bus_limit[a]
+    if wanted > limit or wanted < -limit:
+        state.voltage[a] = math.copysign(limit, wanted)
+        return True
+    state.voltage[a] = wanted
+    state.current_integral[a] += drives.current_integral_gain[a] * error
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
+    """Advance the current of axis `a` by one tick under held voltage and speed; its mean over the tick [A] makes the torque."""
+    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) / drives.resistance[a]
+    away = state.current[a] - final
+    state.current[a] = final + away * drives.decay[a]
+    return final + away * drives.mean_decay[a]

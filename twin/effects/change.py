@@ -1,0 +1,168 @@
+"""What effects change of a machine: collected here, then simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from twin.effects.effect import Setting, settings_of
+from twin.machine import Axis, Machine
+from twin.plant import ModelEdit, build_plant, full_inertia
+from twin.terms import FORCE, Term, X_LOAD_FORCE, arrays, term
+
+REST_FORCE = 1e-6
+"""A held force below this fraction of Coulomb friction presses no flank: the gap is centred."""
+
+
+@dataclass
+class Coupling:
+    """Elastic coupling of rotor and load: dead zone, springs in series, damper of the softest."""
+
+    clearance: float = 0.0
+    flexibility: float = 0.0  # sum of 1 / stiffness
+    damping: float = 0.0
+    softest: float = math.inf
+
+    def add(self, stiffness: float, damping: float, clearance: float = 0.0) -> None:
+        self.clearance += clearance
+        self.flexibility += 1.0 / stiffness
+        if stiffness < self.softest:
+            self.softest, self.damping = stiffness, damping
+
+    @property
+    def stiffness(self) -> float:
+        return 1.0 / self.flexibility
+
+    def rotor_offset(self, held: float, coulomb: float) -> float:
+        """Rotor minus load position at rest under a held force: on the pressed flank, spring loaded; centred without force."""
+        if abs(held) <= REST_FORCE * coulomb:
+            return 0.0
+        return held * self.flexibility + math.copysign(self.clearance / 2.0, held)
+
+
+@dataclass
+class Change:
+    """A machine with its effects put on one by one; arrays are (axis,) in the machine's order."""
+
+    machine: Machine
+    started_at: float = 0.0
+    terms: list[Term] = field(default_factory=list)
+    model_edits: list[ModelEdit] = field(default_factory=list)
+    couplings: dict[str, Coupling] = field(default_factory=dict)
+    scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        # the control keeps what it was commissioned with, whatever the effects make of the motor
+        for axis in self.machine.axes:
+            if axis.commissioned_torque_constant is None:
+                self.machine = self.machine.with_axis(axis.name, commissioned_torque_constant=axis.motor.torque_constant_nm_per_a)
+        self.scale_offset = np.zeros(len(self.machine.axes))
+        self.constant_force = np.zeros(len(self.machine.axes))
+
+    def index(self, axis: Axis) -> int:
+        """Index of an axis in the machine's order."""
+        return self.machine.axis_names.index(axis.name)
+
+    def scale(self, axis: Axis, **factors: float) -> None:
+        """Multiply fields of the axis, its motor or its loops."""
+        now = self.machine.axis(axis.name)
+
+        def value(name: str) -> float:
+            return float(next(getattr(part, name) for part in (now, now.motor, now.loops) if hasattr(part, name)))
+
+        self.machine = self.machine.with_axis(axis.name, **{name: value(name) * factor for name, factor in factors.items()})
+
+    def set(self, axis: Axis, **values: Any) -> None:
+        """Replace fields of the axis, its motor or its loops."""
+        self.machine = self.machine.with_axis(axis.name, **values)
+
+    def add_term(self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), state: Sequence[float] = (), order: int = 0) -> None:
+        """Add a term of the compiled loop."""
+        self.terms.append(Term(law, stage, self.index(axis), parameters, state, order))
+
+    def add_force(self, axis: Axis, force: float) -> None:
+        """A constant force on the load, towards +q; the integrators carry it at the start of a run."""
+        self.constant_force[self.index(axis)] += force
+        self.add_term(constant_load_force, FORCE, axis, [force])
+
+    def add_inertia(self, axis: Axis, added: float) -> None:
+        """Mass or inertia that the load of this axis alone feels."""
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            spec.joint(axis.name).armature += added
+
+        self.model_edits.append(edit)
+
+    def couple(self, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
+        """Put a spring, a damper and a dead zone between rotor and load."""
+        self.couplings.setdefault(axis.name, Coupling()).add(stiffness, damping, clearance)
+
+    def load_inertia(self, axis: Axis) -> float:
+        """Mass or inertia of the load alone, without rotor, in the home pose [kg, kg m2]."""
+        return load_inertia(self.machine, axis)
+
+    def reduced_mass(self, axis: Axis) -> float:
+        """Rotor and load in series: m1 m2 / (m1 + m2)."""
+        load, rotor = self.load_inertia(axis), axis.reflected_inertia
+        return load * rotor / (load + rotor)
+
+    def rotor_offset(self, index: int, held: float) -> float:
+        """Rotor minus load position of a coupled axis at rest."""
+        axis = self.machine.axes[index]
+        return self.couplings[axis.name].rotor_offset(held, axis.coulomb_friction)
+
+    @property
+    def split_axes(self) -> tuple[str, ...]:
+        """Axes whose rotor turns on a joint of its own."""
+        return tuple(self.couplings)
+
+
+def load_inertia(machine: Machine, axis: Axis) -> float:
+    """Mass or inertia of an axis' load alone, without rotor, in the home pose [kg, kg m2]."""
+    plant = build_plant(machine)
+    plant.data.qpos[:] = 0.0
+    mujoco.mj_forward(plant.model, plant.data)
+    total = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof[machine.axis_names.index(axis.name)]]
+    return float(total - axis.reflected_inertia)
+
+
+def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
+    """Put the machine's effects on it; `started_at` [s] since the start of the campaign."""
+    change = Change(machine, started_at)
+    for setting in settings_of(machine):
+        if not setting.is_nil:
+            source = {"from_axis": change.machine.axis(setting.from_axis)} if setting.from_axis else {}
+            setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)
+    if change.couplings:
+        from twin.effects.transmission import coupling
+
+        for name, c in change.couplings.items():
+            axis = change.machine.axis(name)
+            mass = change.reduced_mass(axis)
+            h = change.machine.base_tick
+            # the damper decays the relative speed exactly over a tick: stable for any damping
+            rate = c.damping * h / mass
+            damping = c.damping * (-math.expm1(-rate) / rate if rate > 0 else 1.0)
+            change.add_term(coupling, FORCE, axis, [c.clearance / 2.0, c.stiffness, damping])
+    return change
+
+
+def with_effects(machine: Machine, effects: Sequence[Setting | dict[str, Any]]) -> Machine:
+    """The machine with exactly these effects, as Settings or as tables {name, axis, parameters}."""
+    tables = [e.table() if isinstance(e, Setting) else dict(e) for e in effects]
+    changed = replace(machine, document={**machine.document, "effect": tables})
+    settings_of(changed)
+    return changed
+
+
+@term
+def constant_load_force(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += p[0]."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_LOAD_FORCE] += p[0]

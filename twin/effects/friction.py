@@ -1,0 +1,156 @@
+"""Effects of friction. The level F of the contact is shaped first (order 0, 1); a bristle (order 2) replaces the constraint."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change
+from twin.effects.effect import Parameter, effect
+from twin.machine import Axis, Machine
+from twin.terms import (
+    FORCE,
+    X_FRICTION_LEVEL,
+    X_LOAD_ACCELERATION,
+    X_LOAD_FORCE,
+    X_LOAD_MIDDLE,
+    X_LOAD_SPEED,
+    X_STEP,
+    arrays,
+    term,
+)
+
+BRISTLE_DAMPING_RATIO = 0.3
+"""Damping of the bristle against the axis' whole inertia where none is given."""
+
+
+@effect(block="mechanics", parameters=(Parameter("factor", "number", 0.0, 10.0, (0.5, 1.5), neutral=1.0, logarithmic=True),))
+def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
+    """Coulomb friction off nominal.
+
+    Fc = factor x nominal, at all speeds alike. Source: paper, section 2.2.
+    """
+    change.scale(axis, coulomb_friction_nm=factor)
+
+
+@effect(block="mechanics", parameters=(Parameter("factor", "number", 0.0, 10.0, (0.4, 1.6), neutral=1.0, logarithmic=True),))
+def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
+    """Viscous friction off nominal.
+
+    b = factor x nominal: a force in proportion to speed. Source: paper, section 2.2.
+    """
+    change.scale(axis, viscous_friction_nm_s_per_rad=factor)
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("excess", "force", 0.0, 1e5, lambda m, a: (0.3 * a.coulomb_friction, 0.8 * a.coulomb_friction), neutral=0.0),
+        Parameter(
+            "velocity", "speed", 1e-5, 1.0,
+            lambda m, a: (2e-3, 6e-3) if a.kind == "linear" else (math.radians(0.6), math.radians(2.0)), logarithmic=True,
+        ),
+    ),
+)  # fmt: skip
+def stribeck(change: Change, axis: Axis, excess: float, velocity: float) -> None:
+    """More friction at low speed than at high (Stribeck).
+
+    F(v) = Fc + excess exp(-(v / velocity)^2). Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994.
+    """
+    change.add_term(stribeck_level, FORCE, axis, [excess, velocity], order=1)
+
+
+def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
+    low, high = (4e-6, 20e-6) if axis.kind == "linear" else (math.radians(4 / 3600), math.radians(20 / 3600))
+    return (axis.coulomb_friction / high, axis.coulomb_friction / low)
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
+        Parameter("damping", "damping", 0.0, 1e9, shape=True),
+    ),
+)
+def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
+    """Below break-away the contact is a spring (pre-sliding).
+
+    Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the Coulomb level with
+    whatever shapes it. Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
+    """
+    if damping is None:
+        total = change.load_inertia(axis) + axis.reflected_inertia
+        damping = 2.0 * BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * total)
+    change.add_term(bristle, FORCE, axis, [stiffness, damping], order=2)
+
+
+@effect(block="mechanics", parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0),))
+def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
+    """Viscous friction that differs by direction.
+
+    F = b (1 + fraction sign v) v: the extra part b fraction |v| always points to -q.
+    """
+    change.add_term(asymmetric_viscous, FORCE, axis, [axis.viscous_friction * fraction])
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("fraction", "number", -1.0, 1.0, (0.25, 0.5), neutral=0.0),
+        Parameter(
+            "wavelength", "length", 1e-4, 10.0,
+            lambda m, a: (0.02, 0.1) if a.kind == "linear" else (math.radians(10), math.radians(60)), logarithmic=True,
+        ),
+    ),
+)  # fmt: skip
+def position_dependent_friction(change: Change, axis: Axis, fraction: float, wavelength: float) -> None:
+    """Coulomb friction that changes along the travel.
+
+    Fc (1 + fraction sin(2 pi q / wavelength)): unlike ripple it changes sign with direction.
+    """
+    change.add_term(friction_along_travel, FORCE, axis, [fraction, 2.0 * math.pi / wavelength], order=0)
+
+
+@term
+def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += p[0] exp(-(v / p[1])^2)."""
+    p, s, x = arrays(parameters, state, signals)
+    ratio = x[axis, X_LOAD_SPEED] / p[1]
+    x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
+
+
+@term
+def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F *= 1 + p[0] sin(p[1] q)."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_FRICTION_LEVEL] *= 1.0 + p[0] * math.sin(p[1] * x[axis, X_LOAD_MIDDLE])
+
+
+@term
+def asymmetric_viscous(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F -= p[0] |v| in the middle of the step."""
+    p, s, x = arrays(parameters, state, signals)
+    speed = x[axis, X_LOAD_SPEED] + 0.5 * x[axis, X_STEP] * x[axis, X_LOAD_ACCELERATION]
+    x[axis, X_LOAD_FORCE] -= p[0] * abs(speed)
+
+
+@term
+def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """z' = v - k |v| z / F, solved exactly over the tick for the speed in its middle; the mean force acts."""
+    p, s, x = arrays(parameters, state, signals)
+    h = x[axis, X_STEP]
+    level = x[axis, X_FRICTION_LEVEL]
+    x[axis, X_FRICTION_LEVEL] = 0.0
+    if level <= 0.0:
+        return
+    speed = x[axis, X_LOAD_SPEED] + 0.5 * h * x[axis, X_LOAD_ACCELERATION]
+    rate = p[0] * abs(speed) / level * h
+    before = s[0]
+    if rate > 1e-9:
+        steady = math.copysign(level / p[0], speed)
+        fade = math.exp(-rate)
+        s[0] = steady + (before - steady) * fade
+        mean = steady + (before - steady) * (1.0 - fade) / rate
+    else:
+        s[0] = before + speed * h
+        mean = before + 0.5 * speed * h
+    x[axis, X_LOAD_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h

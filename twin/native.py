@@ -1,0 +1,50 @@
+"""Calls through C addresses from compiled code, so that loops can call the engine and effect terms without Python.
+
+An address is plain data here: the compiled loop stays cacheable on disk and one loop serves every combination of terms.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+from pathlib import Path
+import typing
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+
+@intrinsic
+def call_address_2(typing_context, address, a, b):  # type: ignore[no-untyped-def]
+    """Call `void f(void*, void*)` at `address` with two addresses."""
+    return _call(2)
+
+
+@intrinsic
+def call_address_4(typing_context, address, a, b, c, d):  # type: ignore[no-untyped-def]
+    """Call `void f(void*, void*, void*, int64)` at `address`."""
+    return _call(4)
+
+
+def _call(count: int) -> tuple[typing.Any, typing.Any]:
+    signature = types.void(*[types.int64] * (count + 1))
+
+    def generate(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        word = ir.IntType(64)
+        function_type = ir.FunctionType(ir.VoidType(), [word] * count)
+        function = builder.inttoptr(arguments[0], function_type.as_pointer())
+        builder.call(function, list(arguments[1:]))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def engine_function_address(name: str) -> int:
+    """Address of a function of MuJoCo's C library, e.g. 'mj_step'."""
+    import mujoco
+
+    folder = Path(mujoco.__file__).parent
+    names = sorted([*folder.glob("libmujoco*.so*"), *folder.glob("libmujoco*.dylib"), *folder.glob("mujoco.dll")])
+    library = ctypes.CDLL(str(names[0]))
+    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)

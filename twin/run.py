@@ -1,0 +1,197 @@
+"""One run of the twin: set points and a machine in, a trace of the same form as a measured one out.
+
+    set points -> command of the position cycles -> cascade + plant (one compiled loop) -> trace
+
+`simulate` is the whole of it; start reading here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin import cascade, loop
+from twin.effects import apply_effects
+from twin.errors import SimulationError
+from twin.machine import Machine
+from twin.native import engine_function_address
+from twin.plant import Plant, build_plant, home_inertia_at_motor
+from twin.setpoints import Command, Setpoints, command_of
+from twin.terms import SIGNAL_COUNT, X_LOAD_SPEED, term_table
+from twin.trace import Trace
+
+STRETCH_TICKS = 16_000
+"""Ticks that are advanced in one call: bounds the memory of a run beyond its trace, and the time between two reports."""
+
+DIVERGED_SPEED = 3.0
+"""An axis faster than this multiple of its highest speed has left every bound that its control would allow."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Result of a run: the followed trace, and how many ticks each axis spent at its limits."""
+
+    trace: Trace
+    current_limited_s: dict[str, float]
+    voltage_limited_s: dict[str, float]
+
+
+def simulate(
+    machine: Machine,
+    setpoints: Setpoints,
+    *,
+    sample_period: float | None = None,
+    started_at: float = 0.0,
+    noise_seed: int | None = None,
+    record_noise: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Simulate the machine with its effects on these set points, (sample, axis) in the machine's axis order, SI.
+
+    `sample_period` [s] of the record (default: the machine file's), rounded to whole ticks; `started_at` [s] since the
+    start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what control and
+    record see (None: ideal), `record_noise=False` keeps it out of the record. `progress` is called with the done fraction. Raises SimulationError (with the trace up to
+    there) where an axis diverges.
+    """
+    # what the control was commissioned with stays; what the machine really is comes from file and effects
+    inertia = commissioned_inertia(machine)
+    actual = apply_effects(machine, started_at)
+    plant = build_plant(actual.machine, actual.model_edits, actual.split_axes)
+    drives = cascade.drives_of(actual.machine)
+    terms = term_table(actual.terms)
+
+    # at rest on the first set point, integrators carrying gravity and constant forces
+    start = setpoints.position[0] - actual.scale_offset
+    held_force = _place_at_rest(plant, start, actual.constant_force, actual.rotor_offset)
+    state = cascade.drives_at_rest(drives, held_force * drives.ratio)
+    signals = np.zeros((len(machine.axes), SIGNAL_COUNT))
+    signals[:, X_LOAD_SPEED] = 0.0
+
+    h = machine.base_tick
+    record_ticks = max(1, round((sample_period or machine.sample_period) / h))
+    position_ticks = round(machine.position_cycle / h)
+    schedule = loop.Schedule(
+        tick=h,
+        position_ticks=position_ticks,
+        speed_ticks=round(machine.speed_cycle / h),
+        current_ticks=round(machine.current_cycle / h),
+        record_ticks=record_ticks,
+        speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
+    )
+    engine = _engine(plant)
+    rng = None if noise_seed is None else np.random.default_rng(noise_seed)
+
+    rows = int(np.floor(setpoints.duration / (record_ticks * h) + 1e-9)) + 1
+    record = np.empty((rows, len(machine.axes), len(loop.RECORDED)))
+    limited = np.zeros((len(machine.axes), 2), np.int64)
+    total = (rows - 1) * record_ticks + 1
+    stretch = int(np.lcm(position_ticks, record_ticks)) * max(1, STRETCH_TICKS // int(np.lcm(position_ticks, record_ticks)))
+    for first in range(0, total, stretch):
+        ticks = min(stretch, total - first)
+        command = command_of(actual.machine, inertia, setpoints, first // position_ticks, -(-ticks // position_ticks))
+        failed = loop.advance(
+            engine,
+            schedule,
+            drives,
+            state,
+            terms,
+            signals,
+            _stacked(command),
+            _sensing(machine, rng, ticks, record_noise),
+            first,
+            ticks,
+            record[first // record_ticks :],
+            limited,
+        )
+        if failed >= 0:
+            tick, axis = divmod(failed, len(machine.axes))
+            kept = _trace(machine, setpoints, record[: tick // record_ticks], record_ticks * h) if tick >= 2 * record_ticks else None
+            raise SimulationError(
+                f"simulation diverges: axis {machine.axes[axis].name} at {tick * h:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
+                "lower its gains or the size of its effects",
+                kept,
+            )
+        if progress:
+            progress((first + ticks) / total)
+    names = machine.axis_names
+    return Run(
+        _trace(machine, setpoints, record, record_ticks * h),
+        dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
+        dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
+    )
+
+
+def commissioned_inertia(machine: Machine) -> np.ndarray:
+    """J_ff (axis,) [kg m2 at the motor]: the machine file's, or the model's in the home pose where the file has none."""
+    known = [axis.commissioned_inertia for axis in machine.axes]
+    if all(value is not None for value in known):
+        return np.array(known, float)
+    return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
+
+
+def _place_at_rest(plant: Plant, start: np.ndarray, constant_force: np.ndarray, rotor_offset) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
+    import mujoco
+
+    plant.data.qpos[:] = 0.0
+    plant.data.qvel[:] = 0.0
+    plant.data.qpos[plant.load_position] = start
+    mujoco.mj_forward(plant.model, plant.data)
+    held = plant.data.qfrc_bias[plant.load_dof] - constant_force
+    split = plant.rotor_dof != plant.load_dof
+    for a in np.flatnonzero(split):
+        plant.data.qpos[plant.rotor_position[a]] = start[a] + rotor_offset(int(a), float(held[a]))
+    return held
+
+
+def _engine(plant: Plant) -> loop.Engine:
+    data, model = plant.data, plant.model
+    return loop.Engine(
+        step=engine_function_address("mj_step"),
+        model=model._address,
+        data=data._address,
+        qpos=data.qpos,
+        qvel=data.qvel,
+        ctrl=data.ctrl,
+        applied=data.qfrc_applied,
+        bias=data.qfrc_bias,
+        passive=data.qfrc_passive,
+        constraint=data.qfrc_constraint,
+        frictionloss=model.dof_frictionloss,
+        load_position=plant.load_position,
+        load_dof=plant.load_dof,
+        rotor_position=plant.rotor_position,
+        rotor_dof=plant.rotor_dof,
+        actuator=plant.actuator,
+    )
+
+
+def _stacked(command: Command) -> np.ndarray:
+    return np.stack([command.setpoint, command.velocity_feedforward, command.torque_feedforward])
+
+
+def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, recorded: bool) -> loop.Sensing:
+    noises = [machine.noise(axis) for axis in machine.axes]
+    if rng is None:
+        noise = np.zeros((0, 0, 0))
+    else:
+        noise = rng.standard_normal((ticks, len(noises), 3)) * [[n.position, n.speed, n.current] for n in noises]
+    return loop.Sensing(
+        noise=noise,
+        recorded=recorded,
+        position_resolution=np.array([n.position_resolution for n in noises]),
+        motor_resolution=np.array([n.motor_resolution for n in noises]),
+    )
+
+
+def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: float) -> Trace:
+    time = np.arange(len(record)) * period
+    positions = np.concatenate([setpoints.at(part) for part in np.array_split(time, max(1, len(time) // 100_000))])
+    signals = {}
+    for a, axis in enumerate(machine.axes):
+        signals[axis.name, "setpoint"] = positions[:, a]
+        for c, channel in enumerate(loop.RECORDED):
+            signals[axis.name, channel] = record[:, a, c]
+    return Trace(time, signals, machine.kinds)

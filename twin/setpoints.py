@@ -1,0 +1,152 @@
+"""Set points as the axis cards see them: from recorded samples to the values of each position cycle.
+
+Recorded set points of any constant period are interpolated by a cubic spline (continuous acceleration, so no jerk is
+added), read at arbitrary delays. The control differentiates them backwards over its position cycle Tp:
+
+    v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
+    T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
+
+Before the first sample the machine stood on it; after the last one it stays there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.trace import Trace
+from twin.units import AXIS_UNITS, deg_from_rad
+
+_OVERLAP = 40
+"""Samples beside a stretch that its spline also sees: the influence of a far sample decays by 0.27 a sample, to 1e-23."""
+
+TRAVEL_TOLERANCE = 1e-9
+"""Set points may exceed the travel by rounding only [m or rad]."""
+
+LIMIT_TOLERANCE = 0.01
+"""Recorded set points are rounded: a limit counts as exceeded beyond this fraction."""
+
+
+class Setpoints:
+    """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s]."""
+
+    def __init__(self, position: np.ndarray, period: float):
+        self.position = np.ascontiguousarray(position, float)
+        self.period = period
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return (len(self.position) - 1) * self.period
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """(time, axis) positions at times [s] that lie close together, constant outside the samples."""
+        last = len(self.position) - 1
+        low = int(np.clip(np.floor(times.min() / self.period) - _OVERLAP, 0, last))
+        high = int(np.clip(np.ceil(times.max() / self.period) + _OVERLAP, 0, last))
+        if high - low < 3:
+            low, high = max(0, high - 3), min(last, low + 3)
+        index = np.arange(low, high + 1)
+        at = np.clip(times / self.period, 0, last)
+        near = np.rint(at)
+        at = np.where(np.abs(at - near) < 1e-9, near, at)  # a sample's own time gives the sample itself
+        if high - low < 3:
+            return np.column_stack([np.interp(at, index, column[low : high + 1]) for column in self.position.T])
+        return CubicSpline(index, self.position[low : high + 1], axis=0, bc_type="natural")(at)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the position controllers of all axes get in a stretch of position cycles, each (cycle, axis)."""
+
+    setpoint: np.ndarray  # delayed, m or rad
+    velocity_feedforward: np.ndarray  # m/s or rad/s
+    torque_feedforward: np.ndarray  # Nm at the motor
+
+
+def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
+    """The command of `count` position cycles from `first_cycle` on; `commissioned_inertia` (axis,) [kg m2 at the motor]."""
+    tp = machine.position_cycle
+    times = np.arange(first_cycle, first_cycle + count) * tp
+    out = np.zeros((3, count, len(machine.axes)))
+    # one spline evaluation for all axes, delays and steps back
+    delays = sorted({d for axis in machine.axes for d in (axis.loops.position_delay_s, *_steps_back(axis.loops.feedforward_delay_s, tp))})
+    at = dict(zip(delays, setpoints.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1)))
+    for a, axis in enumerate(machine.axes):
+        loops = axis.loops
+        now, before, earlier = (at[d][:, a] for d in _steps_back(loops.feedforward_delay_s, tp))
+        out[0, :, a] = at[loops.position_delay_s][:, a]
+        out[1, :, a] = loops.velocity_feedforward * (now - before) / tp
+        acceleration = (now - 2.0 * before + earlier) / tp**2
+        out[2, :, a] = loops.torque_feedforward * commissioned_inertia[a] * acceleration / axis.ratio
+    return Command(*out)
+
+
+def _steps_back(delay: float, cycle: float) -> tuple[float, float, float]:
+    """Delays of the three set points that a second difference takes."""
+    return delay, delay + cycle, delay + 2.0 * cycle
+
+
+def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
+    """Set points of a trace for the machine's axes in its order; axes that the trace lacks stay at 0 or the travel's nearest end."""
+    unknown = [axis for axis in trace.axes if axis not in machine.axis_names]
+    if unknown:
+        raise InputError(f"trace has axis {unknown[0]}, machine {machine.name} has {', '.join(machine.axis_names)}; give the right --machine")
+    columns = []
+    for axis in machine.axes:
+        if trace.has(axis.name, "setpoint"):
+            columns.append(trace.get(axis.name, "setpoint"))
+        else:
+            columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
+    return Setpoints(np.column_stack(columns), trace.period)
+
+
+def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
+    """Raise InputError at the first set point outside an axis' travel."""
+    for a, axis in enumerate(machine.axes):
+        low, high = axis.travel
+        position = setpoints.position[:, a]
+        outside = np.flatnonzero((position < low - TRAVEL_TOLERANCE) | (position > high + TRAVEL_TOLERANCE))
+        if outside.size:
+            i = outside[0]
+            unit, factor = AXIS_UNITS[axis.kind].position
+            raise InputError(
+                f"{where}: axis {axis.name} set point {position[i] * factor:.6g} {unit} at {i * setpoints.period:.6g} s lies outside the travel "
+                f"{low * factor:.6g} .. {high * factor:.6g} {unit}; move the program or correct travel in the machine file"
+            )
+
+
+def limit_warnings(setpoints: Setpoints, machine: Machine) -> list[str]:
+    """One line for each axis and limit (speed, acceleration, jerk) that the set points exceed, with place and amount."""
+    lines = []
+    for a, axis in enumerate(machine.axes):
+        unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", deg_from_rad(1.0))
+        # differences over at least a position cycle, so that the rounding of recorded set points does not count as jerk
+        every = max(1, round(machine.position_cycle / setpoints.period))
+        position = setpoints.position[::every, a]
+        period = every * setpoints.period
+        if len(position) < 4:
+            continue
+        # what rounding of the recorded set points alone does to each difference
+        rounding = _rounding(position)
+        quantities = (("speed", axis.max_velocity, "/s"), ("acceleration", axis.max_acceleration, "/s2"), ("jerk", axis.max_jerk, "/s3"))
+        for order, (name, limit, per) in enumerate(quantities, start=1):
+            values = np.abs(np.diff(position, order)) / period**order
+            worst = int(np.argmax(values))
+            if values[worst] > limit * (1.0 + LIMIT_TOLERANCE) + rounding * 2**order / period**order:
+                lines.append(
+                    f"axis {axis.name}: set points reach a {name} of {values[worst] * factor:.4g} {unit}{per} at {worst * period:.3f} s, "
+                    f"the limit is {limit * factor:.4g} {unit}{per}"
+                )
+    return lines
+
+
+def _rounding(position: np.ndarray) -> float:
+    """Half a step of the grid on which the recorded values seem to lie (0 if none is seen)."""
+    steps = np.abs(np.diff(position))
+    steps = steps[steps > 0]
+    return float(min(steps.min(), 1e-8)) / 2 if steps.size else 0.0
