@@ -1,0 +1,157 @@
+"""The sim-to-real gap: every run of a campaign simulated and compared signal by signal.
+
+The twin's prediction is the mean of a few runs with measuring noise in the loop (the control sees noisy samples, which
+moves an axis that is about to stick), its own record free of noise. `noise` is the gap that measuring noise alone makes:
+each realisation against the mean of the others, plus what the sensors add to a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+import os
+
+import numpy as np
+
+from twin.campaign import Campaign, MeasuredRun
+from twin.errors import InputError
+from twin.machine import Axis, Machine
+from twin.run import simulate
+from twin.setpoints import check_travel, setpoints_of
+from twin.trace import Trace
+from twin.units import ARCSEC, AXIS_UNITS
+
+COMPARED = ("position", "motor_position", "velocity", "current")
+REALISATIONS = 4
+MOVING = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
+"""Set point speeds above which the current is compared: the current of an axis that sticks is history."""
+
+
+@dataclass(frozen=True)
+class SignalGap:
+    """Gap of one signal of one axis in one run, in `unit`: RMS, largest, and the RMS that noise alone makes."""
+
+    rms: float
+    max: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the twin expects of a run: mean trace, and the RMS scatter of each (axis, signal) that noise causes, SI."""
+
+    trace: Trace
+    scatter: dict[tuple[str, str], np.ndarray]
+
+
+def predict(machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS, seed: int = 0) -> Prediction:
+    """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations."""
+    setpoints = setpoints_of(run.trace, machine)
+    check_travel(setpoints, machine, f"run {run.name}")
+    actual = machine.with_feedforward(run.feedforward)
+    traces = [
+        simulate(
+            actual, setpoints, sample_period=run.trace.period, started_at=run.started_at, noise_seed=seed + i, record_noise=False
+        ).trace
+        for i in range(realisations)
+    ]
+    signals, scatter = {}, {}
+    for key in traces[0].signals:
+        stack = np.stack([_at(trace, key, run.trace.time) for trace in traces])
+        signals[key] = stack.mean(axis=0)
+        # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1))
+        spread = stack.std(axis=0, ddof=1) if realisations > 1 else np.zeros_like(signals[key])
+        scatter[key] = spread * np.sqrt(1.0 + 1.0 / max(realisations - 1, 1))
+    return Prediction(Trace(run.trace.time, signals, machine.kinds), scatter)
+
+
+def predict_campaign(
+    machine: Machine, runs: Sequence[MeasuredRun], *, realisations: int = REALISATIONS, progress: Callable[[str], None] | None = None
+) -> dict[str, Prediction]:
+    """`predict` for several runs on all cores; independent of the number of workers."""
+    results: dict[str, Prediction] = {}
+
+    def one(run: MeasuredRun) -> Prediction:
+        return predict(machine, run, realisations)
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        for run, prediction in zip(runs, pool.map(one, runs)):
+            results[run.name] = prediction
+            if progress:
+                progress(run.name)
+    return results
+
+
+def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
+    """Gap by axis and signal, for the signals that the run has."""
+    table: dict[str, dict[str, SignalGap]] = {}
+    for axis in machine.axes:
+        if axis.name not in run.trace.axes:
+            continue
+        signals = {}
+        for signal in COMPARED:
+            if not run.trace.has(axis.name, signal):
+                continue
+            difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
+            scatter = prediction.scatter[axis.name, signal]
+            if signal == "current":
+                moving = is_moving(run.trace, axis)
+                difference, scatter = difference[moving], scatter[moving]
+            unit, factor = gap_unit(axis, signal)
+            noise = np.sqrt(_mean_square(scatter) + sensor_noise(machine, axis, signal) ** 2)
+            largest = float(np.abs(difference).max()) if difference.size else 0.0
+            signals[signal] = SignalGap(float(np.sqrt(_mean_square(difference)) * factor), largest * factor, float(noise * factor), unit)
+        table[axis.name] = signals
+    return table
+
+
+def gap_of_campaign(
+    machine: Machine, campaign: Campaign, progress: Callable[[str], None] | None = None
+) -> dict[str, dict[str, dict[str, SignalGap]]]:
+    """Gap of every run of a campaign: run -> axis -> signal."""
+    if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
+        raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    predictions = predict_campaign(machine, campaign.runs, progress=progress)
+    return {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}
+
+
+def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
+    """Unit in which a gap is told, and the factor from SI: um or arcsec, mm/s or deg/s, A."""
+    if signal in ("position", "motor_position"):
+        return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+    if signal == "velocity":
+        return AXIS_UNITS[axis.kind].speed
+    return ("A", 1.0)
+
+
+def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
+    """(sample,) True where the set point moves faster than the threshold of comparing currents."""
+    return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > MOVING[axis.kind]
+
+
+def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
+    """Standard deviation that a sensor adds to a record, rounding included [SI]."""
+    noise = machine.noise(axis)
+    deviation, resolution = {
+        "position": (noise.position, noise.position_resolution),
+        "motor_position": (0.0, noise.motor_resolution),
+        "velocity": (noise.speed, 0.0),
+        "current": (noise.current, 0.0),
+    }[signal]
+    return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
+
+
+def _at(trace: Trace, key: tuple[str, str], times: np.ndarray) -> np.ndarray:
+    """A simulated signal at measured times (the twin samples at whole ticks from 0 on)."""
+    values = trace.signals[key]
+    if len(values) == len(times) and abs(trace.period - (times[-1] - times[0]) / (len(times) - 1)) < 1e-9:
+        return values
+    return np.interp(times - times[0], trace.time, values)
+
+
+def _mean_square(values: np.ndarray) -> float:
+    return float(np.mean(values**2)) if values.size else 0.0
+
+
