@@ -1,0 +1,62 @@
+"""Moves from rest to rest with limited speed, acceleration and jerk, in closed form: set points of tests and examples.
+
+A move has seven phases of constant jerk (+J 0 -J, 0, -J 0 +J); phases that a short move does not need have no length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import numpy as np
+
+
+def phases_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[float, float, float]:
+    """Times [s] of a move over `distance` > 0: of a jerk phase, of constant acceleration, of constant speed.
+
+    With t_j and t_a the move reaches v = J t_j (t_j + t_a) and covers v (2 t_j + t_a) until it has stopped again.
+    """
+    # speed limit decides first, then acceleration, then the distance
+    t_j = min(math.sqrt(speed / jerk), acceleration / jerk)
+    t_a = max(speed / (jerk * t_j) - t_j, 0.0)
+    reached = jerk * t_j * (t_j + t_a)
+    if reached * (2.0 * t_j + t_a) <= distance:
+        return t_j, t_a, distance / reached - 2.0 * t_j - t_a
+    # too short for the speed: J t_j (t_j + t_a) (2 t_j + t_a) = distance
+    t_j = min((distance / (2.0 * jerk)) ** (1.0 / 3.0), acceleration / jerk)
+    t_a = max(-1.5 * t_j + math.sqrt(0.25 * t_j**2 + distance / (jerk * t_j)), 0.0)
+    return t_j, t_a, 0.0
+
+
+def jerk_limited_move(distance: float, speed: float, acceleration: float, jerk: float, times: np.ndarray) -> np.ndarray:
+    """Position (time,) at `times` [s] from the start of the move on; before it 0, after it `distance`."""
+    t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
+    lengths = np.array([t_j, t_a, t_j, t_v, t_j, t_a, t_j])
+    jerks = math.copysign(jerk, distance) * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    # state at the start of each phase, then the cubic of the phase in which each time lies
+    starts = np.concatenate([[0.0], np.cumsum(lengths)])
+    state = np.zeros((8, 3))
+    for i, (t, j) in enumerate(zip(lengths, jerks)):
+        x, v, a = state[i]
+        state[i + 1] = x + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
+    phase = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, 6)
+    t = np.clip(times - starts[phase], 0.0, lengths[phase])
+    x, v, a = state[phase].T
+    return x + v * t + a * t**2 / 2 + jerks[phase] * t**3 / 6
+
+
+def moves_in_turn(
+    start: float, distances: Sequence[float], speed: float, acceleration: float, jerk: float, dwell: float, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and positions, sampled with `period` [s], of moves one after the other with a dwell before, between and after."""
+    begin = dwell
+    begins = []
+    for distance in distances:
+        begins.append(begin)
+        t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
+        begin += 4.0 * t_j + 2.0 * t_a + t_v + dwell
+    times = np.arange(math.ceil(begin / period - 1e-9) + 1) * period
+    position = np.full(len(times), start)
+    for at, distance in zip(begins, distances):
+        position += jerk_limited_move(distance, speed, acceleration, jerk, times - at)
+    return times, position
