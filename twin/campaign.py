@@ -39,7 +39,7 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
         raise InputError(f"{path}: no such folder; a campaign is a folder with campaign.toml and traces")
     file = path / "campaign.toml"
     if not file.is_file():
-        raise InputError(f"{file}: no such file; list the runs there, e.g. [[run]] file = \"circle.parquet\"")
+        raise InputError(f'{file}: no such file; list the runs there, e.g. [[run]] file = "circle.parquet"')
     try:
         document = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
@@ -49,7 +49,7 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
             raise InputError(f"{file}: unknown key '{key}'; {nearest(key, ('machine', 'run'))}")
     tables = document.get("run", [])
     if not isinstance(tables, list) or not tables:
-        raise InputError(f"{file}: no [[run]]; list at least one, e.g. [[run]] file = \"circle.parquet\"")
+        raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
     runs = tuple(_read_run(path, table, f"{file}: run {i + 1}", machine) for i, table in enumerate(tables))
     names = [run.name for run in runs]
     if len(set(names)) < len(names):

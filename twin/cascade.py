@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
+from twin.compiled import compiled
 from twin.machine import Machine
 
 
@@ -95,14 +95,14 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline=True)
 def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
     """w* of axis `a` from the delayed set point, the feedforward (axis units a second; Nm) and the measured position."""
     state.speed_setpoint[a] = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
     state.torque_feedforward[a] = torque_feedforward
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline=True)
 def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
     error = state.speed_setpoint[a] - motor_speed
@@ -116,7 +116,7 @@ def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline=True)
 def current_controller(a, drives, state, current_setpoint, current):  # type: ignore[no-untyped-def]
     """Voltage of axis `a` from set and measured current [A]; True where the bus limit is met."""
     error = current_setpoint - current
@@ -130,7 +130,7 @@ def current_controller(a, drives, state, current_setpoint, current):  # type: ig
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline=True)
 def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """Advance the current of axis `a` by one tick under held voltage and speed; its mean over the tick [A] makes the torque."""
     final = (state.voltage[a] - drives.back_emf[a] * motor_speed) / drives.resistance[a]

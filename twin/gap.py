@@ -153,5 +153,3 @@ def _at(trace: Trace, key: tuple[str, str], times: np.ndarray) -> np.ndarray:
 
 def _mean_square(values: np.ndarray) -> float:
     return float(np.mean(values**2)) if values.size else 0.0
-
-

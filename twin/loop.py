@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from twin.cascade import current_controller, position_controller, speed_controller, winding
+from twin.compiled import compiled
 from twin.native import call_address_2, call_address_4
 from twin.terms import (
     CURRENT,
@@ -104,7 +104,7 @@ class Sensing(NamedTuple):
     motor_resolution: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def advance(engine, schedule, drives, state, terms, signals, command, sensing, first_tick, ticks, record, limited):  # type: ignore[no-untyped-def]
     """Advance by `ticks` ticks from `first_tick` on; returns -1, or tick * axes + axis where a run diverged.
 
@@ -229,7 +229,7 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
     return -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def call_terms(terms, stage, signals):  # type: ignore[no-untyped-def]
     """Call the terms of one stage, in their order."""
     for i in range(terms.start[stage], terms.start[stage + 1]):
@@ -242,7 +242,7 @@ def call_terms(terms, stage, signals):  # type: ignore[no-untyped-def]
         )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def call_axis_terms(terms, stage, signals, axis):  # type: ignore[no-untyped-def]
     """Call the terms of one stage that belong to one axis."""
     for i in range(terms.start[stage], terms.start[stage + 1]):
@@ -256,7 +256,7 @@ def call_axis_terms(terms, stage, signals, axis):  # type: ignore[no-untyped-def
             )
 
 
-@njit(inline="always")
+@compiled(inline=True)
 def rounded(value, resolution):  # type: ignore[no-untyped-def]
     """The nearest multiple of a resolution; the value itself where the resolution is 0."""
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value

@@ -174,7 +174,7 @@ class Machine:
             scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
         else:
             scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
-        return Noise(*(value(key) for key in scale), value("current_noise_a"))
+        return Noise(*[value(key) for key in (*scale, "current_noise_a")])
 
     def with_axes(self, names: Sequence[str]) -> Machine:
         """The same machine with only these axes driven; the others stand still."""
@@ -289,7 +289,20 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
 
 def machine_from_document(document: Mapping[str, Any], model_path: Path, path: Path | None, where: str) -> Machine:
     """A checked Machine from the tables of a machine file."""
-    also = ("name", "structure", "model", "axis_order", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "identified")
+    also = (
+        "name",
+        "structure",
+        "model",
+        "axis_order",
+        "control",
+        "geometry",
+        "axis",
+        "body",
+        "measurement",
+        "effect",
+        "frame",
+        "identified",
+    )
     keys.check_table(document, keys.TOP, where, also)
     for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
         if table not in document and table != "geometry":
@@ -323,7 +336,9 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
     for key in ("current_cycle", "speed_cycle", "position_cycle"):
         cycles = getattr(machine, key) / machine.base_tick
         if abs(cycles - round(cycles)) > 1e-6:
-            raise InputError(f"{where}: [control]: {key}_us is no whole multiple of the shortest cycle ({machine.base_tick * 1e6:g} us); change it")
+            raise InputError(
+                f"{where}: [control]: {key}_us is no whole multiple of the shortest cycle ({machine.base_tick * 1e6:g} us); change it"
+            )
     return machine
 
 
@@ -384,7 +399,9 @@ def _body(name: str, table: Any, where: str) -> Body:
     keys.check_table(table, keys.BODY, where)
     i = np.array(table["inertia_kg_m2"], float)
     if np.any(i > i.sum() - i + 1e-12):
-        raise InputError(f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others")
+        raise InputError(
+            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others"
+        )
     return Body(name, float(table["mass_kg"]), tuple(table["centre_of_mass_m"]), tuple(table["inertia_kg_m2"]))
 
 

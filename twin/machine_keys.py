@@ -137,9 +137,9 @@ def si_from_key(key: str) -> float:
 
 def check_table(table: Mapping[str, Any], keys: Mapping[str, Key], where: str, also: tuple[str, ...] = ()) -> None:
     """Each key known, each required one there, each value possible; `also` names keys that are checked elsewhere."""
-    for key in table:
-        if key not in keys and key not in also:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, [*keys, *also])}")
+    for given in table:
+        if given not in keys and given not in also:
+            raise InputError(f"{where}: unknown key '{given}'; {nearest(given, [*keys, *also])}")
     for name, key in keys.items():
         if name in table:
             _check_value(table[name], key, f"{where}: {name}")

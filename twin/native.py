@@ -12,7 +12,9 @@ import typing
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _intrinsic
+
+intrinsic: typing.Any = _intrinsic  # its type hides the signatures of what it makes
 
 
 @intrinsic

@@ -143,7 +143,7 @@ def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> Non
             own = total - children
             if own <= 0.0:
                 raise InputError(
-                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} is not more than the {children:g} kg that it carries; "
+                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} does not exceed the {children:g} kg that it carries; "
                     "it is all that the screw moves"
                 )
             if body.mass > 0:
@@ -185,7 +185,9 @@ def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
     actuator.gear = [1.0 / axis.ratio, 0.0, 0.0, 0.0, 0.0, 0.0]
     actuator.armature = axis.rotor_inertia_kg_m2
     if split:
-        body = spec.worldbody.add_body(name=f"{axis.name}.rotor", mass=ROTOR_BODY_MASS, inertia=[ROTOR_BODY_MASS] * 3, explicitinertial=True)
+        body = spec.worldbody.add_body(
+            name=f"{axis.name}.rotor", mass=ROTOR_BODY_MASS, inertia=[ROTOR_BODY_MASS] * 3, explicitinertial=True
+        )
         # a horizontal slide in axis units: gravity does not act on a rotor
         body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
         actuator.target = f"{axis.name}.rotor"

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from twin import cascade, loop
-from twin.effects import apply_effects
-from twin.errors import SimulationError
+from twin.effects import Change, apply_effects
+from twin.engine import FullPlant
+from twin.errors import InputError, SimulationError
 from twin.machine import Machine
-from twin.native import engine_function_address
-from twin.plant import Plant, build_plant, home_inertia_at_motor
+from twin.plant import home_inertia_at_motor
 from twin.setpoints import Command, Setpoints, command_of
 from twin.terms import SIGNAL_COUNT, X_LOAD_SPEED, term_table
 from twin.trace import Trace
@@ -25,8 +26,26 @@ from twin.trace import Trace
 STRETCH_TICKS = 16_000
 """Ticks that are advanced in one call: bounds the memory of a run beyond its trace, and the time between two reports."""
 
+SPLINE_SAMPLES = 20_000
+"""Set points that are interpolated in one go for the record."""
+
 DIVERGED_SPEED = 3.0
 """An axis faster than this multiple of its highest speed has left every bound that its control would allow."""
+
+SWINGS_AT_REST = 8
+"""So many turns from one current limit to the other after the last set point are no settling."""
+
+SETPOINT_ROUNDING = 1e-12
+"""A set point that changes by less from sample to sample stands still [m, rad]."""
+
+
+class PlantFace(Protocol):
+    """What `simulate` asks of the mechanics: an engine for the loop, and a start at rest."""
+
+    engine: loop.Engine
+
+    def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
+        """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
 
 
 @dataclass(frozen=True)
@@ -46,26 +65,29 @@ def simulate(
     started_at: float = 0.0,
     noise_seed: int | None = None,
     record_noise: bool = True,
+    plant_of: Callable[[Change], PlantFace] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Simulate the machine with its effects on these set points, (sample, axis) in the machine's axis order, SI.
 
     `sample_period` [s] of the record (default: the machine file's), rounded to whole ticks; `started_at` [s] since the
     start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what control and
-    record see (None: ideal), `record_noise=False` keeps it out of the record. `progress` is called with the done fraction. Raises SimulationError (with the trace up to
-    there) where an axis diverges.
+    record see (None: ideal), `record_noise=False` keeps it out of the record. `plant_of`
+    makes the mechanics (default: MuJoCo). `progress` is called with the done fraction. Raises SimulationError (with the trace up to
+    there) where an axis diverges, InputError where it cannot be held at its start.
     """
     # what the control was commissioned with stays; what the machine really is comes from file and effects
     inertia = commissioned_inertia(machine)
     actual = apply_effects(machine, started_at)
-    plant = build_plant(actual.machine, actual.model_edits, actual.split_axes)
+    plant = (plant_of or FullPlant)(actual)
     drives = cascade.drives_of(actual.machine)
     terms = term_table(actual.terms)
 
     # at rest on the first set point, integrators carrying gravity and constant forces
     start = setpoints.position[0] - actual.scale_offset
-    held_force = _place_at_rest(plant, start, actual.constant_force, actual.rotor_offset)
+    held_force = plant.place_at_rest(start, actual.constant_force, actual)
     state = cascade.drives_at_rest(drives, held_force * drives.ratio)
+    _check_held(machine, state, drives)
     signals = np.zeros((len(machine.axes), SIGNAL_COUNT))
     signals[:, X_LOAD_SPEED] = 0.0
 
@@ -80,7 +102,6 @@ def simulate(
         record_ticks=record_ticks,
         speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
     )
-    engine = _engine(plant)
     rng = None if noise_seed is None else np.random.default_rng(noise_seed)
 
     rows = int(np.floor(setpoints.duration / (record_ticks * h) + 1e-9)) + 1
@@ -92,7 +113,7 @@ def simulate(
         ticks = min(stretch, total - first)
         command = command_of(actual.machine, inertia, setpoints, first // position_ticks, -(-ticks // position_ticks))
         failed = loop.advance(
-            engine,
+            plant.engine,
             schedule,
             drives,
             state,
@@ -116,11 +137,36 @@ def simulate(
         if progress:
             progress((first + ticks) / total)
     names = machine.axis_names
+    trace = _trace(machine, setpoints, record, record_ticks * h)
+    _check_standing(trace, names, drives)
     return Run(
-        _trace(machine, setpoints, record, record_ticks * h),
+        trace,
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
         dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
     )
+
+
+def _check_held(machine: Machine, state: cascade.DriveState, drives: cascade.Drives) -> None:
+    """An axis that its current limit cannot hold at rest would fall from the first tick on."""
+    for a in np.flatnonzero(np.abs(state.current) > drives.peak_current):
+        raise InputError(
+            f"axis {machine.axes[a].name} cannot be held at its start: that takes {abs(state.current[a]):.3g} A, its current limit is "
+            f"{drives.peak_current[a]:.3g} A; raise the limit or lower what it carries"
+        )
+
+
+def _check_standing(trace: Trace, names: tuple[str, ...], drives: cascade.Drives) -> None:
+    """An axis that goes from one current limit to the other and back after its last set point does not stand: its loops are unstable."""
+    for a, name in enumerate(names):
+        moving = np.flatnonzero(np.abs(np.diff(trace.get(name, "setpoint"))) > SETPOINT_ROUNDING)
+        after = trace.get(name, "current_setpoint")[moving[-1] + 1 if moving.size else 0 :]
+        turns = np.diff(np.sign(after[np.abs(after) >= drives.peak_current[a]]))
+        if np.count_nonzero(turns) >= SWINGS_AT_REST:
+            raise SimulationError(
+                f"axis {name} swings between its current limits although its set point stands still: its loops are unstable; "
+                "lower its gains or the size of its effects",
+                trace,
+            )
 
 
 def commissioned_inertia(machine: Machine) -> np.ndarray:
@@ -129,43 +175,6 @@ def commissioned_inertia(machine: Machine) -> np.ndarray:
     if all(value is not None for value in known):
         return np.array(known, float)
     return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
-
-
-def _place_at_rest(plant: Plant, start: np.ndarray, constant_force: np.ndarray, rotor_offset) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
-    import mujoco
-
-    plant.data.qpos[:] = 0.0
-    plant.data.qvel[:] = 0.0
-    plant.data.qpos[plant.load_position] = start
-    mujoco.mj_forward(plant.model, plant.data)
-    held = plant.data.qfrc_bias[plant.load_dof] - constant_force
-    split = plant.rotor_dof != plant.load_dof
-    for a in np.flatnonzero(split):
-        plant.data.qpos[plant.rotor_position[a]] = start[a] + rotor_offset(int(a), float(held[a]))
-    return held
-
-
-def _engine(plant: Plant) -> loop.Engine:
-    data, model = plant.data, plant.model
-    return loop.Engine(
-        step=engine_function_address("mj_step"),
-        model=model._address,
-        data=data._address,
-        qpos=data.qpos,
-        qvel=data.qvel,
-        ctrl=data.ctrl,
-        applied=data.qfrc_applied,
-        bias=data.qfrc_bias,
-        passive=data.qfrc_passive,
-        constraint=data.qfrc_constraint,
-        frictionloss=model.dof_frictionloss,
-        load_position=plant.load_position,
-        load_dof=plant.load_dof,
-        rotor_position=plant.rotor_position,
-        rotor_dof=plant.rotor_dof,
-        actuator=plant.actuator,
-    )
 
 
 def _stacked(command: Command) -> np.ndarray:
@@ -188,7 +197,9 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, reco
 
 def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: float) -> Trace:
     time = np.arange(len(record)) * period
-    positions = np.concatenate([setpoints.at(part) for part in np.array_split(time, max(1, len(time) // 100_000))])
+    # in parts, so that the splines of a long program need no more memory than a short one's
+    parts = -(-max(len(time), len(setpoints.position)) // SPLINE_SAMPLES)
+    positions = np.concatenate([setpoints.at(part) for part in np.array_split(time, parts) if part.size])
     signals = {}
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]

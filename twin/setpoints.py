@@ -12,6 +12,7 @@ Before the first sample the machine stood on it; after the last one it stays the
 from __future__ import annotations
 
 from dataclasses import dataclass
+import functools
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,6 +24,9 @@ from twin.units import AXIS_UNITS, deg_from_rad
 
 _OVERLAP = 40
 """Samples beside a stretch that its spline also sees: the influence of a far sample decays by 0.27 a sample, to 1e-23."""
+
+_KEEP_SPLINE = 100_000
+"""Samples up to which one spline is kept for the whole run."""
 
 TRAVEL_TOLERANCE = 1e-9
 """Set points may exceed the travel by rounding only [m or rad]."""
@@ -37,23 +41,53 @@ class Setpoints:
     def __init__(self, position: np.ndarray, period: float):
         self.position = np.ascontiguousarray(position, float)
         self.period = period
+        self._parts: dict[tuple[int, ...], Setpoints] = {}
+        self._cycles: dict[tuple[float, float], np.ndarray] = {}
 
     @property
     def duration(self) -> float:
         """Time of the last sample [s]."""
         return (len(self.position) - 1) * self.period
 
+    def part(self, axes: tuple[int, ...]) -> Setpoints:
+        """The same set points of some axes only, by index; remembered, with their spline."""
+        if axes not in self._parts:
+            self._parts[axes] = Setpoints(self.position[:, list(axes)], self.period)
+        return self._parts[axes]
+
+    def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:
+        """For each delay (cycle, axis) positions that long before the position cycles; remembered for short runs."""
+        if self._spline is None:
+            times = np.arange(first, first + count) * period
+            return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
+        out = []
+        for delay in delays:
+            if (period, delay) not in self._cycles:
+                total = int(np.ceil(self.duration / period)) + 2
+                self._cycles[period, delay] = self.at(np.arange(total) * period - delay)
+            out.append(self._cycles[period, delay][first : first + count])
+        return out
+
+    @functools.cached_property
+    def _spline(self) -> CubicSpline | None:
+        """One spline through all samples, where that is cheap to keep."""
+        if not 4 <= len(self.position) <= _KEEP_SPLINE:
+            return None
+        return CubicSpline(np.arange(len(self.position)), self.position, axis=0, bc_type="natural")
+
     def at(self, times: np.ndarray) -> np.ndarray:
         """(time, axis) positions at times [s] that lie close together, constant outside the samples."""
         last = len(self.position) - 1
+        at = np.clip(times / self.period, 0, last)
+        near = np.rint(at)
+        at = np.where(np.abs(at - near) < 1e-9, near, at)  # a sample's own time gives the sample itself
+        if self._spline is not None:
+            return self._spline(at)
         low = int(np.clip(np.floor(times.min() / self.period) - _OVERLAP, 0, last))
         high = int(np.clip(np.ceil(times.max() / self.period) + _OVERLAP, 0, last))
         if high - low < 3:
             low, high = max(0, high - 3), min(last, low + 3)
         index = np.arange(low, high + 1)
-        at = np.clip(times / self.period, 0, last)
-        near = np.rint(at)
-        at = np.where(np.abs(at - near) < 1e-9, near, at)  # a sample's own time gives the sample itself
         if high - low < 3:
             return np.column_stack([np.interp(at, index, column[low : high + 1]) for column in self.position.T])
         return CubicSpline(index, self.position[low : high + 1], axis=0, bc_type="natural")(at)
@@ -71,11 +105,10 @@ class Command:
 def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
     """The command of `count` position cycles from `first_cycle` on; `commissioned_inertia` (axis,) [kg m2 at the motor]."""
     tp = machine.position_cycle
-    times = np.arange(first_cycle, first_cycle + count) * tp
     out = np.zeros((3, count, len(machine.axes)))
     # one spline evaluation for all axes, delays and steps back
     delays = sorted({d for axis in machine.axes for d in (axis.loops.position_delay_s, *_steps_back(axis.loops.feedforward_delay_s, tp))})
-    at = dict(zip(delays, setpoints.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1)))
+    at = dict(zip(delays, setpoints.at_cycles(first_cycle, count, tp, delays)))
     for a, axis in enumerate(machine.axes):
         loops = axis.loops
         now, before, earlier = (at[d][:, a] for d in _steps_back(loops.feedforward_delay_s, tp))
@@ -95,7 +128,9 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
     """Set points of a trace for the machine's axes in its order; axes that the trace lacks stay at 0 or the travel's nearest end."""
     unknown = [axis for axis in trace.axes if axis not in machine.axis_names]
     if unknown:
-        raise InputError(f"trace has axis {unknown[0]}, machine {machine.name} has {', '.join(machine.axis_names)}; give the right --machine")
+        raise InputError(
+            f"trace has axis {unknown[0]}, machine {machine.name} has {', '.join(machine.axis_names)}; give the right --machine"
+        )
     columns = []
     for axis in machine.axes:
         if trace.has(axis.name, "setpoint"):
@@ -115,8 +150,8 @@ def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
             i = outside[0]
             unit, factor = AXIS_UNITS[axis.kind].position
             raise InputError(
-                f"{where}: axis {axis.name} set point {position[i] * factor:.6g} {unit} at {i * setpoints.period:.6g} s lies outside the travel "
-                f"{low * factor:.6g} .. {high * factor:.6g} {unit}; move the program or correct travel in the machine file"
+                f"{where}: axis {axis.name} set point {position[i] * factor:.6g} {unit} at {i * setpoints.period:.6g} s lies outside the "
+                f"travel {low * factor:.6g} .. {high * factor:.6g} {unit}; move the program or correct travel in the machine file"
             )
 
 

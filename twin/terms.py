@@ -14,10 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 import numpy as np
+
+from twin.compiled import compiled, compiled_callback
 
 MEASURE, SETPOINT, CURRENT, FORCE = range(4)
 STAGES = 4
@@ -52,7 +54,7 @@ _Pointer = types.CPointer(types.float64)
 _term_signature = types.void(_Pointer, _Pointer, _Pointer, types.int64)
 
 
-@njit(inline="always")
+@compiled(inline=True)
 def arrays(parameters, state, signals):  # type: ignore[no-untyped-def]
     """The three arrays behind a term's pointers: parameters, state, signals (axis, signal)."""
     return carray(parameters, PARAMETER_COUNT), carray(state, STATE_COUNT), carray(signals, (MAX_AXES, SIGNAL_COUNT))
@@ -68,15 +70,15 @@ class _LazyTerm:
 
     def __init__(self, law: Callable[..., None]):
         self.law = law
-        self._compiled = None
+        self._compiled: Any = None
         self.__doc__ = law.__doc__
         self.__name__ = law.__name__
 
     @property
     def address(self) -> int:
         if self._compiled is None:
-            self._compiled = cfunc(_term_signature, cache=True)(self.law)
-        return int(self._compiled.address)  # type: ignore[attr-defined]
+            self._compiled = compiled_callback(_term_signature, self.law)
+        return int(self._compiled.address)
 
 
 @dataclass(frozen=True)

@@ -175,10 +175,18 @@ def _read_table(path: Path) -> dict[str, np.ndarray]:
     for name in table.column_names:
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
-            # a column of text is bad only if it is a signal: name the first cell that is no number
-            raise InputError(f"{path}: column '{name}': row 1 holds {str(column[0].as_py())[:40]!r}, which is no number")
+            row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
+            raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is no number; correct or remove it")
         columns[name] = column.cast(pa.float64()).to_numpy()  # missing cells become NaN
     return columns
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(str(cell))
+    except ValueError:
+        return False
+    return True
 
 
 def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
@@ -211,13 +219,16 @@ def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:
     for name, values in zip(names, [trace.time, *trace.signals.values()]):
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds no finite number (NaN); repair or cut the recording")
+            held = "NaN (no number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}"
+            raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds {held}; repair or cut the recording")
     if len(trace.time) < 2:
         raise InputError(f"{path}: only one sample; a trace needs at least two")
     steps = np.diff(trace.time)
     bad = np.flatnonzero(steps <= 0)
     if bad.size:
-        raise InputError(f"{path}: time does not increase at row {bad[0] + 2} ({trace.time[bad[0] + 1]:.6g} s); sort or repair the recording")
+        raise InputError(
+            f"{path}: time does not increase at row {bad[0] + 2} ({trace.time[bad[0] + 1]:.6g} s); sort or repair the recording"
+        )
     period = float(np.median(steps))
     bad = np.flatnonzero(np.abs(steps - period) > RELATIVE_PERIOD_TOLERANCE * period + 2e-9)
     if bad.size:
