@@ -1,0 +1,35 @@
+"""The decorator of the plant's compiled functions: numba njit, without the GIL, cached on disk.
+
+numba's cache looks only at the file of a function, not at the files of the functions that it calls: after a change to
+control.py a cached loop in plant.py would go on with the old law. Here the cache's stamp is a digest of all sources of
+the compiled functions, so that a change to any of them compiles anew. Where a later numba keeps its stamp elsewhere,
+nothing is cached: slower, never stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numba
+
+SOURCES = ("compiled", "control", "friction", "measurement", "mechanics", "plant", "tilting_pair")
+DIGEST = hashlib.sha256(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)).hexdigest()
+
+
+def compiled(inline: bool = False) -> Callable:
+    """Decorator; `inline` copies a small law into its callers."""
+
+    def wrap(function: Callable) -> Callable:
+        plain = numba.njit(nogil=True, error_model="numpy", inline="always" if inline else "never")
+        dispatcher: Any = plain(function)
+        dispatcher.enable_caching()
+        file: Any = getattr(dispatcher._cache, "_cache_file", None)
+        if not hasattr(file, "_source_stamp"):
+            return plain(function)
+        file._source_stamp = DIGEST
+        return dispatcher
+
+    return wrap

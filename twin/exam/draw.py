@@ -1,0 +1,253 @@
+"""Draws cases and writes their campaigns without truth.
+
+    case = draw_case(seed, "single", machine)            # or pair, triple, healthy, outside
+    write_campaign(case, folder, machine)                # Parquet + campaign.toml, nothing that tells
+    truth = truth_of(case)                               # for the sealed file, kept elsewhere
+
+Everything comes from the seed: parameter factors, effects and sizes, richness, programme, noise.
+`python -m twin.exam.draw --seed N --kind K --out DIR --truth FILE` does the same from a shell.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field, replace
+import math
+from pathlib import Path
+import sys
+import tomllib
+import zlib
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .effects import LIBRARY, DrawContext, apply_effect, draw_effect
+from .outside import OUTSIDE
+from .parameters import AXES, Richness, Settings, draw_factors, load_of, pair_of, settings_of
+from .paths import limits_of, path_of, together
+from .plant import SUBSTEPS, PlantError, Trace, run
+from .programme import TestRun, programme
+from .richness import apply_richness
+
+KINDS = ("single", "pair", "triple", "healthy", "outside")
+EFFECTS = LIBRARY | OUTSIDE
+SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
+OUTSIDE_SINGLES = tuple((name, axis) for name, effect in OUTSIDE.items() for axis in effect.axes)
+RICH = Richness()
+RUN_SETS = {"all": ("test",), "program": ("program",), "exam": ("exam",), "test and program": ("test", "program")}
+SIGNALS = {"full": ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current"),
+           "no motor position": ("setpoint", "position", "velocity", "velocity_setpoint", "current"),
+           "no velocity set point": ("setpoint", "position", "motor_position", "velocity", "current"),
+           "scale and current": ("setpoint", "position", "current")}
+_HOMES = (Path(__file__).resolve().parents[1] / "models", Path(__file__).resolve().parents[2] / "models")   # installed, checkout
+SHIPPED_MACHINE = next((home / "mikron_ucp710.toml" for home in _HOMES if home.is_dir()), _HOMES[1] / "mikron_ucp710.toml")
+PAUSE_S = 5.0                                            # between runs of a campaign
+# decimals of a recorded column in mm, mm/s (or deg, deg/s) and A, as in the campaigns recorded so far
+DECIMALS = {"setpoint": (7, 7), "position": (4, 6), "motor_position": (5, 7), "velocity": (3, 3), "velocity_setpoint": (3, 3),
+            "current": (3, 3)}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One machine to be examined; `dataclasses.replace` makes its variants (no effects, other richness, other noise)."""
+
+    seed: int
+    kind: str
+    scale: float
+    effects: tuple[dict, ...]                            # as in a truth.toml, library and outside alike
+    factors: dict                                        # parameter factors, see parameters.unit_factors
+    richness: Richness = field(default_factory=Richness)
+    noise: bool = True
+    noise_seed: int | None = None                        # another recording of the same machine
+
+
+def draw_case(seed: int, kind: str, machine: dict, *, effect: str | None = None, axis: str | None = None, scale: float = 1.0,
+              spread: float | None = None, richness: Richness = RICH, run_set: str = "all") -> Case:
+    """A case from its seed.
+
+    effect, axis: fixes them for kinds "single" and "outside" (drawn otherwise). scale: 1 = usual size, 0.2 = a fifth.
+    spread: of the parameters, default the machine file's parameter_tolerance. run_set: the runs whose speeds and
+    currents sizes are measured against (current_limit must be reached where it is looked for)."""
+    if kind not in KINDS:
+        raise ValueError(f"no kind {kind!r}; there are: {', '.join(KINDS)}")
+    of_factors, of_effects = (np.random.default_rng(child) for child in np.random.SeedSequence([seed, 10]).spawn(2))
+    factors = draw_factors(of_factors, machine["parameter_tolerance"] if spread is None else spread)
+    peaks = peaks_of(machine, factors, [r for r in programme(machine, seed) if r.kind in RUN_SETS[run_set]])
+    for _ in range(20):
+        chosen = _choose(kind, of_effects, effect, axis)
+        s = settings_of(machine, factors)
+        effects = tuple(draw_effect(name, on, DrawContext(of_effects, AXES.index(on), scale, s, *peaks), EFFECTS)
+                        for name, on in chosen)
+        case = Case(seed, kind, scale, effects, factors, richness)
+        if not effects or behaves(case, machine):
+            return case
+    raise PlantError(f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): no draw of 20 leaves the "
+                     "control loops stable; use a smaller scale")
+
+
+def _choose(kind: str, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
+    """Names and axes: every effect equally often, then every axis it can have."""
+    library = OUTSIDE if kind == "outside" else LIBRARY
+    count = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}[kind]
+    chosen: list[tuple[str, str]] = []
+    while len(chosen) < count:
+        names = [n for n in library if (effect in (None, n)) and (axis is None or axis in library[n].axes)]
+        if not names:
+            raise ValueError(f"no effect {effect!r} on axis {axis!r} among: {', '.join(library)}")
+        name = names[rng.integers(len(names))]
+        on = axis or library[name].axes[rng.integers(len(library[name].axes))]
+        if (name, on) not in chosen:
+            chosen.append((name, on))
+        elif effect is not None:
+            raise ValueError("effect and axis can be fixed only where one effect is drawn (single, outside)")
+    return chosen
+
+
+def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque") -> Settings:
+    """Settings of the plant for this case: factors, effects, richness, and the feedforward that a run has on."""
+    s = settings_of(machine, case.factors)
+    for effect in case.effects:
+        apply_effect(s, effect, EFFECTS)
+    apply_richness(s, case.richness, np.random.default_rng(np.random.SeedSequence([case.seed, 15])))
+    if feedforward not in ("off", "velocity", "velocity+torque"):
+        raise ValueError(f"feedforward {feedforward!r}: must be off, velocity or velocity+torque")
+    s.velocity_weight = s.velocity_weight * (feedforward != "off")
+    s.torque_weight = s.torque_weight * (feedforward == "velocity+torque")
+    return s
+
+
+def simulate(case: Case, machine: dict, test: TestRun, started_at_s: float = 0.0, substeps: int = SUBSTEPS) -> Trace:
+    """One run of a case, on set points rounded as they are recorded."""
+    unit = np.array([1e3] * 3 + [180.0 / math.pi] * 2)
+    points = np.round(test.set_points * unit, DECIMALS["setpoint"][0]) / unit
+    base = case.seed if case.noise_seed is None else case.noise_seed
+    noise = np.random.SeedSequence([base, 30, zlib.crc32(test.name.encode())])
+    return run(settings_for(case, machine, test.feedforward), points, noise, started_at_s, substeps, case.noise)
+
+
+def behaves(case: Case, machine: dict) -> bool:
+    """Whether the control loops are stable: a short move of all axes does not shake the current and leaves rest behind."""
+    limits = limits_of(machine)
+    start, reach = np.array([0.0, 0.0, 0.0, -0.6, 0.0]), np.array([0.06, 0.06, 0.06, 0.3, 0.5])
+    columns = [path_of(start[k], [start[k] + reach[k], start[k]], [0.6 * limits.speed[k]] * 2, 0.7 * limits.acceleration[k],
+                       0.97 * limits.jerk[k], 0.1) for k in range(len(AXES))]
+    move = TestRun("stability", "test", "velocity+torque", together(columns, tail=0.4))
+    try:
+        trace = simulate(replace(case, noise=False), machine, move, substeps=4)
+    except PlantError:
+        return False
+    moving, standing = (np.diff(trace.true_current[part], axis=0).std(axis=0) for part in (slice(0, -400), slice(-100, None)))
+    peak = np.array([machine["axis"][a]["motor"]["peak_current_a"] for a in AXES])
+    error = np.abs(trace.position - trace.setpoint).max(axis=0)
+    return bool((standing < 0.01 * peak).all() and (moving < 0.05 * peak).all() and (error < [5e-3] * 3 + [math.radians(2.5)] * 2).all())
+
+
+def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndarray, np.ndarray]:
+    """(largest current [A], largest positive speed) that set points ask of each axis: inertia, friction and gravity alone."""
+    s = settings_of(machine, factors)
+    mass, pair = load_of(s) + s.motor_mass, pair_of(machine, factors)
+    current, speed = np.zeros(5), np.zeros(5)
+    for r in runs:
+        if r.name == "chirp":                           # its fast end lies beyond the loops' bandwidth
+            continue
+        v = np.gradient(r.set_points, 1e-3, axis=0)
+        force = mass * np.gradient(v, 1e-3, axis=0) + s.viscous * v + s.coulomb * np.sign(np.round(v, 7))
+        force[:, 2] += s.load_mass[2] * s.gravity
+        a, c = r.set_points[:, 3], r.set_points[:, 4]
+        dx, dy = pair[5] * np.cos(c) - pair[6] * np.sin(c), pair[5] * np.sin(c) + pair[6] * np.cos(c)
+        force[:, 3] += s.gravity * (np.cos(a) * (pair[2] + pair[8] * pair[4] + dy) - np.sin(a) * (pair[3] + pair[7]))
+        force[:, 4] += s.gravity * np.sin(a) * dx
+        current = np.maximum(current, np.abs(force * s.ratio / s.kt).max(axis=0))
+        speed = np.maximum(speed, v.max(axis=0))
+    return current, speed
+
+
+def truth_of(case: Case) -> dict:
+    """The sealed answer: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case]."""
+    known = [dict(e) for e in case.effects if e["name"] in LIBRARY]
+    other = [dict(e, block=OUTSIDE[e["name"]].block) for e in case.effects if e["name"] in OUTSIDE]
+    return {"case": {"seed": case.seed, "kind": case.kind, "scale": case.scale}, "effect": known, "outside": other,
+            "parameter": {name: dict(table) for name, table in case.factors.items()}}
+
+
+def truth_toml(truth: dict) -> str:
+    """A truth as TOML text, in the form of the truth.toml of recorded campaigns."""
+
+    def value(v: object) -> str:
+        return f'"{v}"' if isinstance(v, str) else repr(v) if isinstance(v, int) else f"{v:.9g}"
+
+    def table(head: str, entries: dict) -> str:
+        return "\n".join([head, *(f"{k} = {value(v)}" for k, v in entries.items()), ""])
+    parts = [table("[case]", truth["case"])]
+    parts += [table(f"[[{kind}]]", e) for kind in ("effect", "outside") for e in truth[kind]] or ["# no effect\n"]
+    parts += [table(f"[parameter.{name}]", t) for name, t in truth["parameter"].items()]
+    return "\n".join(parts)
+
+
+def columns_of(trace: Trace, signals: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Columns as recorded: mm, deg, A, rounded; `time [s]` first, then axis by axis."""
+    columns = {"time [s]": np.round(trace.time, 6)}
+    for k, axis in enumerate(AXES):
+        unit, factor, place = ("mm", 1e3, 0) if k < 3 else ("deg", 180.0 / math.pi, 1)
+        for signal in signals:
+            unit_of = {"velocity": f"{unit}/s", "velocity_setpoint": f"{unit}/s", "current": "A"}.get(signal, unit)
+            values = getattr(trace, signal)[:, k] * (1.0 if signal == "current" else factor)
+            columns[f"{axis}.{signal} [{unit_of}]"] = np.round(values, DECIMALS[signal][place])
+    return columns
+
+
+def write_campaign(case: Case, folder: str | Path, machine: dict, *, runs: str = "all", signals: str = "full",
+                   started_at_s: float = 0.0, machine_name: str = "mikron_ucp710") -> list[str]:
+    """Simulates the runs of a run set and writes them to `folder`; returns their file names. Nothing written tells the truth."""
+    if runs not in RUN_SETS or signals not in SIGNALS:
+        raise ValueError(f"runs {runs!r}, signals {signals!r}: runs must be one of {', '.join(RUN_SETS)}, "
+                         f"signals one of {', '.join(SIGNALS)}")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    lines, at, files = [f'machine = "{machine_name}"\n'], started_at_s, []
+    for test in programme(machine, case.seed):
+        if test.kind not in RUN_SETS[runs]:
+            continue
+        trace = simulate(case, machine, test, at)
+        file = f"{test.name}.parquet"
+        pq.write_table(pa.table(columns_of(trace, SIGNALS[signals])), folder / file, compression="zstd", use_dictionary=False,
+                       use_byte_stream_split=True)
+        lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
+        at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
+        files.append(file)
+    (folder / "campaign.toml").write_text("\n".join(lines))
+    return files
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m twin.exam.draw", description="draws a sealed case and writes its campaign")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--kind", choices=KINDS, default="single")
+    parser.add_argument("--machine", type=Path, default=SHIPPED_MACHINE, help="nominal machine file (TOML)")
+    parser.add_argument("--effect", choices=sorted(EFFECTS))
+    parser.add_argument("--axis", choices=AXES)
+    parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--spread", type=float)
+    parser.add_argument("--runs", choices=sorted(RUN_SETS), default="all")
+    parser.add_argument("--signals", choices=sorted(SIGNALS), default="full")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--truth", type=Path, required=True, help="where the truth goes; not inside --out")
+    given = parser.parse_args(arguments)
+    try:
+        if given.out.resolve() == given.truth.resolve().parent:
+            raise ValueError(f"--truth {given.truth} lies in the campaign folder; keep the truth elsewhere")
+        machine = tomllib.loads(given.machine.read_text())
+        case = draw_case(given.seed, given.kind, machine, effect=given.effect, axis=given.axis, scale=given.scale, spread=given.spread,
+                         run_set=given.runs)
+        write_campaign(case, given.out, machine, runs=given.runs, signals=given.signals)
+        given.truth.parent.mkdir(parents=True, exist_ok=True)
+        given.truth.write_text(truth_toml(truth_of(case)))
+    except (OSError, ValueError, PlantError, tomllib.TOMLDecodeError) as error:
+        print(f"twin.exam.draw: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

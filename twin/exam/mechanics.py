@@ -1,0 +1,212 @@
+"""Motors, drive trains and loads of the five axes between two control ticks: RK4 with a held voltage.
+
+State rows [axis]: QM VM motor-side position and speed (in axis units), Q V load, CURRENT, F FD frame deflection and speed.
+    L i' = u - R i - Ke w                      w = motor speed as its encoder shows it
+    m_m VM' = Kt i / r + ripple / r - P        P = drive-train force; a rigid axis has m_m on the load and no P
+    m_l V' = P - viscous - friction - constant - gravity + disturbance - mass_c x acceleration of the other axis
+    FD' = ratio V' - 2 zeta w FD - w^2 F
+A and C share the mass matrix of tilting_pair.py; rotors, added inertia are diagonal terms.
+Drive train: d = QM - Q; e = d outside the gap, measured from its edge:
+    P = k e + k3 e^3 + soft k clip(d, +-gap/2) + damping (VM - V) [without soft only in contact]
+Friction is one held force per step, found at its start from the free acceleration (friction.py). Units SI at the axis.
+Source: effects.md; ordinary mechanics.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .compiled import compiled
+from .friction import bristle_force, friction_level, stick_slip_force
+from .tilting_pair import pair_terms
+
+QM, VM, Q, V, CURRENT, F, FD = range(7)
+STATES = 7
+A, C = 3, 4
+
+
+# Rows of the table of numbers `m` [row, axis], SI at the axis, electrics at the motor. One array, because a compiled call
+# that hands over forty of them costs more than the mechanics.
+(RATIO, KT, SATURATION, DEAD_TIME, KE, RESISTANCE, INDUCTANCE,      # saturation 1/A^2, dead time V against the current
+ MOTOR_MASS, LOAD_MASS,                                             # A, C: load mass is what comes on top of the pair's diagonal
+ ELASTIC, STIFFNESS, DAMPING, HARDENING, HALF_GAP, SOFT,            # elastic 1: motor and load are two masses; hardening k3
+ VISCOUS, ASYMMETRY, WINDAGE,                                       # windage N s2/m2
+ COULOMB, WAVE, WAVE_NUMBER, EXCESS, VELOCITY,                      # friction level
+ BRISTLE, BRISTLE_DAMPING,                                          # stiffness 0: exact stick-slip
+ STEADY_FORCE, DISTURBANCE, DISTURBANCE_W,                          # steady against +q: constant force, weight of Z
+ FRAME_W, FRAME_ZETA, FRAME_RATIO,
+ RIPPLE, RIPPLE_N, RIPPLE_PHASE, COGGING, COGGING_N, COGGING_PHASE, # Nm at the motor, periods a turn
+ LEAD, CYCLIC, CYCLIC_PHASE) = range(40)
+
+
+@compiled(inline=True)
+def drive_force(m: np.ndarray, k: int, d: float, speed: float) -> float:
+    """Force P of the drive train of axis k at deflection d and speed difference."""
+    half, stiffness = m[HALF_GAP, k], m[STIFFNESS, k]
+    if d > half:
+        e = d - half
+        return stiffness * e + m[HARDENING, k] * e * e * e + m[SOFT, k] * stiffness * half + m[DAMPING, k] * speed
+    if d < -half:
+        e = d + half
+        return stiffness * e + m[HARDENING, k] * e * e * e - m[SOFT, k] * stiffness * half + m[DAMPING, k] * speed
+    if m[SOFT, k] == 0.0:
+        return 0.0
+    return m[SOFT, k] * stiffness * d + m[DAMPING, k] * speed
+
+
+@compiled(inline=True)
+def motor_position(m: np.ndarray, k: int, q: float, q0: np.ndarray) -> float:
+    """What the motor encoder shows, in axis units: lead and cyclic error are zero at q0."""
+    shown = q - m[LEAD, k] * (q - q0)
+    if m[CYCLIC, k] != 0.0:
+        shown -= m[CYCLIC, k] * (math.sin(q / m[RATIO, k] + m[CYCLIC_PHASE, k]) - math.sin(q0 / m[RATIO, k] + m[CYCLIC_PHASE, k]))
+    return shown
+
+
+@compiled(inline=True)
+def motor_speed(m: np.ndarray, k: int, q: float, v: float) -> float:
+    """Motor speed [rad/s]: the derivative of motor_position over r."""
+    slope = 1.0 - m[LEAD, k]
+    if m[CYCLIC, k] != 0.0:
+        slope -= m[CYCLIC, k] / m[RATIO, k] * math.cos(q / m[RATIO, k] + m[CYCLIC_PHASE, k])
+    return slope * v / m[RATIO, k]
+
+
+@compiled()
+def motor_torque(m: np.ndarray, k: int, y: np.ndarray, q0: np.ndarray) -> float:
+    """Torque [Nm] at the rotor: Kt i with saturation, ripple and cogging."""
+    current = y[CURRENT, k]
+    torque = m[KT, k] * current
+    if m[SATURATION, k] != 0.0:
+        torque /= math.sqrt(1.0 + m[SATURATION, k] * current * current)
+    if m[RIPPLE, k] != 0.0 or m[COGGING, k] != 0.0:
+        angle = motor_position(m, k, y[QM, k], q0[k]) / m[RATIO, k]
+        torque += m[RIPPLE, k] * math.sin(m[RIPPLE_N, k] * angle + m[RIPPLE_PHASE, k])
+        torque += m[COGGING, k] * math.sin(m[COGGING_N, k] * angle + m[COGGING_PHASE, k])
+    return torque
+
+
+@compiled()
+def slopes(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray, dy: np.ndarray, voltage: np.ndarray,
+           friction: np.ndarray, shaking: np.ndarray, other: np.ndarray, q0: np.ndarray) -> tuple[float, float, float]:
+    """dy = time derivative of y; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
+
+    friction [axis] is the held friction force, shaking [axis] the outer forces of this instant, other [axis] the load
+    accelerations of the step before (for the coupling of axes)."""
+    for k in range(5):
+        force = motor_torque(m, k, y, q0) / m[RATIO, k]
+        w = motor_speed(m, k, y[QM, k], y[VM, k])
+        current = y[CURRENT, k]
+        u = voltage[k] - m[RESISTANCE, k] * current - m[KE, k] * w
+        if m[DEAD_TIME, k] != 0.0:
+            u -= m[DEAD_TIME, k] * math.tanh(current / 0.2)
+        dy[CURRENT, k] = u / m[INDUCTANCE, k]
+        v = y[V, k]
+        if m[ELASTIC, k] != 0.0:
+            drive = drive_force(m, k, y[QM, k] - y[Q, k], y[VM, k] - v)
+            dy[VM, k] = (force - drive) / m[MOTOR_MASS, k]
+            force = drive
+        drag = m[VISCOUS, k] * v + m[WINDAGE, k] * v * abs(v)
+        if m[ASYMMETRY, k] != 0.0:
+            drag += m[VISCOUS, k] * m[ASYMMETRY, k] * abs(v)
+        force += friction[k] + shaking[k] - drag - m[STEADY_FORCE, k]
+        for j in range(5):
+            if coupling[k, j] != 0.0:
+                force -= coupling[k, j] * other[j]
+        dy[V, k] = force                                                # a force for now
+        dy[QM, k], dy[Q, k] = y[VM, k], v
+    for k in range(3):
+        dy[V, k] /= m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
+    maa, mac, mcc, ha, hc = pair_terms(pair, y[Q, A], y[Q, C], y[V, A], y[V, C])
+    maa += m[LOAD_MASS, A] if m[ELASTIC, A] != 0.0 else m[LOAD_MASS, A] + m[MOTOR_MASS, A]
+    mcc += m[LOAD_MASS, C] if m[ELASTIC, C] != 0.0 else m[LOAD_MASS, C] + m[MOTOR_MASS, C]
+    qa, qc = dy[V, A] - ha, dy[V, C] - hc
+    det = maa * mcc - mac * mac
+    dy[V, A], dy[V, C] = (mcc * qa - mac * qc) / det, (maa * qc - mac * qa) / det
+    for k in range(5):
+        if m[ELASTIC, k] == 0.0:
+            dy[VM, k] = dy[V, k]
+        if m[FRAME_RATIO, k] != 0.0:
+            w = m[FRAME_W, k]
+            dy[F, k] = y[FD, k]
+            dy[FD, k] = m[FRAME_RATIO, k] * dy[V, k] - 2.0 * m[FRAME_ZETA, k] * w * y[FD, k] - w * w * y[F, k]
+    return maa, mac, mcc
+
+
+@compiled()
+def find_friction(m: np.ndarray, y: np.ndarray, dy: np.ndarray, friction: np.ndarray, z: np.ndarray,
+                  warm: np.ndarray, step: float, maa: float, mac: float, mcc: float, free: np.ndarray) -> None:
+    """Friction forces held over the coming step, from free slopes dy (friction zero); corrects dy to hold them."""
+    det = maa * mcc - mac * mac
+    for k in range(5):
+        free[k] = dy[V, k]
+        v = y[V, k]
+        level = friction_level(m[COULOMB, k] * warm[k], m[WAVE, k], m[WAVE_NUMBER, k], m[EXCESS, k], m[VELOCITY, k], y[Q, k], v)
+        friction[k] = level                                             # the level for now
+        if m[BRISTLE, k] != 0.0:
+            friction[k], z[k] = bristle_force(level, m[BRISTLE, k], m[BRISTLE_DAMPING, k], z[k], v, step)
+    for k in range(3):
+        mass = m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
+        if m[BRISTLE, k] == 0.0:
+            friction[k] = stick_slip_force(friction[k], y[V, k], dy[V, k], mass, step)
+        dy[V, k] += friction[k] / mass
+    # A and C push each other through Mac: a few rounds settle both forces (Mac^2 / Maa Mcc is below 1 %)
+    level_a, level_c = friction[A], friction[C]
+    force_a, force_c = 0.0, 0.0
+    if m[BRISTLE, A] != 0.0:
+        force_a = friction[A]
+    if m[BRISTLE, C] != 0.0:
+        force_c = friction[C]
+    for _ in range(4):
+        if m[BRISTLE, A] == 0.0:
+            force_a = stick_slip_force(level_a, y[V, A], dy[V, A] - mac / det * force_c, det / mcc, step)
+        if m[BRISTLE, C] == 0.0:
+            force_c = stick_slip_force(level_c, y[V, C], dy[V, C] - mac / det * force_a, det / maa, step)
+        if mac == 0.0:
+            break
+    friction[A], friction[C] = force_a, force_c
+    dy[V, A] += (mcc * force_a - mac * force_c) / det
+    dy[V, C] += (maa * force_c - mac * force_a) / det
+    for k in range(5):
+        if m[ELASTIC, k] == 0.0:
+            dy[VM, k] = dy[V, k]
+        dy[FD, k] += m[FRAME_RATIO, k] * (dy[V, k] - free[k])
+
+
+@compiled()
+def advance(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray, z: np.ndarray, other: np.ndarray,
+            voltage: np.ndarray, warm: np.ndarray, q0: np.ndarray, time: float, step: float, steps: int,
+            work: np.ndarray) -> None:
+    """Moves y, z over `steps` RK4 steps of `step` seconds; work is scratch [8, STATES, axis]."""
+    k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
+    friction, shake, none = work[5, 0], work[5, 1], work[5, 2]
+    shake_mid, shake_end = work[6, 0], work[6, 1]
+    for n in range(steps):
+        t = time + n * step
+        for k in range(5):
+            none[k] = 0.0
+            if m[DISTURBANCE, k] != 0.0:
+                shake[k] = m[DISTURBANCE, k] * math.sin(m[DISTURBANCE_W, k] * t)
+                shake_mid[k] = m[DISTURBANCE, k] * math.sin(m[DISTURBANCE_W, k] * (t + 0.5 * step))
+                shake_end[k] = m[DISTURBANCE, k] * math.sin(m[DISTURBANCE_W, k] * (t + step))
+        maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, shake, other, q0)
+        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, work[7, 0])
+        for r in range(7):
+            for k in range(5):
+                mid[r, k] = y[r, k] + 0.5 * step * k1[r, k]
+        slopes(m, pair, coupling, mid, k2, voltage, friction, shake_mid, other, q0)
+        for r in range(7):
+            for k in range(5):
+                mid[r, k] = y[r, k] + 0.5 * step * k2[r, k]
+        slopes(m, pair, coupling, mid, k3, voltage, friction, shake_mid, other, q0)
+        for r in range(7):
+            for k in range(5):
+                mid[r, k] = y[r, k] + step * k3[r, k]
+        slopes(m, pair, coupling, mid, k4, voltage, friction, shake_end, other, q0)
+        for r in range(7):
+            for k in range(5):
+                y[r, k] += step / 6.0 * (k1[r, k] + 2.0 * k2[r, k] + 2.0 * k3[r, k] + k4[r, k])
+        for k in range(5):
+            other[k] = k4[V, k]

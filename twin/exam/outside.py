@@ -1,0 +1,104 @@
+"""Effects that the library does not have: the diagnosis should answer "unknown" and say where they sit.
+
+Same form as effects.LIBRARY; laws (T* torque set point, w* speed set point, x scale, d drive-train deflection):
+
+| effect | block | law | size at scale 1 |
+|---|---|---|---|
+| notch_filter | speed controller | T* through (s^2 + w^2)/(s^2 + width w s + w^2) | 90 to 160 Hz, width 0.6 to 1.2 |
+| position_dead_band | position controller | s - x pulled towards zero by `band` | 3 to 10 um |
+| speed_set_point_smoothing | position controller | w* += share (w* - before): first-order lag at every tick | 2 to 6 ms |
+| one_sided_speed_clip | position controller | w* <= limit in the positive direction only | 92 to 97 % of the fastest set point |
+| magnetic_saturation | current loop | torque = Kt i / sqrt(1 + (i / i_s)^2) | 8 to 20 % lost at the programme's peak current |
+| inverter_dead_time | current loop | u - u_d tanh(i / 0.2 A) | 8 to 20 V |
+| windage | mechanics | force -c v |v| | 40 to 100 % of Coulomb at the fastest set point |
+| warming_friction | mechanics | Coulomb (1 + share (1 - exp(-t / tau))), t over all runs | -50 to +60 %, tau 40 to 120 s |
+| hardening_spring | transmission | P = k d + k3 d^3 | 45 to 65 Hz at rest, twice as stiff at 2 to 5 um (8 to 20 arcsec) |
+| two_stage_lost_motion | transmission | stiffness share k inside a gap, k outside; one damper | 15 to 40 um, share 3 to 8 % |
+| scale_coupling_play | measurement | scale = play operator of q, width w (a loose encoder coupling) | 5 to 15 um, 10 to 30 arcsec |
+| scale_interpolation_error | measurement | + amplitude sin(2 pi q / 20 um), A and C 72 arcsec a line | 0.5 to 1.5 um, 2 to 5 arcsec |
+| tilt_crosstalk | measurement | scale + gain (position of another axis - its start) | 40 to 150 um/m |
+| current_recorded_late | measurement | recorded current is `skew_s` old | 2 to 6 ms |
+| scale_sampling_jitter | measurement | scale sampled at t + tau, tau Gaussian | 20 to 60 us |
+
+The ranges in um apply to screws; A and C as given or at equal motor angle. Source: machine-tool practice, own choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+
+from .effects import ALL, ARCSEC, DrawContext, Effect, stable_damping
+from .parameters import AXES, LINEAR, Settings
+
+
+def _put(**fields: str) -> Callable[[Settings, int, dict], None]:
+    """apply(): field = parameter."""
+    def apply(s: Settings, k: int, p: dict) -> None:
+        for field, key in fields.items():
+            getattr(s, field)[k] = p[key]
+    return apply
+
+
+def _length(d: DrawContext, um: tuple[float, float], arcsec: tuple[float, float]) -> float:
+    return d.size(um[0], um[1]) * 1e-6 if d.linear else d.size(*arcsec) * ARCSEC
+
+
+def _saturation(d: DrawContext) -> dict:
+    # share lost at the peak: 1 - 1 / sqrt(1 + x^2), x = peak / i_s
+    lost = d.size(0.08, 0.20)
+    return {"saturation_a": d.peak_current[d.k] / math.sqrt(1.0 / (1.0 - lost) ** 2 - 1.0)}
+
+
+def _hardening(d: DrawContext) -> dict:
+    reference = d.within(2e-6, 5e-6) if d.linear else d.within(8.0, 20.0) * ARCSEC
+    stiffness = (2.0 * math.pi * d.within(45.0, 65.0)) ** 2 * d.load / d.scale
+    return {"stiffness": stiffness, "damping": stable_damping(d, stiffness), "per_m2": 1.0 / reference**2}
+
+
+def _lost_motion(d: DrawContext) -> dict:
+    stiffness = (2.0 * math.pi * d.within(150.0, 250.0)) ** 2 * d.load
+    return {"width": d.motor_like(d.size(15e-6, 40e-6)), "share": d.within(0.03, 0.08), "stiffness": stiffness,
+            "damping": 2.0 * 0.06 * math.sqrt(stiffness * d.load)}
+
+
+def _crosstalk(d: DrawContext) -> dict:
+    others = [a for a in LINEAR if a != AXES[d.k]]
+    return {"from_axis": others[d.rng.integers(len(others))], "gain": d.sign() * d.size(40e-6, 150e-6)}
+
+
+OUTSIDE: dict[str, Effect] = {
+    "notch_filter": Effect("speed controller", ALL, ("frequency_hz",),
+                           lambda d: {"frequency_hz": d.within(90.0, 160.0), "width": d.size(0.6, 1.2)},
+                           _put(notch_hz="frequency_hz", notch_width="width")),
+    "position_dead_band": Effect("position controller", ALL, ("band",), lambda d: {"band": _length(d, (3, 10), (5, 15))},
+                                 _put(dead_band="band")),
+    "speed_set_point_smoothing": Effect("position controller", ALL, ("time_constant_s",),
+                                        lambda d: {"time_constant_s": d.size(2e-3, 6e-3)}, _put(speed_lag="time_constant_s")),
+    "one_sided_speed_clip": Effect("position controller", ALL, ("limit",),
+                                   lambda d: {"limit": d.peak_speed[d.k] * (1.0 - d.size(0.03, 0.08))}, _put(speed_clip="limit")),
+    "magnetic_saturation": Effect("current loop", ALL, ("saturation_a",), _saturation, _put(saturation_a="saturation_a")),
+    "inverter_dead_time": Effect("current loop", ALL, ("voltage_v",), lambda d: {"voltage_v": d.size(8.0, 20.0)},
+                                 _put(dead_time_v="voltage_v")),
+    "windage": Effect("mechanics", ALL, ("drag",),
+                      lambda d: {"drag": d.size(0.4, 1.0) * d.s.coulomb[d.k] / d.peak_speed[d.k] ** 2}, _put(windage="drag")),
+    "warming_friction": Effect("mechanics", ALL, ("share", "time_constant_s"),
+                               lambda d: {"share": d.size(0.3, 0.6) if d.sign() > 0 else -d.size(0.3, 0.5),
+                                          "time_constant_s": d.within(40.0, 120.0)},
+                               _put(warming="share", warming_time="time_constant_s")),
+    "hardening_spring": Effect("transmission", ALL, ("stiffness", "per_m2"), _hardening,
+                               _put(stiffness="stiffness", damping="damping", hardening="per_m2")),
+    "two_stage_lost_motion": Effect("transmission", ALL, ("width", "share"), _lost_motion,
+                                    _put(soft_gap="width", soft_share="share", stiffness="stiffness", damping="damping")),
+    "scale_coupling_play": Effect("measurement", ALL, ("width",), lambda d: {"width": _length(d, (5, 15), (10, 30))},
+                                  _put(scale_play="width")),
+    "scale_interpolation_error": Effect("measurement", ALL, ("amplitude",),
+                                        lambda d: {"amplitude": _length(d, (0.5, 1.5), (2, 5)),
+                                                   "period": 20e-6 if d.linear else 72.0 * ARCSEC},
+                                        _put(subperiod="amplitude", subperiod_length="period")),
+    "tilt_crosstalk": Effect("measurement", LINEAR, ("from_axis", "gain"), _crosstalk,
+                             lambda s, k, p: s.crosstalk.__setitem__((k, AXES.index(p["from_axis"])), p["gain"])),
+    "current_recorded_late": Effect("measurement", ALL, ("skew_s",), lambda d: {"skew_s": d.size(2e-3, 6e-3)}, _put(skew_s="skew_s")),
+    "scale_sampling_jitter": Effect("measurement", ALL, ("deviation_s",), lambda d: {"deviation_s": d.size(20e-6, 60e-6)},
+                                    _put(jitter_s="deviation_s")),
+}

@@ -1,0 +1,175 @@
+"""Numbers of the second plant: from the parsed machine file to plain SI arrays, one entry per axis.
+
+Order of axes everywhere: X Y Z A C.  Units at the axis: m, N, kg or rad, Nm, kg m2; `ratio` r = axis units per motor
+radian (lead / 2 pi, or 1 / gear ratio).  A motor-side number becomes an axis-side one by
+    mass, inertia: J / r^2      friction: T / r      viscous: b / r^2      force: Kt i / r
+The control keeps the nominal torque constant and the nominal inertia J_ff whatever motor and load really are
+(design.md, "The control law").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+AXES = ("X", "Y", "Z", "A", "C")
+LINEAR = ("X", "Y", "Z")
+ROTARY = ("A", "C")
+SPREAD_KEYS = ("torque_constant", "resistance", "inductance", "rotor_inertia", "coulomb_friction", "viscous_friction")
+BODIES = ("cradle", "table", "workpiece")
+FREE = 1e30                     # "no limit" for clips; finite, so that products with it stay numbers
+
+
+@dataclass(frozen=True)
+class Richness:
+    """Physics that is always on in small amounts and that no effect describes; `small()` and `off()` are its variants.
+
+    compliance_hz: (low, high) of sqrt(k / load) / 2 pi of the drive train; damping ratio 0.04 to 0.08
+    presliding: (low, high) travel [m at the screws, A and C at equal motor angle] to full Coulomb friction
+    cogging: (low, high) amplitude as a share of Coulomb friction; 6 to 14 periods a motor turn
+    stribeck: (low, high) excess as a share of Coulomb friction; velocity 1 to 4 mm/s (likewise)
+    """
+
+    compliance_hz: tuple[float, float] | None = (150.0, 250.0)
+    presliding: tuple[float, float] | None = (0.2e-6, 1.0e-6)
+    cogging: tuple[float, float] | None = (0.003, 0.012)
+    stribeck: tuple[float, float] | None = (0.005, 0.03)
+
+    @classmethod
+    def small(cls) -> Richness:
+        """About a fifth of the default: near the measuring noise, far below any effect at a fifth of its usual size."""
+        return cls((400.0, 600.0), (0.05e-6, 0.2e-6), (0.0005, 0.002), (0.001, 0.005))
+
+    @classmethod
+    def off(cls) -> Richness:
+        return cls(None, None, None, None)
+
+
+def unit_factors() -> dict:
+    """Factors on the nominal machine file, all one; the layout of a truth.toml's [parameter] tables."""
+    factors = {axis: dict.fromkeys(SPREAD_KEYS, 1.0) for axis in AXES}
+    for axis in LINEAR:
+        factors[axis]["moving_mass"] = 1.0
+    factors["bodies"] = {f"{body}_mass": 1.0 for body in BODIES}
+    return factors
+
+
+def draw_factors(rng: np.random.Generator, spread: float) -> dict:
+    """Uniform factors within 1 +- spread, every parameter by itself."""
+    factors = unit_factors()
+    for table in factors.values():
+        for key in table:
+            table[key] = 1.0 + spread * (2.0 * rng.random() - 1.0)
+    return factors
+
+
+def ratio_of(axis: dict) -> float:
+    """r [m/rad or rad/rad] of one [axis.*] table."""
+    return axis["screw_lead_m_per_rev"] / (2.0 * math.pi) if axis["kind"] == "linear" else 1.0 / axis["gear_ratio"]
+
+
+def pair_of(machine: dict, factors: dict, clamped: Sequence[tuple[float, float, float, float]] = ()) -> np.ndarray:
+    """Sums over the bodies on the tilting pair (see tilting_pair.py); `clamped` point masses (m, x, y, z) on the table."""
+    body, geometry = machine["body"], machine["geometry"]
+    oy, oz = geometry["a_axis_to_c_axis_y_m"], geometry["a_axis_to_c_axis_z_m"]
+    f = factors["bodies"]
+    m0 = body["cradle"]["mass_kg"] * f["cradle_mass"]
+    _, y0, z0 = body["cradle"]["centre_of_mass_m"]
+    y0, z0 = y0 + oy, z0 + oz
+    i0 = body["cradle"]["inertia_kg_m2"][0] * f["cradle_mass"]
+    parts = [(body[b]["mass_kg"] * f[b + "_mass"], *body[b]["centre_of_mass_m"],
+              *(i * f[b + "_mass"] for i in body[b]["inertia_kg_m2"])) for b in ("table", "workpiece")]
+    parts += [(*c, 0.0, 0.0, 0.0) for c in clamped]
+    m, x, y, z, i1, i2, i3 = (np.array(column) for column in zip(*parts))
+    zeta = z + oz
+    return np.array([
+        machine["gravity_m_per_s2"], i0 + m0 * (y0**2 + z0**2), m0 * y0, m0 * z0,          # cradle
+        m.sum(), (m * x).sum(), (m * y).sum(), (m * zeta).sum(), oy,                        # first moments
+        (m * x * x).sum(), (m * y * y).sum(), (m * x * y).sum(), (m * zeta * zeta).sum(),   # second moments
+        (m * zeta * x).sum(), (m * zeta * y).sum(), i1.sum(), i2.sum(), i3.sum()])
+
+
+Settings = Any                  # a SimpleNamespace of arrays [axis], made by settings_of
+
+
+def settings_of(machine: dict, factors: dict) -> Settings:
+    """All arrays of control and mechanics for a machine without effects; effects change them in place."""
+    axis = [machine["axis"][a] for a in AXES]
+    motor, loops = [a["motor"] for a in axis], [a["loops"] for a in axis]
+    linear = np.array([a["kind"] == "linear" for a in axis])
+
+    def pick(tables: list[dict], key: str) -> np.ndarray:
+        return np.array([t[key] for t in tables], dtype=float)
+
+    def spread(key: str) -> np.ndarray:
+        return np.array([factors[a].get(key, 1.0) for a in AXES])
+
+    s = SimpleNamespace(linear=linear)
+    s.ratio = np.array([ratio_of(a) for a in axis])
+    rotor_nominal = np.array([a["rotor_and_screw_inertia_kg_m2" if a["kind"] == "linear" else "rotor_and_gear_inertia_kg_m2"]
+                              for a in axis])
+    mass_nominal = np.array([a.get("moving_mass_kg", 0.0) for a in axis])
+
+    # Control: nominal numbers only
+    s.tick = machine["control"]["speed_cycle_us"] * 1e-6
+    s.cycle_ticks = round(machine["control"]["position_cycle_us"] / machine["control"]["speed_cycle_us"])
+    s.sample_ticks = round(machine["measurement"]["sample_period_us"] / machine["control"]["speed_cycle_us"])
+    s.kv, s.kp, s.tn = pick(loops, "position_gain_per_s"), pick(loops, "speed_gain_nm_s_per_rad"), pick(loops, "speed_integral_time_s")
+    s.kpi, s.tni = pick(loops, "current_gain_v_per_a"), pick(loops, "current_integral_time_s")
+    s.velocity_weight, s.torque_weight = pick(loops, "velocity_feedforward"), pick(loops, "torque_feedforward")
+    s.position_delay, s.feedforward_delay = pick(loops, "position_delay_s"), pick(loops, "feedforward_delay_s")
+    s.kt_control, s.bus = pick(motor, "torque_constant_nm_per_a"), pick(motor, "bus_limit_v")
+    s.current_limit = pick(motor, "peak_current_a")
+    nominal = pair_of(machine, unit_factors())
+    at_zero = np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(nominal)])
+    s.inertia_control = rotor_nominal + (mass_nominal + at_zero) * s.ratio**2
+
+    # Motor and load: nominal numbers times this machine's factors
+    s.kt = s.kt_control * spread("torque_constant")
+    s.ke = pick(motor, "back_emf_v_s_per_rad")
+    s.resistance = pick(motor, "resistance_ohm") * spread("resistance")
+    s.inductance = pick(motor, "inductance_h") * spread("inductance")
+    s.motor_mass = rotor_nominal * spread("rotor_inertia") / s.ratio**2
+    s.load_mass = mass_nominal * spread("moving_mass")
+    s.coulomb = pick(axis, "coulomb_friction_nm") * spread("coulomb_friction") / s.ratio
+    s.viscous = pick(axis, "viscous_friction_nm_s_per_rad") * spread("viscous_friction") / s.ratio**2
+    s.gravity = machine["gravity_m_per_s2"]
+    s.clamped = []
+    s.spring_is_rich = np.zeros(len(AXES), dtype=bool)
+    s.machine, s.factors = machine, factors
+
+    # What a nominal machine has not: neutral values
+    def zeros() -> np.ndarray:
+        return np.zeros(len(AXES))
+    for key in ("set_point_lag", "current_lag", "stribeck_excess", "presliding_stiffness", "presliding_damping", "asymmetry",
+                "friction_wave", "friction_wave_number", "constant_force", "added_mass", "gap", "contact_stiffness", "contact_damping",
+                "stiffness", "damping", "hardening", "frame_w", "frame_zeta", "frame_ratio", "ripple", "ripple_n", "ripple_phase",
+                "cogging", "cogging_n", "cogging_phase", "lead", "cyclic", "cyclic_phase", "eccentricity", "eccentricity_phase",
+                "drift", "disturbance", "disturbance_w",
+                # outside the library
+                "dead_band", "speed_lag", "notch_hz", "notch_width", "saturation_a", "dead_time_v", "windage", "warming",
+                "warming_time", "soft_gap", "soft_share", "scale_play", "subperiod", "subperiod_length", "skew_s", "jitter_s"):
+        setattr(s, key, zeros())
+    s.stribeck_velocity = np.full(len(AXES), 1e-3)
+    s.speed_clip = np.full(len(AXES), FREE)
+    s.coupling = np.zeros((len(AXES), len(AXES)))        # [this, from]: mass
+    s.crosstalk = np.zeros((len(AXES), len(AXES)))       # [this, from]: axis units per axis unit, outside the library
+    return s
+
+
+def _diagonal_at_zero(pair: np.ndarray) -> tuple[float, float]:
+    """(M_AA, M_CC) of the loads at A = C = 0, from the sums of `pair_of`."""
+    oy = pair[8]
+    around_a = pair[1] + oy * oy * pair[4] + 2.0 * oy * pair[6] + pair[10] + pair[12] + pair[15]
+    return around_a, pair[9] + pair[10] + pair[17]
+
+
+def load_of(s: Settings) -> np.ndarray:
+    """Load mass or inertia [kg, kg m2] of each axis at A = C = 0, clamped and added ones included."""
+    pair = pair_of(s.machine, s.factors, s.clamped)
+    return s.load_mass + s.added_mass + np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(pair)])

@@ -1,0 +1,217 @@
+"""The second plant: a five-axis machine with its control, by another path than the twin (no MuJoCo, other integrator).
+
+    s = settings_of(machine, factors); effects and richness change s; run(s, set_points) -> Trace
+
+A tick (125 us): measure -> position controller (every 2 ms) -> speed and current controller -> record -> RK4 to the next tick.
+The control sees the same noisy, rounded samples that are recorded: the scale at position cycles, motor speed and current
+at every tick (found in the recorded campaigns, their statistics fit no other choice). At the start the scale shows the set point, nothing
+moves, and the integrators carry gravity, unbalance and constant force, not friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .compiled import compiled
+from .control import W_SET, Control, control_at_rest, control_of, current_cycle, position_cycle
+from .measurement import Sensors, sensors_of
+from .mechanics import (
+    CURRENT,
+    ELASTIC,
+    HALF_GAP,
+    HARDENING,
+    QM,
+    RATIO,
+    SATURATION,
+    SOFT,
+    STATES,
+    STEADY_FORCE,
+    STIFFNESS,
+    VM,
+    F,
+    Q,
+    V,
+    advance,
+    motor_position,
+    motor_speed,
+)
+from .parameters import AXES, Settings, load_of, pair_of
+from .tilting_pair import holding_torque
+
+SUBSTEPS = 8                  # RK4 steps per 125 us tick: 450 Hz contact and 250 Hz modes to far below a nanometre
+CONTACT_HZ, CONTACT_DAMPING_RATIO = 450.0, 0.3     # effects.md, default of backlash
+
+
+class PlantError(RuntimeError):
+    """A run that cannot be simulated: says which and why."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run, SI, arrays [sample, axis] in order X Y Z A C; `load` and `true_current` are free of noise."""
+
+    time: np.ndarray
+    setpoint: np.ndarray
+    position: np.ndarray
+    motor_position: np.ndarray
+    velocity: np.ndarray
+    velocity_setpoint: np.ndarray
+    current: np.ndarray
+    load: np.ndarray
+    true_current: np.ndarray
+
+
+def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """(table [row, axis], sums of the pair) from settings after effects and richness; fills the default contact of backlash."""
+    len(AXES)
+    pair = pair_of(s.machine, s.factors, s.clamped)
+    load_mass = s.load_mass + s.added_mass
+    inertia = load_of(s)
+    stiffness, damping = s.stiffness.copy(), s.damping.copy()
+    for k in np.flatnonzero(s.gap):
+        reduced = s.motor_mass[k] * inertia[k] / (s.motor_mass[k] + inertia[k])
+        contact = s.contact_stiffness[k] or (2 * math.pi * CONTACT_HZ) ** 2 * reduced
+        contact_damping = s.contact_damping[k] or 2 * CONTACT_DAMPING_RATIO * math.sqrt(contact * reduced)
+        # a gap and a spring on one axis lie in series
+        in_series = stiffness[k] > 0.0 and not s.spring_is_rich[k]
+        stiffness[k] = 1 / (1 / contact + 1 / stiffness[k]) if in_series else contact
+        damping[k] = min(damping[k], contact_damping) if in_series else contact_damping
+    stiffness = np.where((s.soft_gap > 0) & (stiffness == 0), (2 * math.pi * 200.0) ** 2 * inertia, stiffness)
+    steady = s.constant_force.copy()
+    steady[2] += load_mass[2] * s.gravity
+    saturation = np.where(s.saturation_a > 0, 1 / np.where(s.saturation_a > 0, s.saturation_a, 1.0) ** 2, 0.0)
+    return np.array([
+        s.ratio, s.kt, saturation, s.dead_time_v, s.ke, s.resistance, s.inductance, s.motor_mass, load_mass,
+        (stiffness > 0).astype(float), stiffness, damping, s.hardening * stiffness, (s.gap + s.soft_gap) / 2,
+        np.where(s.soft_gap > 0, s.soft_share, 0.0), s.viscous, s.asymmetry, s.windage, s.coulomb, s.friction_wave,
+        s.friction_wave_number, s.stribeck_excess, s.stribeck_velocity, s.presliding_stiffness, s.presliding_damping, steady,
+        s.disturbance, s.disturbance_w, s.frame_w, s.frame_zeta, s.frame_ratio, s.ripple, s.ripple_n, s.ripple_phase,
+        s.cogging, s.cogging_n, s.cogging_phase, s.lead, s.cyclic, s.cyclic_phase], dtype=float), pair
+
+
+@compiled()
+def _simulate(c: Control, m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, sensors: Sensors, state: np.ndarray,
+              y: np.ndarray, z: np.ndarray, play: np.ndarray, q0: np.ndarray, s_position: np.ndarray,
+              s_feedforward: np.ndarray, noise_x: np.ndarray, noise_w: np.ndarray, noise_i: np.ndarray,
+              jitter: np.ndarray, started_at: float, tick: float, cycle_ticks: int, sample_ticks: int, substeps: int,
+              warming: np.ndarray, warming_time: np.ndarray, out: np.ndarray) -> int:
+    """The loop. out [signal, sample, axis]: position, motor position, speed, speed set point, current, load, true current.
+
+    Returns 0, or 1 + the axis whose state ran away."""
+    samples = out.shape[1]
+    voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
+    work = np.zeros((8, STATES, 5))
+    ring = np.zeros((128, 5))
+    for n in range((samples - 1) * sample_ticks + 1):
+        t = n * tick
+        row, sampled = n // sample_ticks, n % sample_ticks == 0
+        cycle = n % cycle_ticks == 0
+        for k in range(5):
+            # measure
+            if sampled or cycle:
+                q = y[Q, k]
+                if sensors.play[k] != 0.0:
+                    play[k] = min(max(play[k], q - 0.5 * sensors.play[k]), q + 0.5 * sensors.play[k])
+                    q = play[k]
+                x = q + y[F, k] + sensors.drift[k] * (started_at + t) + y[V, k] * jitter[row, k]
+                if sensors.eccentricity[k] != 0.0:
+                    x += sensors.eccentricity[k] * (math.sin(q + sensors.eccentricity_phase[k])
+                                                    - math.sin(q0[k] + sensors.eccentricity_phase[k]))
+                if sensors.subperiod[k] != 0.0:
+                    x += sensors.subperiod[k] * (math.sin(sensors.subperiod_number[k] * q)
+                                                 - math.sin(sensors.subperiod_number[k] * q0[k]))
+                for j in range(5):
+                    if sensors.crosstalk[k, j] != 0.0:
+                        x += sensors.crosstalk[k, j] * (y[Q, j] - q0[j])
+                x = round((x + noise_x[row, k]) / sensors.scale_step[k]) * sensors.scale_step[k]
+            w = motor_speed(m, k, y[QM, k], y[VM, k]) + noise_w[n, k]
+            current = y[CURRENT, k] + noise_i[n, k]
+            # control
+            if cycle:
+                position_cycle(c, state, k, s_position[n // cycle_ticks, k], s_feedforward[n // cycle_ticks, k], x)
+            voltage[k] = current_cycle(c, state, k, w, current)
+            # record
+            ring[n % 128, k] = current
+            if sampled:
+                shown = motor_position(m, k, y[QM, k], q0[k])
+                out[0, row, k] = x
+                out[1, row, k] = round(shown / sensors.motor_step[k]) * sensors.motor_step[k]
+                out[2, row, k] = w * m[RATIO, k]
+                out[3, row, k] = state[k, W_SET] * m[RATIO, k]
+                out[4, row, k] = ring[max(n - sensors.skew[k], 0) % 128, k]
+                out[5, row, k] = y[Q, k]
+                out[6, row, k] = y[CURRENT, k]
+                if not abs(y[V, k]) < 1e3:
+                    return 1 + k
+            if warming[k] != 0.0:
+                warm[k] = 1.0 + warming[k] * (1.0 - math.exp(-(started_at + t) / warming_time[k]))
+        if n < (samples - 1) * sample_ticks:
+            advance(m, pair, coupling, y, z, other, voltage, warm, q0, t, tick / substeps, substeps, work)
+    return 0
+
+
+def run(s: Settings, set_points: np.ndarray, seed: int | np.random.SeedSequence = 0, started_at_s: float = 0.0, substeps: int = SUBSTEPS,
+        noise: bool = True) -> Trace:
+    """Simulates one run on settings `s` over set points [sample, axis] (SI, at the sample period) and returns its Trace.
+
+    A run of a campaign starts `started_at_s` after the first (thermal drift, warming). Equal seeds give equal traces."""
+    s_points = np.ascontiguousarray(set_points, dtype=float)
+    samples = len(s_points)
+    c, (m, pair), sensors = control_of(s), mechanics_of(s), sensors_of(s)
+    # Set points at the control's cycle, delayed by any fraction of a sample: a cubic spline through the recorded ones
+    period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
+    grid = np.arange(samples) * period
+    cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
+    s_position, s_feedforward = (np.column_stack([_delayed(grid, s_points[:, k], cycles - delay[k]) for k in range(5)])
+                                 for delay in (s.position_delay, s.feedforward_delay))
+    # Noise
+    rng = np.random.default_rng(seed)
+    ticks = (samples - 1) * s.sample_ticks + 1
+    noise_x = rng.standard_normal((samples, 5)) * sensors.scale_noise * noise
+    jitter = rng.standard_normal((samples, 5)) * s.jitter_s
+    noise_w = rng.standard_normal((ticks, 5)) * (sensors.speed_noise / s.ratio * noise)
+    noise_i = rng.standard_normal((ticks, 5)) * (sensors.current_noise * noise)
+    # Rest: the scale shows the first set point, the drive trains are loaded, the integrators carry what holds
+    q0 = s_points[0] - sensors.drift * started_at_s
+    hold = m[STEADY_FORCE].copy()
+    hold[3:] += holding_torque(pair, q0[3], q0[4])
+    y = np.zeros((STATES, 5))
+    y[Q] = q0
+    y[QM] = q0 + [_deflection(m, k, hold[k]) for k in range(5)]
+    torque = hold * s.ratio / s.kt
+    y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
+    state = control_at_rest(c, s_points[0], y[CURRENT], s.resistance)
+    out = np.zeros((7, samples, 5))
+    status = _simulate(c, m, pair, s.coupling, sensors, state, y, np.zeros(5), q0.copy(), q0, s_position, s_feedforward,
+                       noise_x, noise_w, noise_i, jitter, started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps, s.warming,
+                       np.where(s.warming_time > 0, s.warming_time, 1.0), out)
+    if status:
+        raise PlantError(f"axis {AXES[status - 1]} ran away (over 1000 m/s or rad/s, or not a number): "
+                         "an effect makes its control loop unstable; choose a smaller size")
+    return Trace(grid, s_points, *out)
+
+
+def _delayed(grid: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """values(at), the first value before the start; exact where `at` meets the grid."""
+    at = np.clip(at, grid[0], grid[-1])
+    if np.ptp(values) == 0.0:
+        return np.full(len(at), values[0])
+    return CubicSpline(grid, values)(at)
+
+
+def _deflection(m: np.ndarray, k: int, force: float) -> float:
+    """Drive-train deflection under a steady force, on the flank that the force presses; centred without force."""
+    if m[ELASTIC, k] == 0.0 or force == 0.0:
+        return 0.0
+    inside = m[SOFT, k] * m[STIFFNESS, k] * m[HALF_GAP, k]
+    load = abs(force) - inside
+    if load <= 0.0 and m[SOFT, k] > 0.0:
+        return force / (m[SOFT, k] * m[STIFFNESS, k])
+    e = load / m[STIFFNESS, k]
+    for _ in range(30):                                   # Newton on k e + k3 e^3 = load, convex for e > 0
+        e -= (m[STIFFNESS, k] * e + m[HARDENING, k] * e**3 - load) / (m[STIFFNESS, k] + 3 * m[HARDENING, k] * e**2)
+    return math.copysign(m[HALF_GAP, k] + e, force)

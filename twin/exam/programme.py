@@ -1,0 +1,203 @@
+"""Set points of test campaigns, 1 kHz, inside travel and limits of the machine file: own, simple, jerk-limited generators.
+
+A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward that the control has on. Three kinds:
+  "test"     the ten runs of a test campaign, in the style of the recorded ones, sizes and feeds varied by seed
+  "program"  three runs of a customer's part programs: for "program only" campaigns
+  "exam"     runs that only the exam knows: another contour, another circle, random point to point (the held-out gap)
+Moves and contours come from paths.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of, move, path_of, still, together
+
+
+@dataclass(frozen=True)
+class TestRun:
+    """name, kind ("test", "program", "exam"), feedforward (off | velocity | velocity+torque), set points [sample, axis] SI."""
+
+    __test__ = False           # not a pytest class
+
+    name: str
+    kind: str
+    feedforward: str
+    set_points: np.ndarray
+
+
+def _vary(rng: np.random.Generator, value: float, by: float = 0.2) -> float:
+    return value * (1.0 + by * (2.0 * rng.random() - 1.0))
+
+
+def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+    """The ten runs of a test campaign."""
+    lim = limits_of(machine)
+    jerk, acc = MARGIN * lim.jerk, np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
+    home = np.array([0.0, 0.0, 0.0, _vary(rng, -35.0, 0.12) * DEG, 0.0])
+    np.zeros(5)
+
+    # Constant speeds from barely moving to rapid, there and back: friction against speed
+    ladder = [np.array([5.0, 15.0, 40.0, 100.0, 250.0]) * 1e-3] * 3 + [np.array([0.3, 1.0, 4.0, 20.0, 50.0]) * DEG] * 2
+    columns = []
+    for k in range(5):
+        speeds = [_vary(rng, v) for v in ladder[k]]
+        times = (0.4, 0.45, 0.5, 0.35, 0.4)
+        targets, used = [], []
+        for wanted, seconds in zip(speeds, times):
+            v = min(wanted, 0.6 * lim.speed[k])
+            reach = v * seconds + 0.5 * v * v / acc[k]
+            reach = min(reach, 0.45 * (lim.high[k] - lim.low[k]), 0.5 * abs(home[3] - lim.low[3]) if k == 3 else 1e9)
+            targets += [home[k] + reach, home[k] - reach]
+            used += [v, v]
+        columns.append(path_of(home[k], [*targets, home[k]], [*used, used[-1]], acc[k], jerk[k], 0.1))
+    runs = [TestRun("constant_velocity", "test", "velocity", together(columns))]
+
+    # Full accelerations at three feeds
+    columns = []
+    for k in range(5):
+        far = _vary(rng, 0.10, 0.15) if k < 3 else _vary(rng, 25.0 if k == 3 else 45.0, 0.15) * DEG
+        fast = _vary(rng, 0.25, 0.15) if k < 3 else _vary(rng, 70.0 if k == 3 else 100.0, 0.12) * DEG
+        fast = min(fast, MARGIN * lim.speed[k])
+        columns.append(path_of(home[k], [home[k] + far, home[k] - far, home[k] + far, home[k] - far, home[k]],
+                               [fast, fast, 0.6 * fast, 0.6 * fast, fast], acc[k], jerk[k], 0.15))
+    both = together(columns)
+    runs += [TestRun("acceleration_ff_off", "test", "off", both), TestRun("acceleration", "test", "velocity+torque", both)]
+
+    # Slow reversals of two sizes, the second a pre-sliding one
+    turn = np.array([0.0, 0.0, 0.0, _vary(rng, -20.0, 0.3) * DEG, 0.0])
+    u = eased(5.0, 0.8)
+    waves = []
+    for size in (_vary(rng, 2e-3), _vary(rng, 20e-6, 0.5)):
+        amplitude = np.array([size] * 3 + [size / 2e-3 * DEG] * 2)
+        waves.append(turn + np.sin(2 * math.pi * 4.0 * u)[:, None] * amplitude)
+    runs.append(TestRun("reversal", "test", "velocity+torque", np.vstack(waves)))
+
+    # Gravity in many tilts while C turns: static balance
+    tilts = [-90, -70, -50, -30, -10, 10, 25, 0, -40, -90]
+    stops = np.clip([s + 4.0 * (2.0 * rng.random() - 1.0) for s in tilts], -97.0, 28.0) * DEG
+    tilt = path_of(stops[0], list(stops[1:]), [_vary(rng, 30.0, 0.1) * DEG] * 9, 4.0, jerk[3], 0.35)
+    table = path_of(0.0, [x * DEG for x in (60, 120, 200, 300, 360)], [_vary(rng, 60.0, 0.1) * DEG] * 5, acc[4], jerk[4], 0.9, 1.1)
+    runs.append(TestRun("tilt_hold", "test", "velocity+torque", together([*np.zeros((3, 2)), tilt, table])))
+
+    # Circles
+    for name, first, second in (("circle_xy", 0, 1), ("circle_zx", 2, 0)):
+        radius, feed = _vary(rng, 0.03, 0.3), _vary(rng, 0.05, 0.25)
+        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim, rng)))
+
+    # Chirp of constant speed amplitude on a slow travel
+    n, length = hold(7.0), 7.0
+    t = np.arange(n) * PERIOD
+    low, high = _vary(rng, 1.0), _vary(rng, 60.0, 0.15)
+    columns = []
+    for k in range(5):
+        top = high * (1.0 + 0.2 * (rng.random() - 0.5))
+        phase = 2 * math.pi * (low * t + (top - low) * t * t / (2 * length))
+        window = np.minimum(1.0, np.minimum(t, length - t) / 0.5)
+        window = 0.5 - 0.5 * np.cos(math.pi * window)
+        swing = 6e-3 if k < 3 else 0.11 * DEG * 18
+        swing = min(swing, 0.8 * lim.acceleration[k] / (2 * math.pi * top))
+        v = window * (_vary(rng, 0.018, 0.1) if k < 3 else _vary(rng, 5.5, 0.1) * DEG) + window * swing * np.sin(phase)
+        start = -0.05 if k < 3 else (-40.0 * DEG if k == 3 else 0.0)
+        columns.append(start + np.cumsum(v) * PERIOD)
+    runs.append(TestRun("chirp", "test", "velocity", together(columns, 0.0)))
+
+    runs.append(TestRun("five_axis", "test", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))))
+    runs.append(TestRun("corners", "test", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))))
+    return runs
+
+
+def program_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+    """Three customer programs: a circle with Z plunge, a pocket with corners, a five-axis surface."""
+    lim = limits_of(machine)
+    circle = _circle(0, 1, _vary(rng, 0.045, 0.3), _vary(rng, 0.08, 0.3), 3, lim, rng)
+    t = np.linspace(0.0, 1.0, len(circle))
+    circle[:, 2] = -_vary(rng, 0.012) * (0.5 - 0.5 * np.cos(2 * math.pi * t))
+    pocket = np.vstack([_corners(lim, rng, size, _vary(rng, 0.1, 0.3)) for size in (_vary(rng, 0.1), _vary(rng, 0.05))])
+    home = np.array([0.0, 0.0, -0.02, -30.0 * DEG, 0.0])
+    surface = np.vstack([_five_axis(lim, rng, home, cycles, size=0.6) for cycles in ((3, 1, 4, 2, 1), (1, 4, 3, 1, 2))])
+    runs = (("program_circle", circle), ("program_pocket", pocket), ("program_surface", surface))
+    return [TestRun(name, "program", "velocity+torque", points) for name, points in runs]
+
+
+def exam_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+    """Runs for the held-out gap: five-axis contour, YZ circle, random point to point of all axes."""
+    lim = limits_of(machine)
+    home = np.array([0.02, -0.03, 0.01, -40.0 * DEG, 20.0 * DEG])
+    runs = [("exam_five_axis", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)),
+            ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim, rng))]
+    columns = []
+    for k in range(5):
+        low, high = (-0.12, 0.12) if k < 3 else ((-70 * DEG, 10 * DEG) if k == 3 else (-60 * DEG, 60 * DEG))
+        targets = list(low + (high - low) * rng.random(7))
+        speeds = list(lim.speed[k] * (0.15 + 0.6 * rng.random(7)))
+        columns.append(path_of(home[k], targets, speeds, 0.8 * lim.acceleration[k], MARGIN * lim.jerk[k], 0.12))
+    runs.append(("exam_point_to_point", together(columns)))
+    return [TestRun(name, "exam", "velocity+torque", points) for name, points in runs]
+
+
+def programme(machine: dict, seed: int) -> list[TestRun]:
+    """All runs of one case, the same for the same seed: ten tests, three programs, three exam runs."""
+    streams = np.random.SeedSequence([seed, 20]).spawn(3)
+    makers = (ten_test_runs, program_runs, exam_runs)
+    return [run for maker, stream in zip(makers, streams) for run in maker(machine, np.random.default_rng(stream))]
+
+
+def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim: Limits, rng: np.random.Generator) -> np.ndarray:
+    """Full turns from the rim point where `first` is zero and the centre lies at -radius."""
+
+    def curve(u: np.ndarray) -> np.ndarray:
+        points = np.zeros((len(u), 5))
+        angle = 2 * math.pi * turns * u
+        points[:, first], points[:, second] = radius * (np.cos(angle) - 1.0), radius * np.sin(angle)
+        return points
+    points = contour(curve, 2 * math.pi * radius * turns / feed + 0.6, lim)
+    return np.vstack([points, still(points[-1], hold(0.05))])
+
+
+def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: tuple, size: float = 1.0) -> np.ndarray:
+    """Lissajous curve of all five axes with whole numbers of cycles; ends where it starts."""
+    amplitude = size * np.array([_vary(rng, a) for a in (0.12, 0.09, 0.05, 30.0 * DEG, 60.0 * DEG)])
+    amplitude[3] = min(amplitude[3], MARGIN * (home[3] - lim.low[3]), MARGIN * (lim.high[3] - home[3]))
+    even = rng.random(5) < 0.4
+
+    def curve(u: np.ndarray) -> np.ndarray:
+        angle = 2 * math.pi * u[:, None] * np.array(cycles)
+        return home + amplitude * np.where(even, 0.5 - 0.5 * np.cos(angle), np.sin(angle))
+    return contour(curve, _vary(rng, 7.0, 0.15), lim, ramp=1.0)
+
+
+def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) -> np.ndarray:
+    """A square with exact stops overlapped by the jerk ramp (rounded corners), a Z plunge, an XY zigzag back."""
+    acc = np.minimum(0.8 * lim.acceleration, 1.6)
+    points, at = [still(np.zeros(5), hold(0.2))], np.zeros(5)
+
+    def go(target: tuple[float, float, float], overlap: int) -> None:
+        nonlocal at
+        delta = np.asarray(target, dtype=float) - at[:3]
+        length = float(np.linalg.norm(delta))
+        moving = np.abs(delta) > 1e-12
+        share = np.abs(delta[moving]) / length
+        shape = move(length, min(feed, (lim.speed[:3][moving] / share).min()), (acc[:3][moving] / share).min(),
+                     (MARGIN * lim.jerk[:3][moving] / share).min())
+        step = np.zeros((len(shape), 5))
+        step[:, :3] = shape[:, None] / length * delta
+        old = points[-1]
+        n = min(overlap, len(old) - 1, len(step) - 1)
+        if n:                                            # the new move begins while the last one still ends
+            points[-1] = np.vstack([old[:-n], old[-n:] + step[:n]])
+            step = step[n:]
+        at = at + np.concatenate([delta, [0.0, 0.0]])
+        points.append(step + (at - np.concatenate([delta, [0.0, 0.0]])))
+    for target in ((side, 0, 0), (side, side, 0), (0, side, 0), (0, 0, 0)):
+        go(target, hold(0.06))
+    points.append(still(at, hold(0.3)))
+    depth = _vary(rng, 0.03)
+    go((0.25 * side, 0, -depth), 0)
+    go((1.4 * side, 0.3 * side, -depth), hold(0.04))
+    go((0, 0, 0), hold(0.04))
+    points.append(still(at, hold(0.2)))
+    return np.vstack(points)
