@@ -47,6 +47,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from twin.replay import add_replay_arguments, replay_command
+
     parser = _Parser(prog="twin", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
 
@@ -65,11 +67,17 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="NAME:AXIS:PARAMETER=VALUE",
         help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; may be given several times; see 'twin effects')",
     )
-    run.add_argument("--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)")
+    run.add_argument(
+        "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)"
+    )
     run.add_argument("--out", metavar="DIR", help="folder for trace.parquet, run.rrd and summary.json (default: out/<name of the input>)")
-    run.add_argument("--strict", action="store_true", help="set points above an axis' speed, acceleration or jerk are an error, not a warning")
-    run.add_argument("--sample-period-ms", type=float, metavar="MS", help="period of the written trace (default: 1, as the machine file says)")
-    run.add_argument("--noise-seed", type=int, metavar="N", help="add the machine's measuring noise, drawn with this seed")
+    run.add_argument(
+        "--strict", action="store_true", help="set points above an axis' speed, acceleration or jerk are an error, not a warning"
+    )
+    run.add_argument(
+        "--sample-period-ms", type=_positive, metavar="MS", help="period of the written trace (default: 1, as the machine file says)"
+    )
+    run.add_argument("--noise-seed", type=_seed, metavar="N", help="add the machine's measuring noise, drawn with this seed")
     run.add_argument("--no-recording", action="store_true", help="do not write run.rrd")
 
     gap = add("gap", gap_command, "simulate every run of a measured campaign and compare signal by signal")
@@ -77,10 +85,27 @@ def build_parser() -> argparse.ArgumentParser:
     _machine_arguments(gap)
     gap.add_argument("--json", metavar="FILE", help="write the result as JSON")
 
+    replay = add("replay", replay_command, "open the viewer on a run, a recording, a trace or any MJCF or URDF")
+    add_replay_arguments(replay)
+
     effects = add("effects", effects_command, "list the effects that a machine can have beyond the nominal model")
     effects.add_argument("name", nargs="?", metavar="NAME", help="tell one effect's law, parameters, bounds and usual sizes")
     _machine_arguments(effects)
     return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"'{text}' is out of bounds; give a number above 0 and below 1e6")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is negative; give 0 or more")
+    return value
 
 
 def _machine_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,9 +160,15 @@ def run_command(args: argparse.Namespace) -> int:
     write_trace(run.trace, out / "trace.parquet")
     summary = summary_of(machine, run)
     _write_json(summary, out / "summary.json")
+    written = [out / "trace.parquet", out / "summary.json"]
+    if not args.no_recording:
+        from twin.replay import write_recording
+
+        write_recording(out / "run.rrd", machine, {"simulated": run.trace}, summary=summary_table(summary))
+        written.append(out / "run.rrd")
     print(f"{machine.name}, {source.name}: {setpoints.duration:.3f} s")
     print(summary_table(summary))
-    print(f"written: {out / 'trace.parquet'}, {out / 'summary.json'}")
+    print(f"written: {', '.join(map(str, written))}")
     return 0
 
 
@@ -159,7 +190,9 @@ def effects_command(args: argparse.Namespace) -> int:
         for p in effect.parameters:
             low, high = p.usual_range(machine, axis)
             default = f"{p.default:g}" if p.default is not None else "computed" if p.shape else "must be given"
-            rows.append([axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", "-" if p.shape else f"{low:.3g} .. {high:.3g}", default])
+            rows.append(
+                [axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", "-" if p.shape else f"{low:.3g} .. {high:.3g}", default]
+            )
     print(table(["axis", "parameter", "unit", "bounds", "usual size", "default"], rows, left=3))
     return 0
 

@@ -1,0 +1,119 @@
+"""Poses of all bodies of a tree of slides and hinges, for many samples of the joints at once, without stepping an engine.
+
+The law is the engine's own: a body starts at its offset in the parent and each of its joints moves it in turn,
+
+    slide   x += R a (q - q0)                       a, p: axis and anchor of the joint in the body's frame
+    hinge   R <- R Rot(a, q - q0),  x <- x + (R_before - R_after) p
+
+Rotations are unit quaternions (w, x, y, z). Arrays are (sample, 3) and (sample, 4); what does not move keeps one sample,
+which numpy broadcasts. Ball and free joints stay in their reference pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Pose:
+    """parent_from_child: x_parent = rotate(quaternion, x_child) + position; (sample or 1, 3) [m] and (sample or 1, 4)."""
+
+    position: np.ndarray
+    quaternion: np.ndarray
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """a_from_c = a_from_b @ b_from_c."""
+        return Pose(self.apply(other.position), multiply(self.quaternion, other.quaternion))
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Points of the child (sample or 1, 3) in the parent."""
+        return rotate(self.quaternion, points) + self.position
+
+    def inverse(self) -> Pose:
+        """child_from_parent."""
+        back = self.quaternion * [1.0, -1.0, -1.0, -1.0]
+        return Pose(-rotate(back, self.position), back)
+
+    def at(self, samples: np.ndarray) -> Pose:
+        """The poses of some samples (indices); what does not move stays as it is."""
+        return Pose(*(part if len(part) == 1 else part[samples] for part in (self.position, self.quaternion)))
+
+
+IDENTITY = Pose(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+
+
+def local_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[Pose]:
+    """parent_from_body of every body in the model's order, for joint positions (sample,) by joint name [m, rad].
+
+    Joints that are not named stay in their reference pose (q0).
+    """
+    poses = [IDENTITY]
+    for body in range(1, model.nbody):
+        pose = Pose(model.body_pos[body][None], model.body_quat[body][None])
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+            if name in joints:
+                pose = _moved(pose, model, joint, np.asarray(joints[name], float))
+        poses.append(pose)
+    return poses
+
+
+def body_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[Pose]:
+    """world_from_body of every body, in the model's order."""
+    poses: list[Pose] = []
+    for body, local in enumerate(local_poses(model, joints)):
+        poses.append(local if body == 0 else poses[model.body_parentid[body]] @ local)
+    return poses
+
+
+def site_pose(model: mujoco.MjModel, bodies: list[Pose], site: int) -> Pose:
+    """world_from_site for the poses of all bodies."""
+    return bodies[model.site_bodyid[site]] @ Pose(model.site_pos[site][None], model.site_quat[site][None])
+
+
+def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (sample or 1, 3) turned by unit quaternions (sample or 1, 4): v + 2 u x (u x v + w v)."""
+    if len(quaternion) == 1 and np.all(quaternion[0, 1:] == 0.0):
+        return points
+    w, u = quaternion[:, :1], quaternion[:, 1:]
+    return points + 2.0 * _cross(u, _cross(u, points) + w * points)
+
+
+def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Product of quaternions (sample or 1, 4): first b, then a."""
+    aw, ax, ay, az = a.T
+    bw, bx, by, bz = b.T
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=1,
+    )
+
+
+def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) -> Pose:
+    """The body's pose after one of its joints."""
+    kind = model.jnt_type[joint]
+    axis, anchor = model.jnt_axis[joint][None], model.jnt_pos[joint][None]
+    move = (values - model.qpos0[model.jnt_qposadr[joint]])[:, None]
+    if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+        return Pose(pose.position + rotate(pose.quaternion, axis) * move, pose.quaternion)
+    if kind == mujoco.mjtJoint.mjJNT_HINGE:
+        turned = multiply(pose.quaternion, np.hstack([np.cos(0.5 * move), np.sin(0.5 * move) * axis]))
+        shift = rotate(pose.quaternion, anchor) - rotate(turned, anchor) if np.any(anchor) else 0.0
+        return Pose(pose.position + shift, turned)
+    return pose
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product of (sample or 1, 3); three times faster than numpy's own on many samples."""
+    a0, a1, a2 = a.T
+    b0, b1, b2 = b.T
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=1)

@@ -1,0 +1,29 @@
+"""Interactive replay: write a run as a recording, open it in the viewer, render it without a display.
+
+trace + machine -> scene, poses, tool paths, curves, events -> recording (.rrd) -> window, browser or picture
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.replay.command import add_replay_arguments, replay_command
+    from twin.replay.recording import Written, write_motion, write_recording
+    from twin.replay.viewer import open_viewer, screenshot, serve
+
+__all__ = ["Written", "add_replay_arguments", "open_viewer", "replay_command", "screenshot", "serve", "write_motion", "write_recording"]
+
+_HOMES = {
+    **dict.fromkeys(("add_replay_arguments", "replay_command"), "command"),
+    **dict.fromkeys(("Written", "write_motion", "write_recording"), "recording"),
+    **dict.fromkeys(("open_viewer", "screenshot", "serve"), "viewer"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used: commands that show nothing need not wait for the viewer's library."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

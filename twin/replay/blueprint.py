@@ -1,0 +1,193 @@
+"""The first look: machine large, tool path and contour error beside and below it, the axes in tabs, summary and events at hand.
+
+    +--------------------------+-----------------------+---------------+
+    | machine                  | tool path x1 x100 ... | summary,      |
+    |                          | colours of the error  | events        |
+    +------------------+-------+-----------------------+---------------+
+    | contour error    | X | Y | Z | A | C : following error, speed ... |
+    +------------------+-----------------------------------------------+
+
+It refers only to what the recording holds; `layout` is given exactly that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.encodings import Plane3D
+
+from twin.replay.curves import Curve
+from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, SUMMARY, TIMELINE, axis_entity
+
+LIGHT_GROUND = (226, 230, 235)
+GRID_COLOUR = (150, 156, 165, 90)
+VIEW_FROM = np.array([0.42, -0.80, 0.42])
+"""From where the machine is seen: front right, above."""
+PATH_FROM = np.array([0.35, -0.75, 0.75])
+"""From where a path is seen: steeper, most paths are flat."""
+GROUP_TITLES = {
+    "following_error": "following error",
+    "position": "position",
+    "speed": "speed",
+    "current": "current",
+    "torque": "torque at the motor",
+    "difference_position": "difference of position",
+    "difference_speed": "difference of speed",
+    "difference_current": "difference of current",
+}
+_COLUMNS = (("following_error", "position"), ("speed",), ("current",), ("torque",))
+"""Plots of one axis from left to right; those of one column are tabs. Differences get a column of their own in front."""
+
+
+@dataclass(frozen=True)
+class PathView:
+    """One tool path view: its title, where its entities lie, which of them grow with time, and the box (2, 3) they fill [m]."""
+
+    title: str
+    root: str
+    growing: tuple[str, ...]
+    bounds: np.ndarray
+    also: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a recording holds, as far as the layout needs it."""
+
+    scene_root: str
+    part_frame: str
+    scene_bounds: np.ndarray
+    curves: Sequence[Curve]
+    axes: tuple[str, ...]
+    paths: Sequence[PathView] = ()
+    first_path: int = 0
+    first_axis: str = ""
+    legend: str = ""
+    legend_title: str = ""
+    has_events: bool = False
+    states: Sequence[str] = field(default=())
+
+
+def layout(content: Content) -> rrb.Blueprint:
+    """The blueprint of a recording."""
+    top: list[rrb.View | rrb.Container] = [_machine_view(content)]
+    shares = [5.0]
+    if content.paths:
+        views = [_path_view(path, content) for path in content.paths]
+        tabs: rrb.View | rrb.Container = rrb.Tabs(*views, active_tab=content.first_path, name="Tool path")
+        if content.legend:
+            colours = rrb.Spatial2DView(
+                origin=LEGEND,
+                name=content.legend_title,
+                background=(255, 255, 255),
+                visual_bounds=rrb.VisualBounds2D(x_range=[-25, 345], y_range=[-3, 34]),
+            )
+            tabs = rrb.Vertical(tabs, colours, row_shares=[6.0, 1.0])
+        top.append(tabs)
+        shares.append(4.0)
+    texts: list[rrb.View] = [rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
+    if content.has_events:
+        texts.append(rrb.TextLogView(origin=EVENTS, name="Events"))
+    top.append(rrb.Tabs(*texts, active_tab=0))
+    shares.append(3.0)
+    below = [view for view in (_contour_view(content), _axis_tabs(content)) if view is not None]
+    rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
+    if below:
+        rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
+    return rrb.Blueprint(
+        rrb.Vertical(*rows, row_shares=[3.0, 2.0][: len(rows)]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _machine_view(content: Content) -> rrb.View:
+    contents = [f"+ {content.scene_root}/**"]
+    overrides: dict[Any, Any] = {}
+    for i, path in enumerate(content.paths):
+        if i:
+            contents.append(f"- {path.root}/**")
+        else:
+            overrides = {entity: _until_now() for entity in path.growing}
+    floor = float(content.scene_bounds[0, 2])
+    return rrb.Spatial3DView(
+        origin=content.scene_root,
+        contents=contents,
+        name="Machine",
+        overrides=overrides,
+        background=LIGHT_GROUND,
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), floor), color=GRID_COLOUR),
+        eye_controls=_eye(content.scene_bounds, 0.93),
+    )
+
+
+def _path_view(path: PathView, content: Content) -> rrb.View:
+    return rrb.Spatial3DView(
+        origin=content.part_frame,
+        contents=[f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)],
+        name=path.title,
+        overrides={entity: _until_now() for entity in path.growing},
+        background=LIGHT_GROUND,
+        line_grid=False,
+        eye_controls=_eye(path.bounds, 1.05, PATH_FROM),
+    )
+
+
+def _until_now() -> rrb.VisibleTimeRanges:
+    return rrb.VisibleTimeRanges(timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative())
+
+
+def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM) -> rrb.EyeControls3D:
+    """An eye that sees a whole box; `distance` in diagonals of it."""
+    centre = bounds.mean(axis=0)
+    away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
+    return rrb.EyeControls3D(
+        position=centre + away * view_from / np.linalg.norm(view_from), look_target=centre, eye_up=(0, 0, 1), kind=rrb.Eye3DKind.Orbital
+    )
+
+
+def _contour_view(content: Content) -> rrb.View | rrb.Container | None:
+    views: list[rrb.View] = []
+    if any(curve.path.startswith(CONTOUR_ERROR) for curve in content.curves):
+        views.append(_plot(CONTOUR_ERROR, "Contour error [um]"))
+    if content.states:
+        views.append(rrb.StateTimelineView(origin="/states", name="Limits and sticking"))
+    return rrb.Tabs(*views, active_tab=0) if views else None
+
+
+def _axis_tabs(content: Content) -> rrb.Container | None:
+    tabs = []
+    for axis in content.axes:
+        groups = {group: name for group in GROUP_TITLES if (name := _unit_title(content.curves, axis, group))}
+        differences = tuple(group for group in groups if group.startswith("difference"))
+        columns = [[g for g in column if g in groups] for column in (differences, *_COLUMNS)]
+        plots = []
+        for column in filter(None, columns):
+            views = [_plot(axis_entity(axis, group), f"{axis} {groups[group]}") for group in column]
+            plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
+        if plots:
+            tabs.append(rrb.Horizontal(*plots, name=f"Axis {axis}"))
+    if not tabs:
+        return None
+    first = content.axes.index(content.first_axis) if content.first_axis in content.axes else 0
+    return rrb.Tabs(*tabs, active_tab=min(first, len(tabs) - 1))
+
+
+def _plot(origin: str, name: str) -> rrb.View:
+    """A plot that shows peaks when zoomed out; the viewer's own choice is the mean of what falls on a pixel."""
+    return rrb.TimeSeriesView(origin=origin, name=name, defaults=[rr.SeriesLines.from_fields(aggregation_policy="MinMax")])
+
+
+def _unit_title(curves: Sequence[Curve], axis: str, group: str) -> str:
+    """Title of a plot with the unit of its curves; '' where there is none."""
+    root = axis_entity(axis, group) + "/"
+    name = next((curve.name for curve in curves if curve.path.startswith(root)), "")
+    return f"{GROUP_TITLES[group]} {name[name.rindex('[') :]}" if name else ""

@@ -1,0 +1,180 @@
+"""Time series of the axes: what was asked for, what happened, how the torque splits; a second run beside the first.
+
+Following error = set point - position. The torque at the motor splits into
+
+    torque = inertia + friction + gravity        inertia: what is left, it accelerates the axis and its neighbours
+
+and feedforward is the part of it that the control asked for in advance. Every curve has a name with its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.colours import DIFFERENCE_COLOUR, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, lighter
+from twin.machine import Axis, Machine
+from twin.replay.names import CONTOUR_ERROR, axis_entity, entity
+from twin.trace import POSITIONS, Trace
+from twin.units import AXIS_UNITS
+
+SAME_TIME = 1e-9
+"""Samples of two runs that lie closer are at the same time [s]."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot: where it lies among the entities, its name with unit, and its samples in that unit."""
+
+    path: str
+    name: str
+    colour: Colour
+    time: np.ndarray
+    values: np.ndarray
+
+
+def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
+    """All curves of all axes and runs; the first run is the main one, differences are later runs less the first."""
+    curves: list[Curve] = []
+    labels = list(runs)
+    for order, axis in enumerate(machine.axes):
+        for i, label in enumerate(labels):
+            if axis.name in runs[label].axes:
+                curves += _run_curves(axis, order, runs[label], label, first=i == 0, alone=len(labels) == 1)
+        if any(axis.name in trace.axes for trace in runs.values()):
+            curves += _limits(axis, runs[labels[0]].time)
+        for label in labels[1:]:
+            curves += _differences(axis, runs[labels[0]], runs[label], f"{label} - {labels[0]}", label)
+    return curves
+
+
+def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, alone: bool) -> Curve:
+    """The contour error of one run [um]."""
+    colour = (235, 140, 20) if order == 0 else lighter((235, 140, 20), 0.6)
+    return Curve(entity(CONTOUR_ERROR, label), "contour error" + ("" if alone else f", {label}") + " [um]", colour, time, error * 1e6)
+
+
+def following_error(trace: Trace, axis: str) -> np.ndarray | None:
+    """Set point less position (sample,) [m or rad]; None where one of them is not recorded."""
+    if not (trace.has(axis, "setpoint") and trace.has(axis, "position")):
+        return None
+    return trace.get(axis, "setpoint") - trace.get(axis, "position")
+
+
+def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
+    """Motor torque (sample,) [Nm] under "motor", and its parts as far as they are recorded.
+
+    A trace without torque has it from its current and the machine's torque constant.
+    """
+    parts: dict[str, np.ndarray] = {}
+    if trace.has(axis.name, "torque"):
+        parts["motor"] = trace.get(axis.name, "torque")
+    elif trace.has(axis.name, "current"):
+        parts["motor"] = axis.motor.torque_constant_nm_per_a * trace.get(axis.name, "current")
+    for part in ("friction", "gravity", "feedforward"):
+        if trace.has(axis.name, f"torque_{part}"):
+            parts[part] = trace.get(axis.name, f"torque_{part}")
+    if {"motor", "friction", "gravity"} <= parts.keys():
+        parts["inertia"] = parts["motor"] - parts["friction"] - parts["gravity"]
+    return parts
+
+
+def not_recorded(trace: Trace, machine: Machine) -> list[str]:
+    """What of the curves a trace has no data for, one line per axis: 'X: torque split, speed set point'."""
+    lines = []
+    for axis in machine.axes:
+        if axis.name not in trace.axes:
+            continue
+        lacking = [s for s in ("setpoint", "position", "velocity", "velocity_setpoint", "current") if not trace.has(axis.name, s)]
+        lacking += [f"torque_{part}" for part in ("friction", "gravity", "feedforward") if not trace.has(axis.name, f"torque_{part}")]
+        if lacking:
+            lines.append(f"{axis.name}: {', '.join(lacking)}")
+    return lines
+
+
+def _run_curves(axis: Axis, order: int, trace: Trace, label: str, first: bool, alone: bool) -> Iterator[Curve]:
+    units = AXIS_UNITS[axis.kind]
+    colour = axis_colour(axis.name, order)
+    mine = colour if first else lighter(colour, 0.55)
+    behind = "" if alone else f", {label}"
+
+    def curve(group: str, what: str, unit: str, values: np.ndarray, colour: Colour, leaf: str = label) -> Curve:
+        return Curve(axis_entity(axis.name, group, leaf), f"{axis.name} {what}{behind} [{unit}]", colour, trace.time, values)
+
+    def recorded(group: str, signal: str, what: str, unit: tuple[str, float], colour: Colour, leaf: str = label) -> Iterator[Curve]:
+        if trace.has(axis.name, signal):
+            yield curve(group, what, unit[0], trace.get(axis.name, signal) * unit[1], colour, leaf)
+
+    # set points lie behind what followed; of a second run only what differs is drawn again
+    if first:
+        yield from recorded("position", "setpoint", "set point", units.position, SETPOINT_COLOUR, "set_point")
+    yield from recorded("position", "position", "position", units.position, mine)
+    error = following_error(trace, axis.name)
+    if error is not None:
+        yield curve("following_error", "following error", units.error[0], error * units.error[1], mine)
+    yield from recorded(
+        "speed",
+        "velocity_setpoint",
+        "speed set point",
+        units.speed,
+        SETPOINT_COLOUR if first else lighter(SETPOINT_COLOUR),
+        f"set_point_{label}",
+    )
+    yield from recorded("speed", "velocity", "speed", units.speed, mine)
+    yield from recorded("current", "current", "current", ("A", 1.0), mine)
+    for part, values in torque_parts(trace, axis).items():
+        if not first and part != "motor":
+            continue
+        own = mine if part == "motor" else TORQUE_COLOURS[part]
+        name = "motor torque" if part == "motor" else f"torque, {part}"
+        yield curve("torque", name, "Nm", values, own, f"{part}_{label}")
+
+
+def _limits(axis: Axis, time: np.ndarray) -> Iterator[Curve]:
+    """Current limits as two straight lines."""
+    ends = time[[0, -1]]
+    for sign, word in ((1.0, "upper"), (-1.0, "lower")):
+        limit = np.full(2, sign * axis.motor.peak_current_a)
+        yield Curve(axis_entity(axis.name, "current", f"{word}_limit"), f"{axis.name} current limit [A]", LIMIT_COLOUR, ends, limit)
+
+
+def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str) -> Iterator[Curve]:
+    """The second run less the first, on the first one's samples where both have data."""
+    units = AXIS_UNITS[axis.kind]
+    inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
+    time = first.time[inside]
+    kinds = (("position", units.error), ("velocity", units.speed), ("current", ("A", 1.0)))
+    for signal, (unit, factor) in kinds:
+        if first.has(axis.name, signal) and second.has(axis.name, signal) and len(time) > 1:
+            other = sampled(second, axis.name, signal, time)
+            values = (other - first.get(axis.name, signal)[inside]) * factor
+            group = f"difference_{'speed' if signal == 'velocity' else signal}"
+            word = "speed" if signal == "velocity" else signal
+            yield Curve(axis_entity(axis.name, group, label), f"{axis.name} {word}, {what} [{unit}]", DIFFERENCE_COLOUR, time, values)
+
+
+def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarray:
+    """A signal of a run at the times of another; positions by a cubic spline: lines between samples would be micrometres off."""
+    values = trace.get(axis, signal)
+    if len(time) == len(trace.time) and np.allclose(time, trace.time, rtol=0.0, atol=SAME_TIME):
+        return values
+    if signal in POSITIONS and len(values) > 3:
+        return CubicSpline(trace.time, values)(time)
+    return np.interp(time, trace.time, values)
+
+
+def setpoint_difference(machine: Machine, first: Trace, second: Trace) -> tuple[float, str, float]:
+    """How far the set points of two runs lie apart at most: amount [m or rad], axis, time [s]; (0, "", 0) if equal."""
+    worst = (0.0, "", 0.0)
+    inside = (first.time >= second.time[0]) & (first.time <= second.time[-1])
+    for axis in machine.axes:
+        if first.has(axis.name, "setpoint") and second.has(axis.name, "setpoint") and inside.any():
+            other = sampled(second, axis.name, "setpoint", first.time[inside])
+            apart = np.abs(other - first.get(axis.name, "setpoint")[inside])
+            i = int(np.argmax(apart))
+            if apart[i] > worst[0]:
+                worst = (float(apart[i]), axis.name, float(first.time[inside][i]))
+    return worst

@@ -1,0 +1,92 @@
+"""Fewer points, the same picture: curves by the smallest and largest value of each bin, less what lies on a straight line.
+
+A bin keeps the samples of its minimum and maximum at their own times, so no peak is lost and none moves. Of these, points on
+a line between their neighbours go too, within SAME_LINE of the curve's range. Where all curves together are still above
+their budget, the fullest ones get longer bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import heapq
+
+from numba import njit
+import numpy as np
+
+FINEST_BIN = 4
+"""Samples of the shortest bin."""
+SAME_LINE = 5e-4
+"""Share of a curve's range within which a point counts as on the line."""
+
+
+def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> list[np.ndarray]:
+    """Indices to keep of each curve (time, values), so that all together keep at most about `budget` points.
+
+    No curve is cut below its two ends and its smallest and largest value.
+    """
+    bins = [FINEST_BIN] * len(curves)
+    kept = [thinned(time, values, FINEST_BIN) for time, values in curves]
+    total = sum(map(len, kept))
+    fullest = [(-len(k), i) for i, k in enumerate(kept)]
+    heapq.heapify(fullest)
+    while total > budget and fullest:
+        _, i = heapq.heappop(fullest)
+        time, values = curves[i]
+        if bins[i] >= len(values):
+            continue
+        bins[i] *= 2
+        total -= len(kept[i])
+        kept[i] = thinned(time, values, bins[i])
+        total += len(kept[i])
+        heapq.heappush(fullest, (-len(kept[i]), i))
+    return kept
+
+
+def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarray:
+    """Indices of one curve's points: extremes of each bin, without those on a straight line."""
+    if len(values) < 3:
+        return np.arange(len(values))
+    extremes = bin_extremes(values, bin_samples)
+    keep = np.zeros(len(extremes), bool)
+    # the smallest and largest value of all stay, whatever the tolerance
+    keep[[0, -1, int(np.argmin(values[extremes])), int(np.argmax(values[extremes]))]] = True
+    mark_corners(time[extremes], values[extremes], SAME_LINE * float(np.ptp(values)), keep)
+    return extremes[keep]
+
+
+def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
+    """Sorted indices of the smallest and largest value of each bin of so many samples, and of the first and last sample."""
+    whole = len(values) // bin_samples * bin_samples
+    table = values[:whole].reshape(-1, bin_samples)
+    start = np.arange(len(table)) * bin_samples
+    found = np.zeros(len(values), bool)
+    found[start + table.argmin(axis=1)] = True
+    found[start + table.argmax(axis=1)] = True
+    if whole < len(values):
+        rest = values[whole:]
+        found[[whole + int(rest.argmin()), whole + int(rest.argmax())]] = True
+    found[[0, -1]] = True
+    return np.flatnonzero(found)
+
+
+@njit(cache=True, nogil=True)
+def mark_corners(time, values, tolerance, keep):  # type: ignore[no-untyped-def]
+    """Mark in `keep` (n,) the points whose polyline stays within a tolerance of all others, in one pass.
+
+    From the last kept point a cone of slopes is narrowed by each point; where it closes, the point before is kept.
+    """
+    last = 0
+    low, high = -np.inf, np.inf
+    for i in range(1, len(values)):
+        step = time[i] - time[last]
+        slope = (values[i] - values[last]) / step
+        if (slope < low or slope > high) and i - 1 > last:
+            last = i - 1
+            keep[last] = True
+            low, high = -np.inf, np.inf
+            step = time[i] - time[last]
+        low = max(low, (values[i] - tolerance - values[last]) / step)
+        high = min(high, (values[i] + tolerance - values[last]) / step)
+        if keep[i]:
+            last = i
+            low, high = -np.inf, np.inf

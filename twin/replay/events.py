@@ -1,0 +1,152 @@
+"""Events of a run: where an axis met a limit, reversed, stuck, and where the program went to its next block.
+
+    current limit   |current| reaches the peak current
+    speed limit     |speed| reaches the axis' highest speed
+    reversal        the set point's speed changes sign, after it moved by more than REVERSAL_MOVE both ways
+    sticking        the set point moves, the axis stands
+    block           the block number of the program changes
+
+An event has a start and an end; a row of the list names it, a click on its time goes there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.machine import Axis, Machine
+from twin.trace import PROGRAM, Trace
+from twin.units import ARCSEC, AXIS_UNITS, rad_from_deg
+
+KINDS = ("current limit", "speed limit", "reversal", "sticking", "block")
+MOST_EVENTS = 5000
+"""Marks beyond this number would only make the viewer slow; the summary says how many there are."""
+WORST = "largest contour error"
+"""An event of every run with a tool path, so that the worst place is one click away."""
+AT_LIMIT = 0.998
+"""A value counts as at its limit from this share on."""
+REVERSAL_MOVE = {"linear": 1e-6, "rotary": ARCSEC}
+"""Way before and after a reversal: less is rounding of the set point [m, rad]."""
+STANDING = {"linear": 5e-5, "rotary": rad_from_deg(0.02)}
+"""An axis slower than this stands [m/s, rad/s]: measured speeds scatter by half of it."""
+SETPOINT_MOVES = 3.0
+"""The set point moves when it is this many times faster than a standing axis may be."""
+SHORTEST = 0.002
+"""Shorter limits and sticking are noise [s]."""
+SPEED_SPAN = 0.002
+"""Speeds of the set point and the axis are taken over this time [s]."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event: its kind, axis ('' for the program), start and end [s], and what the list says of it."""
+
+    kind: str
+    axis: str
+    start: float
+    end: float
+    text: str
+
+
+def find_events(machine: Machine, trace: Trace, contour_error: np.ndarray | None = None) -> list[Event]:
+    """All events of a run in the order of time; with its contour error (sample,) [m] also where that is largest."""
+    events: list[Event] = []
+    for axis in machine.axes:
+        events += _limits(axis, trace)
+        if trace.has(axis.name, "setpoint"):
+            events += _reversals(axis, trace)
+            if trace.has(axis.name, "position"):
+                events += _sticking(axis, trace)
+    events += _blocks(trace)
+    if contour_error is not None:
+        worst = int(np.argmax(contour_error))
+        t = float(trace.time[worst])
+        events.append(Event(WORST, "", t, t, f"{contour_error[worst] * 1e6:.2f} um"))
+    return sorted(events, key=lambda event: (event.start, event.kind, event.axis))
+
+
+def _limits(axis: Axis, trace: Trace) -> Iterator[Event]:
+    speed_unit, per_si = AXIS_UNITS[axis.kind].speed
+    checked = (
+        ("current limit", "current", axis.motor.peak_current_a, "A", 1.0),
+        ("speed limit", "velocity", axis.max_velocity, speed_unit, per_si),
+    )
+    for kind, signal, limit, unit, factor in checked:
+        if trace.has(axis.name, signal):
+            for start, end in stretches(trace.time, np.abs(trace.get(axis.name, signal)) >= AT_LIMIT * limit):
+                text = f"{axis.name} at its {kind} of {limit * factor:.4g} {unit} for {(end - start) * 1e3:.3g} ms"
+                yield Event(kind, axis.name, start, end, text)
+
+
+def _reversals(axis: Axis, trace: Trace) -> Iterator[Event]:
+    """Turning points of the set point: extremes between moves of more than REVERSAL_MOVE."""
+    position = trace.get(axis.name, "setpoint")
+    unit, factor = AXIS_UNITS[axis.kind].position
+    for i, direction in turning_points(position, REVERSAL_MOVE[axis.kind]):
+        way = "+ to -" if direction > 0 else "- to +"
+        t = float(trace.time[i])
+        yield Event("reversal", axis.name, t, t, f"{axis.name} reverses at {position[i] * factor:.4f} {unit}, {way}")
+
+
+def turning_points(position: np.ndarray, least_move: float) -> list[tuple[int, int]]:
+    """Where a signal turns between moves of more than `least_move`: index (of a rest the last sample), direction before."""
+    # ends of the runs of one direction; then extremes, a turn where the signal has left one by more than the least move
+    steps = np.diff(position)
+    moving = np.flatnonzero(steps)
+    if not len(moving):
+        return []
+    turns = np.flatnonzero(np.diff(np.sign(steps[moving]))) + 1
+    ends = [int(moving[0]), *(int(moving[i]) for i in turns), int(moving[-1]) + 1]
+    points: list[tuple[int, int]] = []
+    extreme, direction = ends[0], 0
+    for end in ends[1:]:
+        move = float(position[end] - position[extreme])
+        if direction == 0 and abs(move) > least_move:
+            direction, extreme = (1 if move > 0 else -1), end
+        elif move * direction > 0.0:
+            extreme = end
+        elif direction and abs(move) > least_move:
+            points.append((extreme, direction))
+            direction, extreme = -direction, end
+    return points
+
+
+def _sticking(axis: Axis, trace: Trace) -> Iterator[Event]:
+    standing = STANDING[axis.kind]
+    asked, real = (np.abs(_speed(trace, axis.name, signal)) for signal in ("setpoint", "position"))
+    unit, factor = AXIS_UNITS[axis.kind].position
+    for start, end in stretches(trace.time, (asked > SETPOINT_MOVES * standing) & (real < standing)):
+        at = np.interp(start, trace.time, trace.get(axis.name, "position")) * factor
+        yield Event(
+            "sticking",
+            axis.name,
+            start,
+            end,
+            f"{axis.name} sticks at {at:.4f} {unit} for {(end - start) * 1e3:.3g} ms while its set point moves",
+        )
+
+
+def _speed(trace: Trace, axis: str, signal: str) -> np.ndarray:
+    """Central difference of a position over SPEED_SPAN (sample,)."""
+    half = max(1, round(0.5 * SPEED_SPAN / trace.period))
+    padded = np.pad(trace.get(axis, signal), half, mode="edge")
+    return (padded[2 * half :] - padded[: -2 * half]) / (2 * half * trace.period)
+
+
+def _blocks(trace: Trace) -> Iterator[Event]:
+    signal = next((s for a, s in trace.signals if a == PROGRAM and s.startswith("block")), None)
+    if signal is None:
+        return
+    number = trace.get(PROGRAM, signal)
+    for i in np.flatnonzero(np.diff(number)) + 1:
+        t = float(trace.time[i])
+        yield Event("block", "", t, t, f"block {number[i]:g}")
+
+
+def stretches(time: np.ndarray, holds: np.ndarray) -> list[tuple[float, float]]:
+    """Start and end [s] of each stretch of at least SHORTEST in which a condition (sample,) holds."""
+    edges = np.flatnonzero(np.diff(np.r_[False, holds, False].astype(np.int8)))
+    found = [(float(time[a]), float(time[b - 1])) for a, b in zip(edges[::2], edges[1::2])]
+    return [(start, end) for start, end in found if end - start >= SHORTEST - 1e-9]

@@ -1,0 +1,95 @@
+"""Events in the viewer: a list to click on, marks on the following error, and a lane per axis that shows limits and sticking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from twin.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
+from twin.machine import Machine
+from twin.replay.curves import following_error
+from twin.replay.events import WORST, Event
+from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
+from twin.trace import Trace
+from twin.units import AXIS_UNITS
+
+_MARKS: dict[str, Any] = {
+    "current limit": "cross",
+    "speed limit": "plus",
+    "reversal": "diamond",
+    "sticking": "circle",
+    "block": "up",
+    WORST: "asterisk",
+}
+_STATES = {
+    "follows": lighter(SETPOINT_COLOUR, 0.65),
+    "sticking": (240, 150, 10),
+    "current limit": LIMIT_COLOUR,
+    "speed limit": (176, 92, 220),
+}
+
+
+def log_events(
+    recording: rr.RecordingStream, machine: Machine, trace: Trace, contour_error: np.ndarray | None, events: Sequence[Event]
+) -> tuple[str, ...]:
+    """Log the list of events, their marks in the plots, and a lane of states per axis. Returns the lanes.
+
+    Events of an axis are marked on its following error, those of the program on the contour error (sample,) [m].
+    """
+    colour_of = {axis.name: axis_colour(axis.name, i) for i, axis in enumerate(machine.axes)}
+    colours = [LIMIT_COLOUR if "limit" in e.kind else colour_of.get(e.axis, SETPOINT_COLOUR) for e in events]
+    recording.send_columns(
+        EVENTS,
+        [rr.TimeColumn(TIMELINE, duration=[e.start for e in events])],
+        rr.TextLog.columns(
+            text=[f"{e.kind}: {e.text}" for e in events],
+            level=["WARN" if "limit" in e.kind else "INFO" for e in events],
+            color=[(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours],
+        ),
+    )
+    lanes = []
+    for axis in machine.axes:
+        mine = [e for e in events if e.axis == axis.name]
+        error = following_error(trace, axis.name)
+        if error is not None:
+            values = error * AXIS_UNITS[axis.kind].error[1]
+            _log_marks(
+                recording, axis_entity(axis.name, "following_error"), f"{axis.name} ", mine, trace.time, values, colour_of[axis.name]
+            )
+        lasting = [e for e in mine if e.end > e.start]
+        if lasting:
+            lanes.append(_log_lane(recording, axis.name, trace, lasting))
+    if contour_error is not None:
+        _log_marks(recording, CONTOUR_ERROR, "", [e for e in events if not e.axis], trace.time, contour_error * 1e6, SETPOINT_COLOUR)
+    return tuple(lanes)
+
+
+def _log_marks(
+    recording: rr.RecordingStream, root: str, whose: str, events: Sequence[Event], time: np.ndarray, values: np.ndarray, colour: Colour
+) -> None:
+    """Log one series of marks for each kind of event, on a curve (sample,)."""
+    for kind in dict.fromkeys(e.kind for e in events):
+        times = np.unique([e.start for e in events if e.kind == kind])
+        path = entity(root, f"event_{kind.replace(' ', '_')}")
+        own = LIMIT_COLOUR if "limit" in kind or kind == WORST else colour
+        style = rr.SeriesPoints(colors=[own], names=[f"{whose}{kind}"], markers=[_MARKS[kind]], marker_sizes=[4.0])
+        recording.log(path, style, static=True)
+        recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times)], rr.Scalars.columns(scalars=np.interp(times, time, values)))
+
+
+def _log_lane(recording: rr.RecordingStream, axis: str, trace: Trace, events: Sequence[Event]) -> str:
+    """One lane of states: what the axis is at, between start and end of its events."""
+    path = entity(STATES, axis)
+    changes = {float(trace.time[0]): "follows"}
+    for event in events:
+        changes.setdefault(event.end, "follows")
+        changes[event.start] = event.kind
+    times = sorted(changes)
+    states = list(_STATES)
+    labels = [f"{axis} {state}" for state in states]
+    recording.log(path, rr.StateConfiguration(values=states, labels=labels, colors=list(_STATES.values())), static=True)
+    recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times)], rr.StateChange.columns(state=[changes[t] for t in times]))
+    return path

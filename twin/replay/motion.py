@@ -1,0 +1,86 @@
+"""A motion for any model: from the columns of a trace that are named like its joints, or a slow sweep through their ranges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf
+from twin.trace import read_trace
+
+SWEEP_SECONDS = 4.0
+"""Time that a sweep gives each joint."""
+SWEEP_RATE = 50.0
+FREE_SLIDE = 0.1
+"""A slide without limits moves by this share of the model's size each way."""
+
+
+def read_scene(path: Path) -> Scene:
+    """The scene of a model file by its ending: .urdf, else MJCF."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such model; give an MJCF (.xml) or URDF file")
+    if path.suffix.lower() == ".urdf":
+        from twin.replay.urdf import scene_from_urdf
+
+        return scene_from_urdf(path)
+    return scene_from_mjcf(path)
+
+
+def motion_from_trace(scene: Scene, path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Time (sample,) [s] and joint positions (sample,) by joint [m, rad], from a trace whose axes are joints of the scene."""
+    kinds = {name: "linear" if _is_slide(scene, name) else "rotary" for name in scene.joints}
+    trace = read_trace(path, axes=kinds)
+    joints = {}
+    for name in trace.axes:
+        signal = next((s for s in ("position", "motor_position", "setpoint") if trace.has(name, s)), None)
+        if signal:
+            joints[name] = trace.get(name, signal)
+    if not joints:
+        unit = "mm" if "linear" in kinds.values() else "deg"
+        raise InputError(
+            f"{path}: no position of a joint of {scene.name}; it needs columns such as '{next(iter(kinds), 'joint')}.position [{unit}]'"
+        )
+    return trace.time - trace.time[0], joints
+
+
+def sweep(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Each joint in turn from its reference to its lower end, its upper end and back, at rest at each of them."""
+    free = [name for name in scene.joints if name not in scene.mimics]
+    if not free:
+        raise InputError(f"{scene.name}: the model has no slide or hinge to move; give a model with joints")
+    time = np.arange(round(len(free) * SWEEP_SECONDS * SWEEP_RATE) + 1) / SWEEP_RATE
+    size = float(np.linalg.norm(np.subtract(*scene_bounds(scene))))
+    joints = {}
+    for i, name in enumerate(free):
+        joint = scene.model.joint(name).id
+        start = float(scene.model.qpos0[scene.model.jnt_qposadr[joint]])
+        reach = FREE_SLIDE * size if _is_slide(scene, name) else np.pi
+        low, high = scene.model.jnt_range[joint] if scene.model.jnt_limited[joint] else (start - reach, start + reach)
+        # three moves with a soft start and end: to the lower end, to the upper end, home
+        part = np.clip((time - i * SWEEP_SECONDS) / SWEEP_SECONDS, 0.0, 1.0) * 4.0
+        joints[name] = start + (low - start) * _soft(part) + (high - low) * _soft((part - 1.0) / 2.0) + (start - high) * _soft(part - 3.0)
+    return time, joints
+
+
+def with_mimics(scene: Scene, joints: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The joints and those that follow them: value = factor * other + offset."""
+    followed = dict(joints)
+    for name, (other, factor, offset) in scene.mimics.items():
+        if name not in joints and other in joints:
+            followed[name] = factor * joints[other] + offset
+        elif other not in scene.joints:
+            raise InputError(f"{scene.name}: joint '{name}' follows joint '{other}', which does not exist; {nearest(other, scene.joints)}")
+    return followed
+
+
+def _soft(part: np.ndarray) -> np.ndarray:
+    """From 0 to 1 with zero speed at both ends."""
+    part = np.clip(part, 0.0, 1.0)
+    return part * part * (3.0 - 2.0 * part)
+
+
+def _is_slide(scene: Scene, joint: str) -> bool:
+    return bool(scene.model.jnt_type[scene.model.joint(joint).id] == mujoco.mjtJoint.mjJNT_SLIDE)

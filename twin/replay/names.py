@@ -1,0 +1,24 @@
+"""Where things lie in a recording: one timeline, and the entity paths that blueprint, tests and users rely on."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+TIMELINE = "time"
+"""The one timeline: seconds since the start of the run."""
+APPLICATION = "twin_replay"
+SUMMARY = "/summary"
+EVENTS = "/events"
+LEGEND = "/legend"
+STATES = "/states"
+CONTOUR_ERROR = "/contour_error"
+
+
+def entity(parent: str, *parts: str) -> str:
+    """Path of an entity below another; characters that the viewer reserves are escaped."""
+    return "/".join([parent.rstrip("/"), *(rr.escape_entity_path_part(part) for part in parts)])
+
+
+def axis_entity(axis: str, *parts: str) -> str:
+    """Path of a curve of one axis: /axes/X/following_error/simulated."""
+    return entity("/axes", axis, *parts)

@@ -1,0 +1,151 @@
+"""Tool paths in the part frame: programmed, commanded and followed, the followed one coloured by contour error.
+
+The followed path is logged in short pieces along the timeline, so that the tool draws it; pieces have one colour each. With
+the deviation magnified it is a path of its own. Paths keep only the points that hold their shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from twin.colours import ERROR_BANDS, Colour
+from twin.poses import IDENTITY, Pose, body_poses, site_pose
+from twin.replay.contour import keep_shape
+from twin.replay.names import TIMELINE, entity
+from twin.replay.scene import Scene
+
+MAGNIFICATIONS = (1, 100, 1000)
+PATH_TOLERANCE = 2e-6
+"""Points of a drawn path may be left out where it stays this close [m]; times the magnification, up to 0.1 mm."""
+COARSEST_TOLERANCE = 1e-4
+DRAW_STEP = 0.05
+"""The followed path grows in steps of this length [s], in a long run in a fixed number of them."""
+DRAW_STEPS = 3000
+POINTS_PER_MINUTE = 6000
+"""Points that each path may keep; a busier one is drawn with a coarser tolerance."""
+LEAST_POINTS = 2000
+BAND_PIXELS = (40, 16)
+"""Width and height of a colour of the bar."""
+LEAST_SCALE = 8e-9
+"""End of the scale of a path without error [m]."""
+
+
+@dataclass(frozen=True)
+class ErrorScale:
+    """Colour bands of the contour error: equal steps from 0 to `end` [m]; above the end the last colour holds."""
+
+    end: float
+
+    def band(self, error: np.ndarray) -> np.ndarray:
+        """Index of the colour of each error (sample,) [m]."""
+        return np.minimum((error / self.end * len(ERROR_BANDS)).astype(int), len(ERROR_BANDS) - 1)
+
+    def edges_um(self) -> np.ndarray:
+        """Limits of the bands [um]."""
+        return np.linspace(0.0, self.end * 1e6, len(ERROR_BANDS) + 1)
+
+
+def tool_point(scene: Scene, joints: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Pose]:
+    """Tool tip (sample, 3) in the part frame [m] and part_from_tool, for joint positions (sample,) by name."""
+    bodies = body_poses(scene.model, joints)
+    tip = site_pose(scene.model, bodies, scene.tool) if scene.tool >= 0 else bodies[scene.tip_body]
+    part = site_pose(scene.model, bodies, scene.part) if scene.part >= 0 else IDENTITY
+    pose = part.inverse() @ tip
+    count = max((len(values) for values in joints.values()), default=1)
+    return np.ascontiguousarray(np.broadcast_to(pose.position, (count, 3))), pose
+
+
+def error_scale(error: np.ndarray) -> ErrorScale:
+    """A scale with round bands (1, 2 or 5 times a power of ten) that holds all but the highest per mille of the errors (sample,) [m]."""
+    largest = float(np.quantile(error, 0.999))
+    step = max(largest, LEAST_SCALE) / len(ERROR_BANDS)
+    power = 10.0 ** np.floor(np.log10(step))
+    return ErrorScale(
+        len(ERROR_BANDS) * float(next(round_ * power for round_ in (1.0, 2.0, 5.0, 10.0) if round_ * power >= step * (1 - 1e-9)))
+    )
+
+
+def log_whole_path(
+    recording: rr.RecordingStream, path: str, points: np.ndarray, colour: Colour, width: float, duration: float, full: bool
+) -> None:
+    """Log a path (sample, 3) at once: it is known before the run."""
+    kept = points[kept_points(points, PATH_TOLERANCE, np.array([], int), duration, full)]
+    recording.log(path, rr.LineStrips3D([kept], colors=[colour], radii=rr.Radius.ui_points(width)), static=True)
+
+
+def log_growing_path(
+    recording: rr.RecordingStream,
+    path: str,
+    time: np.ndarray,
+    points: np.ndarray,
+    bands: np.ndarray,
+    palette: Sequence[Colour],
+    **drawn: Any,
+) -> None:
+    """Log a path (sample, 3) piece by piece on the timeline; `bands` (sample,) are indices into the palette.
+
+    `drawn` has factor (the magnification), width [points of the screen] and full (all samples).
+    """
+    factor, width, full = drawn["factor"], drawn["width"], drawn["full"]
+    duration = float(time[-1] - time[0])
+    step = max(DRAW_STEP, duration / DRAW_STEPS)
+    edges = np.unique(np.searchsorted(time, np.arange(time[0], time[-1] + step, step)).clip(0, len(time) - 1))
+    kept = kept_points(points, min(COARSEST_TOLERANCE, PATH_TOLERANCE * factor), edges, duration, full)
+    if len(kept) < 2:
+        return
+    # a segment has the worst colour that occurs in it; equal neighbours within a step are one piece
+    segment = np.maximum.reduceat(bands, kept[:-1] + 1)
+    starts_piece = np.r_[True, (segment[1:] != segment[:-1]) | np.isin(kept[1:-1], edges)]
+    first = np.flatnonzero(starts_piece)
+    last = np.r_[first[1:], len(segment)]
+    strips = [points[kept[a : b + 1]] for a, b in zip(first, last)]
+    packed = np.array(palette, np.uint32) @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(0xFF)
+    recording.send_columns(
+        path, [rr.TimeColumn(TIMELINE, duration=time[kept[last]])], rr.LineStrips3D.columns(strips=strips, colors=packed[segment[first]])
+    )
+    recording.log(path, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width)), static=True)
+
+
+def kept_points(points: np.ndarray, tolerance: float, fixed: np.ndarray, duration: float, full: bool) -> np.ndarray:
+    """Indices of the points that hold the shape of a path within a tolerance, and of the `fixed` ones.
+
+    The tolerance doubles until the path has no more points than POINTS_PER_MINUTE allows; `full` keeps all points.
+    """
+    if full or len(points) < 3:
+        return np.arange(len(points))
+    most = max(LEAST_POINTS, int(POINTS_PER_MINUTE * duration / 60.0)) + len(fixed)
+    while True:
+        keep = np.zeros(len(points), bool)
+        keep[fixed] = True
+        keep_shape(points, tolerance, keep)
+        if keep.sum() <= most:
+            return np.flatnonzero(keep)
+        tolerance *= 2.0
+
+
+def log_legend(recording: rr.RecordingStream, path: str, scale: ErrorScale, of: str) -> None:
+    """Log the colour bar of the contour error: a picture of the bands, and the limits of the bands written below it."""
+    edges = scale.edges_um()
+    bar = np.repeat(np.repeat(np.array(ERROR_BANDS, np.uint8)[None], BAND_PIXELS[1], axis=0), BAND_PIXELS[0], axis=1)
+    digits = int(np.clip(np.ceil(-np.log10(edges[1])), 0, 4))
+    labels = [f"{edge:.{digits}f}" for edge in edges]
+    labels[-1] = f"> {edges[-1]:.{digits}f} um"
+    x = np.arange(len(edges)) * BAND_PIXELS[0]
+    recording.log(entity(path, "bands"), rr.Image(bar), static=True)
+    recording.log(
+        entity(path, "limits"),
+        rr.Points2D(
+            np.column_stack([x, np.full(len(x), BAND_PIXELS[1])]),
+            labels=labels,
+            colors=[(60, 64, 70)],
+            radii=rr.Radius.ui_points(1.5),
+            show_labels=True,
+        ),
+        rr.AnyValues(quantity=f"contour error of {of}", unit="um", limits=edges),
+        static=True,
+    )

@@ -1,0 +1,67 @@
+"""Read a recording back: what each entity holds, at which times. For tests, and for anyone who wants the numbers of a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twin.replay.names import TIMELINE
+from twin.replay.viewer import check_recording
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One component of an entity: times (row,) [s] (empty where it holds for all times) and its values row by row."""
+
+    time: np.ndarray
+    values: list[list]
+
+    @property
+    def array(self) -> np.ndarray:
+        """The first value of each row as (row,) or (row, size)."""
+        return np.array([row[0] for row in self.values])
+
+
+def read_recording(path: str | Path) -> dict[str, dict[str, Rows]]:
+    """Entity path -> component ('Scalars:scalars', 'Transform3D:translation', ...) -> rows, in the order of time."""
+    return _read(path, blueprint=False)
+
+
+def read_layout(path: str | Path) -> dict[str, dict[str, Rows]]:
+    """The same of the layout that the recording brings along."""
+    return _read(path, blueprint=True)
+
+
+def timelines(path: str | Path) -> set[str]:
+    """Names of all timelines."""
+    return {name for chunk in _chunks(path, False) for name in chunk.to_record_batch().schema.names if _is_timeline(chunk, name)}
+
+
+def _read(path: str | Path, blueprint: bool) -> dict[str, dict[str, Rows]]:
+    found: dict[str, dict[str, Rows]] = {}
+    for chunk in _chunks(path, blueprint):
+        batch = chunk.to_record_batch()
+        time = np.zeros(0)
+        if not chunk.is_static and TIMELINE in batch.schema.names:
+            time = batch.column(TIMELINE).cast("int64").to_numpy(zero_copy_only=False) * 1e-9
+        for name in batch.schema.names:
+            if ":" in name:
+                before = found.setdefault(chunk.entity_path, {}).get(name, Rows(np.zeros(0), []))
+                times, values = np.r_[before.time, time], before.values + batch.column(name).to_pylist()
+                order = np.argsort(times, kind="stable") if len(times) == len(values) else range(len(values))
+                found[chunk.entity_path][name] = Rows(np.sort(times), [values[i] for i in order])
+    return found
+
+
+def _chunks(path: str | Path, blueprint: bool) -> list:
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(check_recording(path))
+    stores = reader.blueprints() if blueprint else reader.recordings()
+    return [chunk for store in stores for chunk in reader.stream(store=store).to_chunks()]
+
+
+def _is_timeline(chunk, name: str) -> bool:  # type: ignore[no-untyped-def]
+    return not chunk.is_static and ":" not in name and not name.startswith("rerun.")

@@ -1,0 +1,186 @@
+"""Write a recording: the machine, its motion, tool paths, curves and events of one run, or of several over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.poses import local_poses
+from twin.replay.blueprint import Content, layout
+from twin.replay.curves import Curve, axis_curves, contour_curve, following_error
+from twin.replay.decimate import decimate
+from twin.replay.events import MOST_EVENTS, find_events
+from twin.replay.marks import log_events
+from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
+from twin.replay.scene import Scene, scene_bounds, scene_of
+from twin.replay.shapes import log_motion, log_scene
+from twin.replay.text import summary_text
+from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, path_extent, tool_paths_of
+from twin.trace import Trace
+
+POSES_PER_SECOND = 50.0
+"""Poses of the bodies; the viewer shows the latest one."""
+CURVE_POINTS_PER_MINUTE = 100_000
+"""Points of all curves together: at 25 bytes each half of the 5 MB that a minute may take."""
+LEAST_CURVE_POINTS = 15_000
+
+
+@dataclass(frozen=True)
+class Written:
+    """What `write_recording` wrote: bytes, largest contour error [m] and its time [s] of the main run, number of events."""
+
+    size: int
+    contour_error: float
+    contour_error_at: float
+    events: int
+
+
+def write_recording(
+    path: str | Path,
+    machine: Machine,
+    runs: Mapping[str, Trace],
+    *,
+    programmed: Trace | None = None,
+    summary: str = "",
+    full: bool = False,
+    events: bool = True,
+) -> Written:
+    """Write the runs (label -> trace) of one machine as a recording for the viewer.
+
+    The first run moves the machine; later ones are drawn over it, with their difference. `programmed` is the ideal path as
+    set points on the clock of the first run (default: its set points); `summary` is a table of plain text for the text panel.
+    `full` keeps every sample, else a minute takes at most 5 MB. Raises InputError for runs that cannot be shown.
+    """
+    _check(machine, runs)
+    main, trace = next(iter(runs.items()))
+    scene = scene_of(machine)
+    paths = tool_paths_of(scene, machine, runs, programmed)
+    found = find_events(machine, trace, paths.contours[main].error if paths else None) if events else []
+    with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
+        shapes = log_scene(recording, scene)
+        steps = pose_steps(trace.time, full)
+        log_motion(recording, scene, trace.time[steps], local_poses(scene.model, followed_joints(trace, steps)))
+        views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
+        curves = axis_curves(machine, runs)
+        for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
+            curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
+        log_curves(recording, curves, full)
+        marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
+        recording.log(SUMMARY, rr.TextDocument(summary_text(machine, runs, paths, found, summary), media_type="text/markdown"), static=True)
+        axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
+        extent = path_extent(paths) if paths else 0.0
+        content = Content(
+            scene_root=scene.body_paths[0],
+            part_frame=scene.part_path,
+            scene_bounds=np.array(scene_bounds(scene)),
+            curves=curves,
+            axes=axes,
+            paths=views,
+            first_path=paths.best_magnification(extent) if paths else 0,
+            first_axis=_busiest_axis(machine, trace),
+            legend=LEGEND if paths else "",
+            legend_title=f"contour error of {main} [um]" if paths else "",
+            has_events=bool(found),
+            states=marks,
+        )
+        recording.send_blueprint(layout(content))
+    worst = paths.contours[main] if paths else None
+    at = int(np.argmax(worst.error)) if worst else 0
+    return Written(Path(path).stat().st_size, float(worst.error[at]) if worst else 0.0, float(trace.time[at]), len(found))
+
+
+def write_motion(
+    path: str | Path, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], *, summary: str = "", full: bool = False
+) -> int:
+    """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]. Returns the bytes written."""
+    with recording_to(path, scene.name) as recording:
+        shapes = log_scene(recording, scene)
+        steps = pose_steps(time, full)
+        log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
+        views = log_tip_path(recording, scene, time, joints, shapes, full)
+        curves = motion_curves(scene, time, joints)
+        log_curves(recording, curves, full)
+        text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
+        recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        content = Content(
+            scene_root=scene.body_paths[0],
+            part_frame=scene.part_path,
+            scene_bounds=np.array(scene_bounds(scene)),
+            curves=curves,
+            axes=tuple(joints),
+            paths=views,
+        )
+        recording.send_blueprint(layout(content))
+    return Path(path).stat().st_size
+
+
+@contextmanager
+def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
+    """A recording that goes to a file, complete when the block ends; an unwritable place is an InputError."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("wb").close()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another file or folder") from None
+    recording = rr.RecordingStream(APPLICATION)
+    recording.set_log_time_enabled(False)
+    recording.save(path)
+    recording.send_recording_name(name)
+    try:
+        yield recording
+    finally:
+        recording.flush()
+        recording.disconnect()
+
+
+def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:
+    """Indices of the samples whose poses are logged: all, or so many a second, and the last."""
+    if full:
+        return np.arange(len(time))
+    duration = float(time[-1] - time[0])
+    stride = max(1, round((len(time) - 1) / max(duration * POSES_PER_SECOND, 1.0)))
+    return np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
+
+
+def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: bool) -> None:
+    """Log curves as columns, all together within the budget unless `full`, with their names and colours."""
+    if not curves:
+        return
+    duration = max(float(curve.time[-1] - curve.time[0]) for curve in curves)
+    budget = max(LEAST_CURVE_POINTS, int(CURVE_POINTS_PER_MINUTE * duration / 60.0))
+    kept = [np.arange(len(c.time)) for c in curves] if full else decimate([(c.time, c.values) for c in curves], budget)
+    for curve, steps in zip(curves, kept):
+        recording.log(curve.path, rr.SeriesLines(colors=[curve.colour], names=[curve.name]), static=True)
+        recording.send_columns(
+            curve.path, [rr.TimeColumn(TIMELINE, duration=curve.time[steps])], rr.Scalars.columns(scalars=curve.values[steps])
+        )
+
+
+def _busiest_axis(machine: Machine, trace: Trace) -> str:
+    """The axis whose following error is largest against its highest speed: the one to look at first."""
+    shares = {
+        axis.name: float(np.abs(error).max()) / axis.max_velocity
+        for axis in machine.axes
+        if (error := following_error(trace, axis.name)) is not None
+    }
+    return max(shares, key=lambda name: shares[name], default="")
+
+
+def _check(machine: Machine, runs: Mapping[str, Trace]) -> None:
+    if not runs:
+        raise InputError("recording: no run given; give at least one trace")
+    for label, trace in runs.items():
+        if len(trace.time) < 2:
+            raise InputError(f"recording: run '{label}' is empty; a run needs at least two samples")
+        for axis in trace.axes:
+            machine.axis(axis)
+        if not any(trace.has(axis, s) for axis in trace.axes for s in ("position", "motor_position", "setpoint")):
+            raise InputError(f"recording: run '{label}' has no position of any axis; it needs columns such as 'X.position [mm]'")

@@ -1,0 +1,208 @@
+"""What is seen: the bodies of a model as a tree of named places, and the shapes that each of them carries.
+
+A machine's looks come from its MJCF, its frames from the machine file (offsets, table height, tool length win there), so
+that pictures and simulation agree. Shapes stand in their body's frame; positions in m, quaternions (w, x, y, z).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.plant import compile_model, load_spec
+from twin.poses import rotate
+from twin.replay.names import entity
+
+ROOT = "machine"
+LAST_SEEN_GROUP = 2
+"""Geoms of groups above are for collision or marks; MuJoCo's own viewer hides them too."""
+_UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One thing to draw: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
+
+    `size` (3,) [m]: half edges of a box, radii of an ellipsoid, (radius, half length, -) along z of cylinder and capsule.
+    """
+
+    body: int
+    name: str
+    kind: str
+    position: np.ndarray
+    quaternion: np.ndarray
+    colour: tuple[int, int, int, int]
+    size: np.ndarray
+    vertices: np.ndarray | None = None
+    faces: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Bodies (`model` holds their tree and joints), where each lies among the entities, and the shapes.
+
+    `tool` and `part` are sites of the model, -1 where it has none: then the tip is the end of the longest chain of joints
+    and the path is drawn in the world.
+    """
+
+    name: str
+    model: mujoco.MjModel
+    body_paths: tuple[str, ...]
+    shapes: tuple[Shape, ...]
+    tool: int
+    part: int
+    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    """Joints that follow another one: joint -> (other, factor, offset)."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the slides and hinges."""
+        kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+        return tuple(self.model.joint(j).name for j in range(self.model.njnt) if mujoco.mjtJoint(self.model.jnt_type[j]) in kinds)
+
+    @property
+    def tip_body(self) -> int:
+        """The body that carries the tool, or else the body with the most joints above it."""
+        if self.tool >= 0:
+            return int(self.model.site_bodyid[self.tool])
+        depth = np.zeros(self.model.nbody, int)
+        for body in range(1, self.model.nbody):
+            depth[body] = depth[self.model.body_parentid[body]] + self.model.body_jntnum[body]
+        return int(np.argmax(depth))
+
+    @property
+    def part_path(self) -> str:
+        """Entity of the part frame, below which tool paths are drawn."""
+        if self.part < 0:
+            return entity(self.body_paths[0], "part_frame")
+        return entity(self.body_paths[self.model.site_bodyid[self.part]], "part_frame")
+
+
+def scene_of(machine: Machine) -> Scene:
+    """The scene of a machine file."""
+    scene = scene_from_mjcf(machine.model_path, machine.name)
+    # frames as they are simulated; a body that an effect adds has no looks
+    plant, seen = compile_model(machine), scene.model
+    for body in range(1, seen.nbody):
+        same = mujoco.mj_name2id(plant, mujoco.mjtObj.mjOBJ_BODY, seen.body(body).name)
+        if same >= 0:
+            seen.body_pos[body], seen.body_quat[body] = plant.body_pos[same], plant.body_quat[same]
+    for site in range(seen.nsite):
+        same = mujoco.mj_name2id(plant, mujoco.mjtObj.mjOBJ_SITE, seen.site(site).name)
+        if same >= 0:
+            seen.site_pos[site], seen.site_quat[site] = plant.site_pos[same], plant.site_quat[same]
+    return scene
+
+
+def scene_from_mjcf(path: Path, name: str | None = None) -> Scene:
+    """The scene of any MJCF file."""
+    spec = load_spec(path)
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: MuJoCo cannot compile this model: {' '.join(str(error).split())}; correct it there") from None
+    shapes = [shape for geom in range(model.ngeom) if (shape := _geom_shape(model, geom)) is not None]
+    sites = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in ("tool", "workpiece")]
+    return Scene(name or path.stem, model, body_paths(model), tuple(shapes), *sites)
+
+
+def body_paths(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Entity path of each body below its parent's; the world is the root."""
+    paths = [f"/{ROOT}"]
+    for body in range(1, model.nbody):
+        paths.append(entity(paths[model.body_parentid[body]], model.body(body).name or f"body_{body}"))
+    return tuple(paths)
+
+
+def shape_path(scene: Scene, shape: Shape) -> str:
+    """Entity path of a shape below its body; a body of the same name has the right of way."""
+    path = entity(scene.body_paths[shape.body], shape.name)
+    return path if path not in scene.body_paths else entity(scene.body_paths[shape.body], f"{shape.name}_shape")
+
+
+def scene_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (3,) of all shapes in the reference pose [m]."""
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(scene.model, data)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for shape in scene.shapes:
+        corners = shape.vertices if shape.vertices is not None else _box_corners(shape)
+        points = rotate(shape.quaternion[None], corners) + shape.position
+        points = points @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
+        low, high = np.minimum(low, points.min(0)), np.maximum(high, points.max(0))
+    return (low, high) if scene.shapes else (np.full(3, -0.5), np.full(3, 0.5))
+
+
+def _box_corners(shape: Shape) -> np.ndarray:
+    size = shape.size
+    if shape.kind in ("cylinder", "capsule"):
+        size = np.array([size[0], size[0], size[1] + (size[0] if shape.kind == "capsule" else 0.0)])
+    return size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
+    """One geom; None for what is not drawn (hidden groups, transparent, the endless floor)."""
+    kinds = mujoco.mjtGeom
+    kind, size = kinds(model.geom_type[geom]), model.geom_size[geom].copy()
+    rgba = model.geom_rgba[geom]
+    if model.geom_matid[geom] >= 0 and np.allclose(rgba, _UNSET_COLOUR):
+        rgba = model.mat_rgba[model.geom_matid[geom]]
+    if model.geom_group[geom] > LAST_SEEN_GROUP or rgba[3] == 0.0:
+        return None
+    vertices = faces = None
+    if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
+        word, (vertices, faces) = "mesh", _mesh(model, model.geom_dataid[geom])
+    elif kind == kinds.mjGEOM_HFIELD:
+        word, (vertices, faces) = "mesh", _height_field(model, model.geom_dataid[geom])
+    elif kind == kinds.mjGEOM_PLANE:
+        if not np.all(size[:2] > 0.0):
+            return None
+        word, size = "box", np.array([size[0], size[1], 1e-4])
+    elif kind == kinds.mjGEOM_SPHERE:
+        word, size = "ellipsoid", np.full(3, size[0])
+    else:
+        words = {
+            kinds.mjGEOM_BOX: "box",
+            kinds.mjGEOM_CYLINDER: "cylinder",
+            kinds.mjGEOM_CAPSULE: "capsule",
+            kinds.mjGEOM_ELLIPSOID: "ellipsoid",
+        }
+        if kind not in words:
+            return None
+        word = words[kind]
+    red, green, blue, alpha = np.rint(255 * np.clip(rgba, 0.0, 1.0)).astype(int).tolist()
+    name = model.geom(geom).name or f"{word}_{geom}"
+    return Shape(
+        int(model.geom_bodyid[geom]),
+        name,
+        word,
+        model.geom_pos[geom],
+        model.geom_quat[geom],
+        (red, green, blue, alpha),
+        size,
+        vertices,
+        faces,
+    )
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first_face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    return model.mesh_vert[first : first + count].astype(float), model.mesh_face[first_face : first_face + faces]
+
+
+def _height_field(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    x, y, z, _ = model.hfield_size[field]
+    first = model.hfield_adr[field]
+    heights = model.hfield_data[first : first + rows * columns] * z
+    gx, gy = np.meshgrid(np.linspace(-x, x, columns), np.linspace(-y, y, rows))
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    faces = np.vstack([np.c_[corner, corner + 1, corner + columns], np.c_[corner + 1, corner + columns + 1, corner + columns]])
+    return np.column_stack([gx.ravel(), gy.ravel(), heights]), faces

@@ -1,0 +1,147 @@
+"""Shapes as viewer entities, and the motion of their bodies as columns of transforms.
+
+Everything is drawn as a lit mesh or a solid of the viewer; a body's transform is parent_from_body, logged only where it moves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from twin.poses import Pose
+from twin.replay.names import TIMELINE, entity
+from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
+
+CREASE = np.cos(np.radians(35.0))
+"""Faces that meet at a flatter angle share a normal and look round."""
+SAME_POSE = 1e-9
+"""Poses that differ by less [m, 1] are one: a body that rests is logged where it comes to rest and where it leaves."""
+SMOOTH_FACES = 30_000
+"""Meshes with more faces are drawn with one normal per vertex: creases would multiply their size."""
+
+
+def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
+    """Log what does not change: shapes, part frame, offsets of fixed bodies. Returns the entity paths of the shapes."""
+    recording.log(scene.body_paths[0], rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    paths = []
+    for shape in scene.shapes:
+        path = shape_path(scene, shape)
+        recording.log(path, drawable(shape), static=True)
+        paths.append(path)
+    if scene.part >= 0:
+        model, site = scene.model, scene.part
+        recording.log(
+            scene.part_path,
+            rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0]),
+            static=True,
+        )
+    # the part frame as three arrows: x red, y green, z blue
+    low, high = scene_bounds(scene)
+    length = 0.05 * float(np.linalg.norm(high - low))
+    recording.log(
+        entity(scene.part_path, "axes"),
+        rr.Arrows3D(
+            vectors=np.eye(3) * length,
+            colors=[(226, 74, 51), (46, 160, 67), (56, 128, 240)],
+            radii=length / 40,
+            labels=["x", "y", "z"],
+            show_labels=False,
+        ),
+        static=True,
+    )
+    return paths
+
+
+def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, local: list[Pose]) -> None:
+    """Log parent_from_body at times (sample,) [s]: columns where it moves, once for what does not."""
+    for path, moving in zip(scene.body_paths[1:], local[1:]):
+        steps = moving_steps(moving)
+        pose = moving.at(steps)
+        if len(steps) == 1:
+            pose = Pose(pose.position[:1], pose.quaternion[:1])
+        moves, turns = len(pose.position) > 1, len(pose.quaternion) > 1
+        if not (moves or turns):
+            recording.log(path, rr.Transform3D(translation=pose.position[0], quaternion=_xyzw(pose.quaternion)[0]), static=True)
+            continue
+        columns: dict[str, Any] = {}
+        if moves or np.any(pose.position):
+            columns["translation"] = np.broadcast_to(pose.position, (len(steps), 3))
+        if turns or np.any(pose.quaternion[0, 1:]):
+            columns["quaternion"] = np.broadcast_to(_xyzw(pose.quaternion), (len(steps), 4))
+        recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Transform3D.columns(**columns))
+
+
+def moving_steps(pose: Pose) -> np.ndarray:
+    """Indices of the samples to log of a pose: those that differ from a neighbour; one if nothing ever moves."""
+    count = max(len(pose.position), len(pose.quaternion))
+    if count == 1:
+        return np.zeros(1, int)
+    differs = np.zeros(count - 1, bool)
+    for part in (pose.position, pose.quaternion):
+        if len(part) > 1:
+            differs |= np.any(np.abs(np.diff(part, axis=0)) > SAME_POSE, axis=1)
+    return np.flatnonzero(np.r_[True, differs] | np.r_[differs, False])
+
+
+def drawable(shape: Shape) -> rr.AsComponents:
+    """The viewer's archetype of a shape."""
+    place: dict[str, Any] = {"colors": [shape.colour], "fill_mode": "solid"}
+    if np.any(shape.quaternion[1:]):
+        place["quaternions"] = _xyzw(shape.quaternion[None])
+    if shape.kind == "box":
+        return rr.Boxes3D(half_sizes=[shape.size], centers=[shape.position], **place)
+    if shape.kind == "ellipsoid":
+        return rr.Ellipsoids3D(half_sizes=[shape.size], centers=[shape.position], **place)
+    if shape.kind == "cylinder":
+        return rr.Cylinders3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], centers=[shape.position], **place)
+    if shape.kind == "capsule":
+        # the viewer's capsule stands on its lower centre
+        return rr.Capsules3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], translations=[_lower_end(shape)], **place)
+    assert shape.vertices is not None
+    assert shape.faces is not None
+    vertices, normals, faces = with_normals(shape.vertices, shape.faces)
+    pose = Pose(shape.position[None], shape.quaternion[None])
+    turned = Pose(np.zeros((1, 3)), shape.quaternion[None])
+    return rr.Mesh3D(
+        vertex_positions=pose.apply(vertices), vertex_normals=turned.apply(normals), triangle_indices=faces, albedo_factor=shape.colour
+    )
+
+
+def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, normals and faces of a mesh that is smooth over flat angles and sharp over creases.
+
+    vertices (n, 3), faces (f, 3). Corners of a crease get a vertex of their own; large meshes keep their vertices.
+    """
+    corners = vertices[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
+    if len(faces) > SMOOTH_FACES:
+        normals = np.zeros_like(vertices)
+        for corner in range(3):
+            np.add.at(normals, faces[:, corner], area)
+        return vertices, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300), faces
+    # vertices at one place count as one, then each corner takes the mean of the faces there that are nearly its own
+    _, place = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
+    at = place.ravel()[faces].ravel()
+    face_of = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(at, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(at[order]) > 0])
+    normals = np.empty((3 * len(faces), 3))
+    for group in np.split(order, starts[1:]):
+        mine, own = flat[face_of[group]], area[face_of[group]]
+        normals[group] = (mine @ mine.T > CREASE).astype(float) @ own
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    # corners that agree in place and normal are one vertex
+    unique, index = np.unique(np.hstack([corners.reshape(-1, 3), np.round(normals, 6)]), axis=0, return_inverse=True)
+    return unique[:, :3], unique[:, 3:], index.reshape(-1, 3)
+
+
+def _lower_end(shape: Shape) -> np.ndarray:
+    return Pose(shape.position[None], shape.quaternion[None]).apply(np.array([[0.0, 0.0, -shape.size[1]]]))[0]
+
+
+def _xyzw(quaternion: np.ndarray) -> np.ndarray:
+    """Quaternions (sample, 4) in the viewer's order."""
+    return quaternion[:, [1, 2, 3, 0]]

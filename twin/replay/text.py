@@ -1,0 +1,87 @@
+"""The text panel of a recording: what was run, how well it was followed, where the worst places are, what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.machine import Machine
+from twin.replay.curves import following_error, not_recorded, setpoint_difference
+from twin.replay.events import KINDS, MOST_EVENTS, Event
+from twin.trace import Trace
+from twin.units import AXIS_UNITS
+
+if TYPE_CHECKING:
+    from twin.replay.toolpaths import ToolPaths
+
+SETPOINTS_EQUAL = {"linear": 1e-6, "rotary": 1e-6}
+"""Set points of two runs that differ by less count as equal: rounding of a recording [m, rad]."""
+
+
+def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths | None, events: Sequence[Event], summary: str) -> str:
+    """The panel as markdown; `summary` is a table of plain text that the caller wants to see there."""
+    parts = [f"# {machine.name}"]
+    for order, (label, trace) in enumerate(runs.items()):
+        lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, sampled every {trace.period * 1e3:g} ms"]
+        if paths:
+            error = paths.contours[label].error
+            worst = int(np.argmax(error))
+            rms = np.sqrt(np.mean(error**2))
+            colours = "" if order else " (colours of the tool path)"
+            lines.append(
+                f"**Contour error** largest {error[worst] * 1e6:.2f} um at {trace.time[worst]:.3f} s, RMS {rms * 1e6:.2f} um{colours}"
+            )
+        table = _axis_table(machine, trace)
+        if table:
+            lines.append(table)
+        missing = not_recorded(trace, machine)
+        if missing:
+            lines.append("Not recorded, so not shown: " + "; ".join(missing))
+        parts.append("\n\n".join(lines))
+    labels = list(runs)
+    for label in labels[1:]:
+        parts.append(_overlay_text(machine, runs[labels[0]], runs[label], labels[0], label))
+    if events:
+        counts = ", ".join(f"{sum(e.kind == kind for e in events)} {kind}" for kind in KINDS if any(e.kind == kind for e in events))
+        if len(events) > MOST_EVENTS:
+            counts += f" (the first {MOST_EVENTS} are marked)"
+        parts.append(f"**Events** {counts or 'none'}. A click on a time in the list *Events* goes there.")
+    if paths:
+        reference = "the programmed path" if paths.programmed is not None else "the path of the set points"
+        parts.append(
+            f"The contour error is the distance of the tool point from {reference}, in the frame of the part. The views *x100* and *x1000* "
+            "magnify this deviation and leave that path as it is."
+        )
+    if summary:
+        parts.append(f"```\n{summary.strip()}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def _axis_table(machine: Machine, trace: Trace) -> str:
+    rows = []
+    for axis in machine.axes:
+        error = following_error(trace, axis.name)
+        if error is None:
+            continue
+        unit, factor = AXIS_UNITS[axis.kind].error
+        current = f"{np.abs(trace.get(axis.name, 'current')).max():.1f}" if trace.has(axis.name, "current") else "-"
+        rows.append(
+            f"| {axis.name} | {np.abs(error).max() * factor:.2f} | {np.sqrt(np.mean(error**2)) * factor:.2f} | {unit} | {current} |"
+        )
+    if not rows:
+        return ""
+    return "\n".join(["| axis | following error, largest | RMS | | current, A |", "|---|---:|---:|---|---:|", *rows])
+
+
+def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:
+    """What the difference of two runs means."""
+    amount, axis, at = setpoint_difference(machine, first, second)
+    if not axis or amount <= SETPOINTS_EQUAL[machine.axis(axis).kind]:
+        return f"**{other} - {label}** has the same set points; curves of *{other}* are the lighter ones."
+    unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
+    return (
+        f"**{other} - {label}**: the set points differ by up to {amount * factor:.3g} {unit} ({axis} at {at:.3f} s), "
+        "and the difference of the runs holds that too."
+    )

@@ -1,0 +1,165 @@
+"""Any robot or machine described by a URDF, as a scene: its tree brought to the engine's form, its meshes read.
+
+Links become bodies, revolute and continuous joints hinges, prismatic ones slides, the others are rigid. Only what is seen is
+read: masses and collision shapes are not needed to replay a motion.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from twin.errors import InputError
+from twin.replay.scene import Scene, Shape, body_paths
+
+_GREY = (160, 164, 170, 255)
+_KINDS = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
+_MASS = 1.0
+"""Every body needs a mass to compile; nothing here is simulated."""
+
+
+def scene_from_urdf(path: Path) -> Scene:
+    """The scene of a URDF file; a file that cannot be read or lacks a mesh is an InputError."""
+    from yourdfpy import URDF  # type: ignore[import-untyped]
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a URDF")
+    # the reader reports a missing mesh in the log and goes on; here it is an error, found below
+    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
+    try:
+        robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
+    except Exception as error:
+        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it there") from None
+    if not robot.link_map:
+        raise InputError(f"{path}: not a URDF: it has no link; give a robot description")
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    children = {joint.child for joint in robot.joint_map.values()}
+    roots = [name for name in robot.link_map if name not in children]
+    if not roots:
+        raise InputError(f"{path}: its joints form a circle; one link must have no parent")
+    bodies: dict[str, Any] = {}
+    for root in roots:
+        bodies[root] = _add_body(spec.worldbody, root, np.eye(4))
+    # parents before children, whatever the order of the file
+    waiting = list(robot.joint_map.values())
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent in bodies]
+        if not ready:
+            raise InputError(
+                f"{path}: joint '{waiting[0].name}' hangs on link '{waiting[0].parent}', which does not exist or hangs on itself"
+            )
+        for joint in ready:
+            body = _add_body(bodies[joint.parent], joint.child, joint.origin if joint.origin is not None else np.eye(4))
+            _add_joint(body, joint)
+            bodies[joint.child] = body
+        waiting = [joint for joint in waiting if joint not in ready]
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: this tree cannot be built: {' '.join(str(error).split())}; correct it there") from None
+    shapes = [shape for name, link in robot.link_map.items() for shape in _shapes(link, model.body(name).id, robot, path)]
+    mimics = {
+        j.name: (j.mimic.joint, 1.0 if j.mimic.multiplier is None else float(j.mimic.multiplier), float(j.mimic.offset or 0.0))
+        for j in robot.joint_map.values()
+        if j.mimic
+    }
+    return Scene(robot.robot.name or path.stem, model, body_paths(model), tuple(shapes), -1, -1, mimics)
+
+
+def _add_body(parent: Any, name: str, parent_from_child: np.ndarray) -> Any:
+    return parent.add_body(
+        name=name,
+        pos=parent_from_child[:3, 3],
+        quat=_quaternion(parent_from_child[:3, :3]),
+        mass=_MASS,
+        inertia=[_MASS] * 3,
+        explicitinertial=True,
+    )
+
+
+def _add_joint(body: Any, joint: Any) -> None:
+    if joint.type not in _KINDS:
+        return
+    axis = np.asarray(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
+    added = body.add_joint(name=joint.name, type=_KINDS[joint.type], axis=axis / np.linalg.norm(axis))
+    if joint.limit is not None and joint.limit.lower is not None and joint.limit.upper is not None and joint.type != "continuous":
+        added.range = [joint.limit.lower, joint.limit.upper]
+        added.limited = True
+
+
+def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
+    shapes = []
+    for i, visual in enumerate(link.visuals):
+        place = visual.origin if visual.origin is not None else np.eye(4)
+        name = visual.name or f"{link.name}_{i}"
+        geometry, size, vertices, faces = visual.geometry, np.zeros(3), None, None
+        if geometry.box is not None:
+            kind, size = "box", np.asarray(geometry.box.size, float) / 2.0
+        elif geometry.cylinder is not None:
+            kind, size = "cylinder", np.array([geometry.cylinder.radius, geometry.cylinder.length / 2.0, 0.0])
+        elif geometry.sphere is not None:
+            kind, size = "ellipsoid", np.full(3, float(geometry.sphere.radius))
+        elif geometry.mesh is not None:
+            kind, (vertices, faces) = "mesh", _mesh(geometry.mesh, link.name, path)
+        else:
+            continue
+        colour = _colour(visual.material, robot)
+        shapes.append(Shape(body, name, kind, place[:3, 3].copy(), _quaternion(place[:3, :3]), colour, size, vertices, faces))
+    return shapes
+
+
+def _mesh(mesh: Any, link: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    file = _mesh_file(mesh.filename, path)
+    if file is None:
+        raise InputError(f"{path}: link '{link}': no mesh '{mesh.filename}' beside the file; copy it there or correct the name")
+    try:
+        read: Any = trimesh.load(str(file), force="mesh", process=False)
+        vertices, faces = np.asarray(read.vertices, float), np.asarray(read.faces, np.int64)
+    except Exception as error:
+        raise InputError(
+            f"{file}: not a readable mesh ({' '.join(str(error).split())[:120]}); export it again as STL, OBJ or DAE"
+        ) from None
+    if not len(faces):
+        raise InputError(f"{file}: the mesh has no face; export it again")
+    scale = 1.0 if mesh.scale is None else np.asarray(mesh.scale, float)
+    return vertices * scale, faces
+
+
+def _mesh_file(name: str, path: Path) -> Path | None:
+    """The file of a mesh: as named, or for `package://a/b/c` below any folder above the URDF."""
+    plain = name.removeprefix("file://")
+    if not name.startswith("package://"):
+        return next((file for file in (path.parent / plain, Path(plain)) if file.is_file()), None)
+    package, _, rest = name.removeprefix("package://").partition("/")
+    for folder in path.resolve().parents:
+        for file in (folder / package / rest, folder / rest):
+            if file.is_file():
+                return file
+    return None
+
+
+def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:
+    """Colour of a material, given there or by name at the top of the file."""
+    if material is None:
+        return _GREY
+    colour = material.color
+    if colour is None:
+        named = {m.name: m for m in robot.robot.materials}
+        colour = named[material.name].color if material.name in named else None
+    if colour is None:
+        return _GREY
+    red, green, blue, alpha = np.rint(255 * np.clip(np.asarray(colour.rgba, float), 0.0, 1.0)).astype(int).tolist()
+    return red, green, blue, alpha
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
+    return quaternion

@@ -1,0 +1,234 @@
+"""The viewer: a window, a page in the browser, or a picture without a display. Nothing listens beyond this computer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import io
+import os
+from pathlib import Path
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from typing import Any
+import urllib.parse
+import warnings
+
+from twin.errors import InputError
+
+LOCAL = "127.0.0.1"
+WEB_PORT = 9090
+START_SECONDS = 30.0
+"""A viewer that does not answer for so long will not come."""
+COMPLETE_SECONDS = 60.0
+"""A picture that is not complete after so long is an error."""
+SETTLE_SECONDS = 0.4
+"""Between two pictures that must be equal to count as complete."""
+TOP_BAR = 37
+"""Height of the viewer's own menu in a picture [pixels]; it is cut off."""
+_NO_DRIVER = "the viewer cannot draw here: no Vulkan driver was found; on Debian and Ubuntu: apt-get install mesa-vulkan-drivers"
+
+
+def check_recording(path: str | Path) -> Path:
+    """The path of a complete recording, or an InputError that says what the file is instead."""
+    from rerun.chunk import RrdReader
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such recording; give an .rrd file or the folder of a run")
+    try:
+        head = path.open("rb").read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    if not head:
+        raise InputError(f"{path}: the recording is empty; write it again with twin run")
+    if head != b"RRF2":
+        raise InputError(f"{path}: not a recording; give an .rrd file written by twin, or a trace (.parquet, .csv)")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # an .rrd without its closing table was cut off: the reader only warns
+            recordings = RrdReader(path).recordings()
+    except (RuntimeError, ValueError, Warning):
+        raise InputError(f"{path}: the recording is truncated or damaged; write it again with twin run") from None
+    if not recordings:
+        raise InputError(f"{path}: the file holds a layout but no recording; give the recording of a run")
+    return path
+
+
+def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
+    """Open recordings in a window of the viewer; returns at once."""
+    files = _checked(paths)
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("no display to open the viewer on; use --serve for the browser or --screenshot FILE for a picture")
+    command = [*_executable(), *map(str, files), "--bind", LOCAL, "--port", "auto"]
+    subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> None:
+    """Offer recordings to browsers of this computer until the user stops it."""
+    files = _checked(paths)
+    _check_port(port)
+    data = free_port()
+    arguments = ["--serve-web", "--web-viewer-port", str(port), "--port", str(data), "--bind", LOCAL, *map(str, files)]
+    with _ended_by_signal(), _viewer(arguments, quiet=True) as process:
+        source = urllib.parse.quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
+        print(f"open http://{LOCAL}:{port}/?url={source} in a browser; Ctrl-C ends", flush=True)
+        try:
+            code = process.wait()
+        except KeyboardInterrupt:
+            return
+    raise InputError(f"the web viewer ended by itself with code {code}; try another --port")
+
+
+@contextmanager
+def _ended_by_signal() -> Iterator[None]:
+    """A request to end is taken like Ctrl-C, so that the viewer process ends too."""
+
+    def stop(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def screenshot(
+    paths: str | Path | Sequence[str | Path], out: str | Path, at_s: float | None = None, size: tuple[int, int] = (1920, 1080)
+) -> Path:
+    """Render the view of recordings at a time (default: their end) to a PNG, without a display.
+
+    The first pictures of a viewer are incomplete; it is asked until two are equal.
+    """
+    from PIL import Image
+    from rerun.experimental import ViewerClient
+
+    files, out = _checked(paths), Path(out)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: a screenshot is written as .png; give the file this ending")
+    width, height = size
+    port = free_port()
+    with _viewer(
+        ["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", f"{width}x{height + TOP_BAR}"],
+        quiet=True,
+    ) as process:
+        client = _connected(ViewerClient, port, process)
+        try:
+            client.open([str(file.resolve()) for file in files])
+            picture = _complete_picture(client, at_s)
+        except (OSError, RuntimeError) as error:
+            # a viewer without a driver listens for a moment before it gives up
+            if _ended(process):
+                raise InputError(_NO_DRIVER) from None
+            raise InputError(f"the viewer failed: {' '.join(str(error).split())[:200]}; try again, or --serve") from None
+    image = Image.open(io.BytesIO(picture)).convert("RGB")
+    bar = round(TOP_BAR * image.height / (height + TOP_BAR))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        image.crop((0, bar, image.width, image.height)).save(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror or error}); choose another file or folder") from None
+    return out
+
+
+def free_port() -> int:
+    """A port on this computer that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind((LOCAL, 0))
+        return int(probe.getsockname()[1])
+
+
+def _complete_picture(client: Any, at_s: float | None) -> bytes:
+    deadline = time.monotonic() + COMPLETE_SECONDS
+    state = client.get_state()
+    while state.loading or not any(recording.timelines for recording in state.recordings):
+        _wait(deadline)
+        state = client.get_state()
+    timeline = next(t for recording in state.recordings for t in recording.timelines if t.name == "time")
+    start, end = timeline.start * 1e-9, timeline.end * 1e-9
+    if at_s is not None and not start <= at_s <= end:
+        raise InputError(f"--at {at_s:g} lies outside the recording, which goes from {start:g} to {end:.6g} s")
+    last = b""
+    while True:
+        client.set_time("time", duration=end if at_s is None else at_s, play_state="paused")
+        picture = client.take_screenshot()
+        if picture == last:
+            return picture
+        last = picture
+        _wait(deadline)
+
+
+def _wait(deadline: float) -> None:
+    if time.monotonic() > deadline:
+        raise InputError(f"the viewer did not complete its picture within {COMPLETE_SECONDS:g} s; try a shorter recording")
+    time.sleep(SETTLE_SECONDS)
+
+
+def _connected(client: Any, port: int, process: subprocess.Popen[bytes]) -> Any:
+    """A client of a viewer that is just starting."""
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            viewer = client.connect(f"rerun+http://{LOCAL}:{port}/proxy")
+            viewer.get_state()
+            return viewer
+        except Exception:
+            time.sleep(0.1)
+    raise InputError(_NO_DRIVER)
+
+
+def _ended(process: subprocess.Popen[bytes]) -> bool:
+    """Has the viewer ended by itself, now or within a moment?"""
+    try:
+        process.wait(2.0)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+@contextmanager
+def _viewer(arguments: list[str], quiet: bool = False) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer process that ends with the block."""
+    # CI=1: a viewer nobody sits at sends no usage statistics
+    environment = {**os.environ, "CI": "1", "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", tempfile.gettempdir())}
+    output = subprocess.DEVNULL if quiet else None
+    process = subprocess.Popen(
+        [*_executable(), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, start_new_session=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGTERM)
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def _executable() -> list[str]:
+    """The viewer that came with the installed package, not another one on the path."""
+    import rerun_cli
+
+    binary = Path(rerun_cli.__file__).parent / ("rerun.exe" if os.name == "nt" else "rerun")
+    return [str(binary)] if binary.is_file() else [sys.executable, "-m", "rerun_cli"]
+
+
+def _check_port(port: int) -> None:
+    with socket.socket() as probe:
+        try:
+            probe.bind((LOCAL, port))
+        except (OSError, OverflowError):
+            raise InputError(f"--port {port}: cannot be used on this computer; choose another") from None
+
+
+def _checked(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    return [check_recording(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
