@@ -10,10 +10,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.effects.effect import Setting, settings_of
+from twin.effects.effect import EFFECTS, Setting, settings_of
+from twin.errors import InputError
 from twin.machine import Axis, Machine
-from twin.plant import ModelEdit, build_plant, full_inertia
+from twin.plant import ModelEdit, Plant, build_plant, full_inertia
 from twin.terms import FORCE, Term, X_LOAD_FORCE, arrays, term
+
+FASTEST_MODE = 1.5
+"""Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
 
 REST_FORCE = 1e-6
 """A held force below this fraction of Coulomb friction presses no flank: the gap is centred."""
@@ -117,6 +121,16 @@ class Change:
         axis = self.machine.axes[index]
         return self.couplings[axis.name].rotor_offset(held, axis.coulomb_friction)
 
+    def check_step(self, axis: Axis, what: str, stiffness: float, mass: float) -> None:
+        """Refuse a spring that swings faster than the base tick can follow."""
+        h = self.machine.base_tick
+        w = math.sqrt(stiffness / mass)
+        if w * h > FASTEST_MODE:
+            raise InputError(
+                f"{what} on axis {axis.name}: stiffness {stiffness:g} swings at {w / (2 * math.pi):.0f} Hz, too fast for a tick of "
+                f"{h * 1e6:g} us; give at most {(FASTEST_MODE / h) ** 2 * mass:.3g}, or leave the effect out"
+            )
+
     @property
     def split_axes(self) -> tuple[str, ...]:
         """Axes whose rotor turns on a joint of its own."""
@@ -125,17 +139,30 @@ class Change:
 
 def load_inertia(machine: Machine, axis: Axis) -> float:
     """Mass or inertia of an axis' load alone, without rotor, in the home pose [kg, kg m2]."""
+    plant = _at_home(machine)
+    total = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof[machine.axis_names.index(axis.name)]]
+    return float(total - axis.reflected_inertia)
+
+
+def held_force(machine: Machine, axis: Axis) -> float:
+    """Force that holds an axis against gravity in the home pose [N, Nm]."""
+    plant = _at_home(machine)
+    return float(plant.data.qfrc_bias[plant.load_dof[machine.axis_names.index(axis.name)]])
+
+
+def _at_home(machine: Machine) -> Plant:
     plant = build_plant(machine)
     plant.data.qpos[:] = 0.0
     mujoco.mj_forward(plant.model, plant.data)
-    total = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof[machine.axis_names.index(axis.name)]]
-    return float(total - axis.reflected_inertia)
+    return plant
 
 
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Put the machine's effects on it; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
-    for setting in settings_of(machine):
+    # in the order of the library: a machine with the same effects in another order is the same machine
+    order = list(EFFECTS)
+    for setting in sorted(settings_of(machine), key=lambda s: order.index(s.effect.name)):
         if not setting.is_nil:
             source = {"from_axis": change.machine.axis(setting.from_axis)} if setting.from_axis else {}
             setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)
@@ -145,6 +172,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
         for name, c in change.couplings.items():
             axis = change.machine.axis(name)
             mass = change.reduced_mass(axis)
+            change.check_step(axis, "backlash" if c.clearance else "transmission_compliance", c.stiffness, mass)
             h = change.machine.base_tick
             # the damper decays the relative speed exactly over a tick: stable for any damping
             rate = c.damping * h / mass

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from twin.effects.change import Change
+from twin.effects.change import Change, held_force
 from twin.effects.effect import Parameter, effect
-from twin.machine import Axis
+from twin.errors import InputError
+from twin.machine import Axis, Machine
 from twin.terms import CURRENT, SETPOINT, X_CURRENT_SETPOINT, X_SETPOINT, arrays, term
 
 
@@ -53,7 +54,12 @@ def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
     Sinumerik equivalent time of the speed loop (MD32810).
     """
     delay = axis.loops.position_delay_s + delay_s
-    change.set(axis, position_delay_s=max(delay, 0.0))
+    if delay < 0.0:
+        raise InputError(
+            f"loop_delay on axis {axis.name}: delay_s = {delay_s:g} s takes away more than the {axis.loops.position_delay_s:g} s that the "
+            f"set point has; give at least {-axis.loops.position_delay_s:g}"
+        )
+    change.set(axis, position_delay_s=delay)
 
 
 @effect(block="speed controller", parameters=(_factor(0.2, 2.5, (0.6, 1.4)),))
@@ -100,8 +106,10 @@ def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     change.add_term(lagged_current, CURRENT, axis, [-math.expm1(-change.machine.current_cycle / time_constant_s)])
 
 
-def _reached_when_accelerating(machine, axis):  # type: ignore[no-untyped-def]
-    return (0.1 * axis.motor.peak_current_a, 0.5 * axis.motor.peak_current_a)
+def _reached_when_accelerating(machine: Machine, axis: Axis) -> tuple[float, float]:
+    # what holds the axis against gravity is not there to accelerate
+    holding = abs(held_force(machine, axis)) * axis.ratio / axis.motor.torque_constant_nm_per_a
+    return (holding + 0.1 * axis.motor.peak_current_a, 0.5 * axis.motor.peak_current_a)
 
 
 @effect(

@@ -48,7 +48,7 @@ class Parameter:
     `low`, `high` are the bounds that are accepted; `usual` the range that is found; `default` is for parameters that only
     shape the effect (None: must be given, unless the unit computes it); `shape` ones are not what the effect is about;
     `neutral` is the value at which the effect is nil; `logarithmic` says that sizes are compared by ratio;
-    `periodic` is an angle.
+    `periodic` is an angle; `fitted` gives the start of a shape that a fit should find, from the other values.
     """
 
     name: str
@@ -61,6 +61,7 @@ class Parameter:
     neutral: float | None = None
     logarithmic: bool = False
     periodic: bool = False
+    fitted: Callable[[Machine, Axis, Mapping[str, float]], float] | None = None
 
     def unit(self, axis: Axis) -> str:
         """Unit at this axis."""
@@ -85,6 +86,7 @@ class Effect:
     can_have: Callable[[Machine, Axis], bool]
     which_axes: str
     from_axis: bool = False
+    edits_bodies: bool = False
 
     @property
     def law(self) -> str:
@@ -122,7 +124,7 @@ def _rotary(machine: Machine) -> list[Axis]:
 
 
 def effect(
-    *, block: str, parameters: tuple[Parameter, ...], axes: str = "all", from_axis: bool = False
+    *, block: str, parameters: tuple[Parameter, ...], axes: str = "all", from_axis: bool = False, edits_bodies: bool = False
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a unit under its function's name; the first line of its docstring is the one-line description."""
     assert block in BLOCKS
@@ -130,7 +132,7 @@ def effect(
     def register(act: Callable[..., None]) -> Callable[..., None]:
         which, can_have = AXIS_RULES[axes]
         summary = (inspect.getdoc(act) or "").split("\n", 1)[0].rstrip(".")
-        EFFECTS[act.__name__] = Effect(act.__name__, block, summary, parameters, act, can_have, which, from_axis)
+        EFFECTS[act.__name__] = Effect(act.__name__, block, summary, parameters, act, can_have, which, from_axis, edits_bodies)
         return act
 
     return register
@@ -158,7 +160,7 @@ class Setting:
 
 def find_effect(name: str, where: str) -> Effect:
     """The effect of that name, or an InputError with the nearest one."""
-    if name not in EFFECTS:
+    if not isinstance(name, str) or name not in EFFECTS:
         raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}")
     return EFFECTS[name]
 
@@ -181,7 +183,9 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
     if found.from_axis:
         able_names = [a.name for a in found.axes(machine) if a.name != axis.name]
         if from_axis not in able_names:
-            raise InputError(f"{where}: from_axis = {from_axis!r}; name another axis: {', '.join(able_names)}")
+            told = "is missing" if from_axis is None else f"= {from_axis!r} cannot be"
+            able = ", ".join(able_names) or "this machine has none"
+            raise InputError(f"{where}: from_axis {told}; name another of the {found.which_axes}: {able}")
     elif from_axis is not None:
         raise InputError(f"{where}: has no from_axis; leave it out")
     values: dict[str, float] = {}
@@ -229,6 +233,8 @@ def parse_setting(text: str, machine: Machine) -> Setting:
         key, equals, value = assignment.partition("=")
         if not equals:
             raise InputError(f"{where}: '{assignment}' is no PARAMETER=VALUE")
+        if key.strip() in table:
+            raise InputError(f"{where}: '{key.strip()}' stands twice; give it once")
         try:
             table[key.strip()] = value.strip() if key.strip() == "from_axis" else float(value)
         except ValueError:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from twin.effects.change import Change
+from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
+from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.terms import (
     FORCE,
@@ -68,19 +69,31 @@ def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="mechanics",
     parameters=(
         Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
-        Parameter("damping", "damping", 0.0, 1e9, shape=True),
+        Parameter("damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])),
     ),
 )
 def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
     """Below break-away the contact is a spring (pre-sliding).
 
     Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the Coulomb level with
-    whatever shapes it. Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
+    whatever shapes it. Default damping: ratio 0.3 on the axis' whole inertia.
+    Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
     """
+    load = change.load_inertia(axis)
+    change.check_step(axis, "presliding", stiffness, load)
+    limit = load / change.machine.base_tick
     if damping is None:
-        total = change.load_inertia(axis) + axis.reflected_inertia
-        damping = 2.0 * BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * total)
+        damping = min(_bristle_damping(change.machine, axis, stiffness), limit)
+    if damping > limit:
+        raise InputError(
+            f"presliding on axis {axis.name}: damping = {damping:g} stops the load within a tick of {change.machine.base_tick * 1e6:g} us; "
+            f"give at most {limit:.3g}"
+        )
     change.add_term(bristle, FORCE, axis, [stiffness, damping], order=2)
+
+
+def _bristle_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
+    return 2.0 * BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * (load_inertia(machine, axis) + axis.reflected_inertia))
 
 
 @effect(block="mechanics", parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0),))

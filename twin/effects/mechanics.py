@@ -8,6 +8,7 @@ import mujoco
 
 from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
+from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.terms import (
     FORCE,
@@ -47,6 +48,12 @@ def inertia(change: Change, axis: Axis, added: float) -> None:
     M = M_nominal + added, felt by this axis alone (no gravity and no coupling on rotary axes); on a vertical axis its
     weight too: F = -added g. Source: paper, section 3 (equivalent inertia).
     """
+    if added < 0.0 and added <= -(load := change.load_inertia(axis)):
+        unit = "kg" if axis.kind == "linear" else "kg m2"
+        raise InputError(
+            f"inertia on axis {axis.name}: added = {added:g} {unit} takes away all of the load's {load:.4g} {unit}; "
+            f"give more than {-load:.4g}"
+        )
     change.add_inertia(axis, added)
     up = _vertical(change.machine, axis)
     if axis.kind == "linear" and up:
@@ -72,6 +79,7 @@ def constant_force(change: Change, axis: Axis, force: float) -> None:
 @effect(
     block="mechanics",
     axes="tilting",
+    edits_bodies=True,
     parameters=(
         Parameter("mass_kg", "kilogram", 0.0, 500.0, (20.0, 60.0), neutral=0.0),
         Parameter("radius_m", "metre", 0.0, 1.0, (0.1, 0.2)),

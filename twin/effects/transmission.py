@@ -27,7 +27,9 @@ from twin.units import ARCSEC
 CONTACT_FREQUENCY_HZ = 450.0
 CONTACT_DAMPING_RATIO = 0.3
 COMPLIANCE_DAMPING_RATIO = 0.08
-"""Damping where none is given: of the contact, and of a screw with its bearings."""
+COMPLIANCE_STABLE = 1.4
+"""Damping where none is given: of the contact, and of a screw with its bearings (at least this multiple of Kv x load: a position
+loop closed on the load over a spring swings up by itself below Kv x load, and a machine that works does not)."""
 
 
 @effect(
@@ -66,18 +68,26 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="transmission",
     parameters=(
         Parameter("stiffness", "stiffness", 1e3, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
-        Parameter("damping", "damping", 0.0, 1e9, shape=True),
+        Parameter("damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _screw_damping(m, a, v["stiffness"])),
     ),
 )
 def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
     """Spring and damper between motor and load.
 
     F = stiffness (motor position - load position) + damping (their speeds' difference); friction on the load. First mode
-    sqrt(stiffness / load) / 2 pi with the motor held. Source: Altintas et al. 2011 (machine tool feed drives).
+    sqrt(stiffness / load) / 2 pi with the motor held. Default damping: ratio 0.08 on the reduced mass, at least 1.4 Kv load.
+    Source: Altintas et al. 2011 (machine tool feed drives).
     """
     if damping is None:
-        damping = 2.0 * COMPLIANCE_DAMPING_RATIO * math.sqrt(stiffness * change.reduced_mass(axis))
+        damping = _screw_damping(change.machine, axis, stiffness)
     change.couple(axis, stiffness, damping)
+
+
+def _screw_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
+    load = load_inertia(machine, axis)
+    reduced = load * axis.reflected_inertia / (load + axis.reflected_inertia)
+    stable = COMPLIANCE_STABLE * axis.loops.position_gain_per_s * load
+    return max(2.0 * COMPLIANCE_DAMPING_RATIO * math.sqrt(stiffness * reduced), stable)
 
 
 @effect(

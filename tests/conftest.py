@@ -1,0 +1,41 @@
+"""What all tests share: the Mikron, set points in which every axis moves, and the recorded data beside the repository."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.machine import Machine, load_machine
+from twin.setpoints import Setpoints
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture(scope="session")
+def mikron() -> Machine:
+    """The machine that ships with the package."""
+    return load_machine()
+
+
+@pytest.fixture(scope="session")
+def nominal_campaign() -> Path:
+    """Runs recorded on a nominal machine; skips where they are not there."""
+    folder = SHARED / "campaigns" / "nominal"
+    if not folder.is_dir():
+        pytest.skip("no recorded campaign: ../shared/campaigns/nominal is not beside this repository")
+    return folder
+
+
+def swings(machine: Machine, seconds: float, period: float = 1e-3) -> Setpoints:
+    """Every axis swings from rest about the middle of its reach, each at its own frequency."""
+    t = np.arange(round(seconds / period) + 1) * period
+    columns = []
+    for a, axis in enumerate(machine.axes):
+        low, high = axis.travel
+        middle = 0.0 if np.isinf(low) else np.clip(0.0, low + 0.3 * (high - low), high - 0.3 * (high - low))
+        amplitude = 0.01 if axis.kind == "linear" else 0.1
+        columns.append(middle + amplitude * np.sin(2 * np.pi * (0.8 + 0.1 * a) * t) ** 3)
+    return Setpoints(np.column_stack(columns), period)

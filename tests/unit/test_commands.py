@@ -1,0 +1,69 @@
+"""The commands as a newcomer uses them: what they write, what they print, and that the demo and the benchmark work."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+from twin import benchmark, demo
+from twin.cli import main
+from twin.trace import read_trace
+
+EXAMPLE = ROOT / "examples" / "x_200mm.csv"
+
+
+def test_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(EXAMPLE), "--out", str(tmp_path), "--strict"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "following error max" in out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["axes"]["X"]["following_error_max"] == pytest.approx(500.0, abs=1.0)
+    assert summary["axes"]["X"]["following_error_unit"] == "um"
+    trace = read_trace(tmp_path / "trace.parquet")
+    assert trace.axes == ("X", "Y", "Z", "A", "C")
+    np.testing.assert_allclose(trace.get("X", "setpoint"), read_trace(EXAMPLE).get("X", "setpoint"), rtol=0, atol=1e-12)
+
+
+def test_feedforward_and_sample_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--feedforward", "off", "--sample-period-ms", "10", "--no-recording", "--out", str(tmp_path)]
+    assert main(["run", str(EXAMPLE), *arguments]) == 0
+    capsys.readouterr()
+    assert json.loads((tmp_path / "summary.json").read_text())["axes"]["X"]["following_error_max"] == pytest.approx(5500, abs=5)
+    assert read_trace(tmp_path / "trace.parquet").period == pytest.approx(10e-3)
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    for word in ("run", "gap", "set points", "cascade + plant"):
+        assert word in out
+
+
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert demo.main(["--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    for feedforward in ("off", "velocity", "velocity+torque"):
+        assert f"\n{feedforward} " in out
+    assert (tmp_path / "x_200mm.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list(tmp_path.glob("*.parquet"))) == 3
+
+
+def test_example_is_what_the_demo_makes(tmp_path: Path) -> None:
+    assert demo.main(["--setpoints", str(tmp_path / "x.csv")]) == 0
+    made, kept = read_trace(tmp_path / "x.csv"), read_trace(EXAMPLE)
+    np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
+
+
+def test_benchmark_prints_its_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmark.main(["--json", "--seconds", "8", "--no-startup"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert {"loop_over_engine", "realtime_factor", "python_loop_over_engine"} <= numbers.keys()
+    # bounds for a machine under any load; the figures themselves come from scripts/benchmark
+    assert 0.8 < numbers["loop_over_engine"] < 2.0
+    assert numbers["realtime_factor"] > 5
+    assert numbers["python_loop_over_engine"] > 2

@@ -1,0 +1,56 @@
+"""docs/effects.md is what the library says: same effects, laws, bounds, and a picture of each; the example runs."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from tests.conftest import ROOT
+from twin.effects import EFFECTS
+from twin.machine import load_machine
+
+
+def picture_script():
+    """The script that writes the page, as a module."""
+    spec = importlib.util.spec_from_file_location("picture_effects", ROOT / "scripts" / "picture_effects.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_page_is_what_the_library_says():
+    script = picture_script()
+    text = script.PAGE.read_text(encoding="utf-8")
+    assert script.page(load_machine(), text) == text, "run python scripts/picture_effects.py --text"
+    assert re.findall(r"^### (\w+)$", text, re.M) == [e.name for block in script.BLOCKS for e in EFFECTS.values() if e.block == block]
+
+
+def test_each_effect_has_its_picture():
+    pictures = {path.stem: path for path in (ROOT / "docs" / "pictures" / "effects").glob("*.png")}
+    assert set(pictures) == set(EFFECTS), "run python scripts/picture_effects.py"
+    assert all(path.stat().st_size < 80_000 for path in pictures.values())
+
+
+def test_an_effect_without_an_entry_is_shown_too():
+    """Effect number 30 needs no entry in the script: it is shown on an acceleration."""
+    script = picture_script()
+    script.SHOWN.pop("backlash")
+    axis, without, having, _ = script.traces_of(EFFECTS["backlash"], load_machine())
+    assert axis.name == "X"
+    assert (without.get("X", "motor_position") != having.get("X", "motor_position")).any()
+
+
+def test_example(tmp_path: Path):
+    """Simulated and closed form agree to 0.1 um, and the machine file that it writes has the effect."""
+    command = [sys.executable, str(ROOT / "examples" / "effects.py"), "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, env={"PYTHONPATH": str(ROOT), "PATH": ""}, capture_output=True, text=True, check=True)
+    rows = re.findall(r"^ *([\d.-]+) +([\d.-]+)  ", done.stdout, re.M)
+    assert len(rows) == 3
+    assert all(abs(float(simulated) - float(closed)) < 0.1 for simulated, closed in rows)
+    assert load_machine(tmp_path / "loose_x.toml").effects[0]["name"] == "backlash"
