@@ -1,0 +1,153 @@
+"""The interpolator against its claims: limits, tolerance, smoothness, time optimality, long programs, error budget.
+
+Everything here is a shortened version of scripts/measure_interpolator.py, which prints the figures at full size.
+"""
+
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+from random_programs import check, random_program
+
+from twin.machine import Machine
+from twin.program import error_budget, interpolate, interpolator, lookahead, read_program
+from twin.trace import Trace
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import measure_interpolator as measure  # noqa: E402
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "part.mpf"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("decade", range(6))
+def test_random_programs_keep_limits_tolerances_and_smoothness(mikron: Machine, tmp_path: Path, decade: int) -> None:
+    for seed in range(1000 + 10 * decade, 1010 + 10 * decade):
+        finding = check(random_program(seed), tmp_path, mikron)
+        assert finding.limits <= 1.001, seed
+        assert finding.block_end <= 1.0, seed
+        assert finding.jump < 1e-9, seed
+        assert finding.feed <= 1.01, seed
+
+
+def test_straight_moves_take_the_time_of_the_closed_form(mikron: Machine, tmp_path: Path) -> None:
+    planned, cycles = measure.straight_moves(mikron, tmp_path)
+    assert planned < 0.01
+    assert cycles <= 1.0
+
+
+def test_short_paths_are_nearly_as_fast_as_the_second_planner_finds(mikron: Machine, tmp_path: Path) -> None:
+    assert max(measure.short_paths(mikron, tmp_path, seeds=(4, 5, 6, 8, 10, 13))) < 1.10
+
+
+def test_polylines_are_nearly_as_fast_as_toppra_without_jerk_limits(mikron: Machine, tmp_path: Path) -> None:
+    pytest.importorskip("toppra", reason="toppra is in the development extra")
+    assert measure.over_toppra(mikron, tmp_path, 2000, 3000.0, False)[0] < 1.10
+
+
+def test_windows_join_to_the_same_law(mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = read_program(write(tmp_path, measure.long_program(6000)), mikron)
+    whole = interpolate(program, mikron)
+    monkeypatch.setattr(lookahead, "WINDOW", 1500)
+    parts = interpolate(program, mikron)
+    assert abs(whole.time[-1] - parts.time[-1]) < 5e-3 * whole.time[-1]
+    limits = interpolator.limits_of(mikron)
+    for order, limit in enumerate(limits, 1):
+        over = np.abs(np.diff(parts.matrix("setpoint"), order, axis=0)).max(axis=0) / parts.period**order / limit
+        assert over.max() <= 1.001
+
+
+def test_polyline_of_a_circle_runs_like_the_circle(mikron: Machine, tmp_path: Path) -> None:
+    """0.05 mm chords with the program's own rounding: the feed drops by little against the arc."""
+    angle = np.arange(0.0, 2 * math.pi, 0.05 / 20.0)
+    blocks = [f"X{20 * math.cos(a):.3f} Y{20 * math.sin(a):.3f}" for a in angle]
+    chords = interpolate(read_program(write(tmp_path, "\n".join(["G642", "G0 " + blocks[0], "G1 F3000", *blocks[1:]])), mikron), mikron)
+    arc = interpolate(read_program(write(tmp_path, "G642\nG0 X20 Y0\nG3 X20 Y0 I-20 J0 F3000"), mikron), mikron)
+    assert measure.moving_time(chords) < 1.05 * measure.moving_time(arc)
+    speed = chords.get("program", "path_speed")
+    middle = speed[len(speed) // 4 : len(speed) // 2]
+    assert middle.min() > 0.9 * middle.max()
+
+
+def test_an_arc_keeps_its_radius(mikron: Machine, tmp_path: Path) -> None:
+    trace = interpolate(read_program(write(tmp_path, "G60\nG0 X20 Y0\nG3 X20 Y0 I-20 J0 F3000"), mikron), mikron)
+    radius = np.linalg.norm(trace.matrix("setpoint", ("X", "Y")), axis=1)
+    assert np.abs(radius - 0.02).max() < 1e-7
+
+
+def test_feed_is_reached_and_blocks_are_named(mikron: Machine, tmp_path: Path) -> None:
+    trace = interpolate(read_program(write(tmp_path, "N10 G60\nN20 G1 X50 F1000\nN30 X100 F3000\n"), mikron), mikron)
+    block, speed = trace.get("program", "block"), trace.get("program", "path_speed")
+    assert speed[block == 20].max() == pytest.approx(1 / 60, rel=2e-3)
+    assert speed[block == 30].max() == pytest.approx(3 / 60, rel=2e-3)
+    assert trace.get("program", "path_length")[-1] == pytest.approx(0.1, rel=1e-3)
+    assert np.all(np.diff(block) >= 0)
+
+
+def test_exact_stop_stops_on_the_point(mikron: Machine, tmp_path: Path) -> None:
+    trace = interpolate(read_program(write(tmp_path, "G60\nG1 X10 F6000\nG1 Y10\n"), mikron), mikron)
+    corner = np.abs(trace.matrix("setpoint", ("X", "Y")) - [0.01, 0.0]).max(axis=1)
+    assert (corner < 1e-12).sum() >= 0.06 / trace.period  # G601 waits
+
+
+def test_brisk_is_faster_than_soft(mikron: Machine, tmp_path: Path) -> None:
+    soft, brisk = (
+        interpolate(read_program(write(tmp_path, f"G603 {mode}\nG1 X50 F10000\n"), mikron), mikron) for mode in ("SOFT", "BRISK")
+    )
+    assert brisk.time[-1] < 0.8 * soft.time[-1]
+    assert np.abs(np.diff(brisk.get("X", "setpoint"), 2)).max() / brisk.period**2 <= mikron.axis("X").max_acceleration * 1.001
+
+
+def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp_path: Path) -> None:
+    program = read_program(write(tmp_path, "G1 X5 Y1 F1000\nX8 C5\n"), mikron)
+    fine, coarse = interpolate(program, mikron), interpolate(program, mikron, cycle="interpolation")
+    assert coarse.period == pytest.approx(mikron.interpolation_cycle)
+    assert np.array_equal(coarse.get("X", "setpoint"), fine.get("X", "setpoint")[::4])
+
+
+def test_great_circle_keeps_the_tool_axis_in_its_plane(mikron: Machine, tmp_path: Path) -> None:
+    text = "TRAORI\n{}\nG0 X0 Y0 Z200 A3=0.4 B3=-0.3 C3=1\nG1 X5 A3=-0.4 B3=-0.3 C3=1 F1000\n"
+    off = {}
+    for mode in ("ORIWKS", "ORIMKS"):
+        program = read_program(write(tmp_path, text.format(mode)), mikron)
+        axes = interpolate(program, mikron).matrix("setpoint", interpolator.AXES)
+        direction = program.kinematics.forward(axes)[1]
+        normal = np.cross(direction[0], direction[-1])
+        off[mode] = np.abs(direction @ normal).max() / np.linalg.norm(normal)
+        tip = program.kinematics.forward(axes)[0]
+        assert np.abs(tip[:, 1:] - [0.0, 0.2]).max() < 1e-9  # the tip goes straight in any case
+    assert off["ORIWKS"] < 2e-3 < off["ORIMKS"]
+
+
+def test_budget_names_the_level(mikron: Machine, tmp_path: Path) -> None:
+    """A perfect follower leaves level 1 only; a machine that runs 50 um aside is level 2, measured across the path."""
+    program = read_program(write(tmp_path, "G642 CTOL=0.01\nG1 X20 F3000\nY20\n"), mikron)
+    setpoints = interpolate(program, mikron)
+    perfect = Trace(setpoints.time, {(a, "position"): setpoints.get(a, "setpoint") for a in interpolator.AXES}, mikron.kinds)
+    budget = error_budget(program, setpoints, perfect, mikron)
+    assert 5e-6 < budget.rounding.max() <= 10e-6
+    assert np.allclose(budget.contour, budget.rounding, atol=1e-9)
+    assert budget.drives.max() < 1e-9
+    # late by 10 ms: a following error along the path, hardly a contour error on the straight
+    late = {(a, "position"): np.interp(setpoints.time - 0.01, setpoints.time, setpoints.get(a, "setpoint")) for a in interpolator.AXES}
+    budget = error_budget(program, setpoints, Trace(setpoints.time, late, mikron.kinds), mikron)
+    straight = (budget.path_length > 5e-3) & (budget.path_length < 15e-3)
+    assert budget.following[straight].max() > 3e-4
+    assert budget.contour[straight].max() < 1e-9
+    aside = {**perfect.signals, ("Z", "position"): setpoints.get("Z", "setpoint") + 50e-6}
+    budget = error_budget(program, setpoints, Trace(setpoints.time, aside, mikron.kinds), mikron)
+    assert np.allclose(budget.drives, 50e-6, atol=1e-9)
+    assert "rounding" in budget.table()
+
+
+def test_the_examples_run(mikron: Machine) -> None:
+    for name in ("two_planes.mpf", "vertical_corner.mpf", "five_axis.mpf", "pocket_edge.apt"):
+        trace = interpolate(read_program(ROOT / "examples" / name, mikron), mikron)
+        assert trace.time[-1] > 1.0

@@ -1,0 +1,71 @@
+"""The APT / CL reader."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.errors import InputError
+from twin.program import interpolate, read_program
+from twin.program.moves import ARC, LINE, RAPID
+
+
+@pytest.fixture
+def read(mikron, tmp_path):
+    """Reads a text as CL data."""
+
+    def reader(text: str):
+        path = tmp_path / "part.apt"
+        path.write_text(text)
+        return read_program(path, mikron)
+
+    return reader
+
+
+def test_statements(read) -> None:
+    program = read(
+        "PARTNO/X\n$$ comment\nUNITS/MM\nFROM/0,0,160,0,0,1\nRAPID\nGOTO/0,0,150\n"
+        "FEDRAT/600,MMPM\nGOTO/10,0,150,0,$\n -1,1\nGODLTA/0,5,0\nFINI\nGOTO/99,0,0\n"
+    )
+    assert program.moves.kind.tolist() == [RAPID, LINE, LINE]
+    assert np.allclose(program.moves.target[1:, :3] * 1e3, [[10, 0, 150], [10, 5, 150]])
+    assert np.allclose(np.degrees(program.moves.target[:, 3]), [0, -45, -45])
+    assert program.moves.feed[1] == pytest.approx(0.01)
+    assert program.moves.traori.all()
+    assert program.moves.line.tolist() == [6, 8, 10]
+
+
+def test_inches(read) -> None:
+    program = read("UNITS/INCHES\nFROM/0,0,6\nFEDRAT/10,IPM\nGOTO/1,0,6\n")
+    assert program.moves.target[0, 0] == pytest.approx(0.0254)
+    assert program.moves.feed[0] == pytest.approx(10 * 0.0254 / 60)
+
+
+def test_circle(read) -> None:
+    program = read("FROM/10,0,150\nFEDRAT/600\nCIRCLE/0,0,150,0,0,1,10\nGOTO/0,10,150\nCIRCLE/0,0,150,0,0,-1,10\nGOTO/10,0,150\n")
+    assert program.moves.kind.tolist() == [ARC, ARC]
+    assert program.moves.angle.tolist() == pytest.approx([math.pi / 2, math.pi / 2])
+
+
+def test_the_whole_way(read, mikron) -> None:
+    trace = interpolate(read("FROM/0,0,150\nFEDRAT/3000\nGOTO/10,0,150,0.1,-0.1,1\n"), mikron)
+    assert trace.get("program", "path_speed").max() <= 0.05 * 1.001
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("GOTO/1,2,150", "line 1: no feed"),
+        ("FEDRAT/100\nFOO/3", "line 2: statement 'FOO' is not known"),
+        ("FEDRAT/100\nGOTO/1,2,X", "not all values are numbers"),
+        ("FEDRAT/100\nGOTO/1,2", "2 values"),
+        ("FEDRAT/1,MMPR\n", "per revolution"),
+        ("FROM/10,0,150\nFEDRAT/6\nCIRCLE/0,0,150,0,0,1,5\nGOTO/0,10,150", "does not close"),
+        ("FEDRAT/100\nGOTO/1,2,150,0,0,0", "no length"),
+        ("PARTNO/NOTHING", "moves no axis"),
+        ("GOTO/1,$\n" * 3000, "too many lines"),
+    ],
+)
+def test_bad_input(read, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(text)

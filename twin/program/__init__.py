@@ -1,0 +1,9 @@
+"""Part programs: reading (Sinumerik and ISO G-code, APT/CL), interpolation to set points, error budget of one program."""
+
+from twin.program.budget import ErrorBudget, error_budget
+from twin.program.interpolator import interpolate
+from twin.program.moves import Move, Moves, Program
+from twin.program.plot import plot_budget, plot_feed
+from twin.program.read import read_program
+
+__all__ = ["ErrorBudget", "Move", "Moves", "Program", "error_budget", "interpolate", "plot_budget", "plot_feed", "read_program"]

@@ -1,0 +1,128 @@
+"""The path of the axes: q(u) and its derivatives from the spline w(u), through the five-axis transformation under TRAORI.
+
+Without TRAORI q = w. With it X Y Z hold the tip while A and C turn the part:
+
+    v = Rot(C) (part_origin + part_axes p - turn_anchor) + turn_anchor
+    (X, Y, Z) = slides^-1 (Rot(A) (v - tilt_anchor) + tilt_anchor - tool_tip)
+
+The chain rule to the third derivative is done on jets (f, f', f'', f'''), with Rot = P + cos (1 - P) + sin K.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from twin.kinematics import Kinematics
+
+
+class Frames(NamedTuple):
+    """The transformation as arrays for compiled code; `active` is False without TRAORI."""
+
+    active: bool
+    slides_inverse: np.ndarray
+    part_axes: np.ndarray
+    part_arm: np.ndarray  # part origin as seen from the turning axis
+    tilt_arm: np.ndarray  # turn anchor as seen from the tilting axis
+    tip_arm: np.ndarray  # tilt anchor as seen from the tool tip at rest
+    turn_along: np.ndarray
+    turn_cross: np.ndarray
+    tilt_along: np.ndarray
+    tilt_cross: np.ndarray
+
+
+def frames_of(kinematics: Kinematics, active: bool) -> Frames:
+    """Arrays of a machine's transformation."""
+    k = kinematics
+
+    def cross(axis: np.ndarray) -> np.ndarray:
+        x, y, z = axis
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+    arrays = (
+        np.linalg.inv(k.slides),
+        k.part_axes,
+        k.part_origin - k.turn_anchor,
+        k.turn_anchor - k.tilt_anchor,
+        k.tilt_anchor - k.tool_tip,
+        np.outer(k.turn_axis, k.turn_axis),
+        cross(k.turn_axis),
+        np.outer(k.tilt_axis, k.tilt_axis),
+        cross(k.tilt_axis),
+    )
+    return Frames(bool(active), *(np.ascontiguousarray(a, float) for a in arrays))
+
+
+@numba.njit(cache=True, nogil=True)
+def _times(f, g, out):
+    """Jet of a product: Leibniz' rule."""
+    out[0] = f[0] * g[0]
+    out[1] = f[1] * g[0] + f[0] * g[1]
+    out[2] = f[2] * g[0] + 2.0 * f[1] * g[1] + f[0] * g[2]
+    out[3] = f[3] * g[0] + 3.0 * (f[2] * g[1] + f[1] * g[2]) + f[0] * g[3]
+
+
+@numba.njit(cache=True, nogil=True)
+def _turned(angle, along, cross, v, cos, sin, term, out):
+    """Jets (4, 3) of Rot(angle) v for jets angle (4,) and v (4, 3)."""
+    c, s = np.cos(angle[0]), np.sin(angle[0])
+    one, two, three = angle[1], angle[2], angle[3]
+    cos[0], sin[0] = c, s
+    cos[1], sin[1] = -s * one, c * one
+    cos[2], sin[2] = -c * one * one - s * two, -s * one * one + c * two
+    cos[3] = s * one**3 - 3.0 * c * one * two - s * three
+    sin[3] = -c * one**3 - 3.0 * s * one * two + c * three
+    part = term[0]
+    product = term[1]
+    for i in range(3):
+        for d in range(4):
+            out[d, i] = along[i, 0] * v[d, 0] + along[i, 1] * v[d, 1] + along[i, 2] * v[d, 2]
+        for d in range(4):
+            part[d] = v[d, i] - out[d, i]
+        _times(cos, part, product)
+        for d in range(4):
+            out[d, i] += product[d]
+            part[d] = cross[i, 0] * v[d, 0] + cross[i, 1] * v[d, 1] + cross[i, 2] * v[d, 2]
+        _times(sin, part, product)
+        for d in range(4):
+            out[d, i] += product[d]
+
+
+@numba.njit(cache=True, nogil=True)
+def axis_jet(f, w, work, out):
+    """Jets (4, 5) of the axes from jets (4, 5) of tip, A and C; `work` (5, 4, 4) is scratch."""
+    if not f.active:
+        out[:, :] = w
+        return
+    a, b = work[0], work[1]
+    cos, sin = work[2, 0], work[2, 1]
+    for i in range(3):
+        for d in range(4):
+            a[d, i] = f.part_axes[i, 0] * w[d, 0] + f.part_axes[i, 1] * w[d, 1] + f.part_axes[i, 2] * w[d, 2]
+        a[0, i] += f.part_arm[i]
+    _turned(w[:, 4], f.turn_along, f.turn_cross, a, cos, sin, work[3], b)
+    for i in range(3):
+        b[0, i] += f.tilt_arm[i]
+    _turned(w[:, 3], f.tilt_along, f.tilt_cross, b, cos, sin, work[3], a)
+    for i in range(3):
+        a[0, i] += f.tip_arm[i]
+    for i in range(3):
+        for d in range(4):
+            out[d, i] = f.slides_inverse[i, 0] * a[d, 0] + f.slides_inverse[i, 1] * a[d, 1] + f.slides_inverse[i, 2] * a[d, 2]
+    for d in range(4):
+        out[d, 3] = w[d, 3]
+        out[d, 4] = w[d, 4]
+
+
+@numba.njit(cache=True, nogil=True)
+def spline_jet(s, j, at, out):
+    """Jets (4, 5) of the spline at parameter `at` of piece j."""
+    x = at - s.t[j]
+    for d in range(5):
+        c1, c2, c3 = s.c[j, 1, d], s.c[j, 2, d], s.c[j, 3, d]
+        out[0, d] = s.c[j, 0, d] + x * (c1 + x * (c2 + x * c3))
+        out[1, d] = c1 + x * (2.0 * c2 + 3.0 * x * c3)
+        out[2, d] = 2.0 * c2 + 6.0 * x * c3
+        out[3, d] = 6.0 * c3

@@ -1,0 +1,277 @@
+"""From the programmed curve to one that drives can follow: corners and short chords become a spline within the tolerance.
+
+The curve w(u) (lines, arcs) is turned into a cubic B-spline S(u) = sum_i P_i B_i(u) whose control points are taken from the
+curve at the knot averages, P_i = w((t_i+1 + t_i+2 + t_i+3) / 3) (Schoenberg's variation diminishing spline). It is continuous to the second
+derivative, lies on lines exactly, overshoots nowhere, and departs from a corner of slope step D by |D| h / 6, from a
+smooth curve by w'' h^2 / 6, where h is the local knot distance. So h is what the tolerance decides:
+
+- at a corner between long blocks a knot lies on the corner and h = 6 tolerance / |D|, at most 0.45 of the shorter block;
+- in polylines of short chords (CAM) h is the largest for which the mean of the curve over +-h stays within the tolerance: h
+  spans several chords, and control points are means over h, which removes the facets and the rounding of the program;
+- an arc has its control points moved outwards so that the spline keeps the radius.
+
+h grows from each tight place by at most GROWTH per length. The result is measured at every block end and refined until
+each is within its tolerance.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from twin.program import elements as el
+from twin.program.elements import ARC
+
+GROWTH = 0.3
+LONGEST_SHARE = 0.45  # of the shorter block beside a corner: two blends never meet
+CORNER = 0.3  # slope step above which a corner is always a corner, never a facet
+WITHIN = 0.9  # share of the tolerance that is planned, the rest is for what the plan neglects
+ARC_STEP = 0.06  # knot distance on an arc in rad
+END_ERROR = 5e-8  # m, error of an arc near an exact stop
+ACCEPTED = 0.98  # of the tolerance, measured at the same parameter
+REFINEMENTS = 12
+LONGEST_SPAN = 5e-3  # m, knot distance on lines far from everything
+
+
+class Spline(NamedTuple):
+    """Cubic pieces on the breaks t (M + 1,): w = c0 + c1 s + c2 s^2 + c3 s^3, s = u - t_j, `c` (M, 4, 5)."""
+
+    t: np.ndarray
+    c: np.ndarray
+
+
+@numba.njit(cache=True, nogil=True)
+def _ratio(d, tolerance, angle_tolerance):
+    """Size of a deviation (5,) in tolerances."""
+    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / tolerance
+    return max(length, abs(d[3]) / angle_tolerance, abs(d[4]) / angle_tolerance)
+
+
+@numba.njit(cache=True, nogil=True)
+def knot_distances(e, tolerance, angle_tolerance, distance):
+    """Knot distance h (E + 1,) wanted at every joint, and whether a knot must lie on it.
+
+    `tolerance` [m], `angle_tolerance` [rad], `distance` [m] (ADIS, else infinite) per joint (E + 1,).
+    """
+    n = e.kind.shape[0]
+    total = e.u[n]
+    h = np.full(n + 1, np.inf)
+    corner = np.zeros(n + 1, np.bool_)
+    before, after, here = np.empty(5), np.empty(5), np.empty(5)
+    if e.kind[0] == ARC:
+        h[0] = np.sqrt(6.0 * END_ERROR * np.sqrt(np.sum(e.radius1[0] ** 2)))
+    for k in range(1, n):
+        el.slope(e, k - 1, True, before)
+        el.slope(e, k, False, after)
+        step = _ratio(after - before, tolerance[k], angle_tolerance[k])
+        turn = np.sqrt(np.sum((after[:3] - before[:3]) ** 2)) + el.REFERENCE_RADIUS * (
+            abs(after[3] - before[3]) + abs(after[4] - before[4])
+        )
+        room = min(e.u[k] - e.u[k - 1], e.u[k + 1] - e.u[k])
+        single = WITHIN * 6.0 / step if step > 0.0 else np.inf
+        if turn > 1e-9 and (turn > CORNER or single < LONGEST_SHARE * room):
+            corner[k] = True
+            h[k] = min(single, LONGEST_SHARE * room, distance[k])
+        if e.kind[k - 1] == ARC or e.kind[k] == ARC or (not corner[k] and turn > 1e-9):
+            # the mean over +-h instead of the point: smaller until within tolerance
+            near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1]) if k > 0 else np.inf
+            size = min(min(h[k], near), min(0.4 * total, distance[k] / 2.5))
+            el.point(e, k, e.u[k], here)
+            for _ in range(60):
+                reach = min(size, e.u[k], total - e.u[k])
+                el.mean(e, e.u[k] - reach, e.u[k] + reach, k, before)
+                off = _ratio(before - here, tolerance[k], angle_tolerance[k])
+                if off <= WITHIN:
+                    break
+                size *= max(0.5, min(0.9, WITHIN / off))
+            h[k] = size
+    if e.kind[n - 1] == ARC:
+        h[n] = np.sqrt(6.0 * END_ERROR * np.sqrt(np.sum(e.radius1[n - 1] ** 2)))
+    return h, corner
+
+
+@numba.njit(cache=True, nogil=True)
+def grade(e, h, corner):
+    """Let h grow from tight joints only by GROWTH per length (in place)."""
+    n = h.shape[0]
+    cap = min(LONGEST_SPAN, e.u[n - 1] / 8.0)
+    for k in range(n):
+        h[k] = min(h[k], cap)
+    for k in range(1, n):
+        h[k] = min(h[k], h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1]))
+    for k in range(n - 2, -1, -1):
+        h[k] = min(h[k], h[k + 1] + GROWTH * (e.u[k + 1] - e.u[k]))
+
+
+@numba.njit(cache=True, nogil=True)
+def _wanted(e, h, corner, i, at):
+    """h at parameter `at` of element i: constant for 2 h around a corner, then growing; capped on arcs."""
+    low, high = at - e.u[i], e.u[i + 1] - at
+    if corner[i]:
+        low = max(0.0, low - 2.0 * h[i])
+    if corner[i + 1]:
+        high = max(0.0, high - 2.0 * h[i + 1])
+    size = min(h[i] + GROWTH * low, h[i + 1] + GROWTH * high)
+    if e.kind[i] == ARC:
+        size = min(size, ARC_STEP * (e.u[i + 1] - e.u[i]) / e.angle[i])
+    return min(size, min(LONGEST_SPAN, e.u[e.u.shape[0] - 1] / 8.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def breaks(e, h, corner):
+    """Breaks t of the spline: marched by h from one corner (or end) to the next, then fitted to meet it."""
+    n = e.kind.shape[0]
+    room = 1024
+    t = np.empty(room)
+    count = 1
+    t[0] = 0.0
+    begin = 0
+    while begin < n:
+        stop = begin + 1
+        while stop < n and not corner[stop]:
+            stop += 1
+        first = count - 1
+        i = begin
+        # march until the end of this piece is passed
+        while t[count - 1] < e.u[stop] * (1.0 - 1e-14):
+            i = el.find(e.u, t[count - 1], i)
+            size = _wanted(e, h, corner, i, t[count - 1])
+            middle = min(t[count - 1] + 0.5 * size, e.u[stop])
+            size = _wanted(e, h, corner, el.find(e.u, middle, i), middle)
+            if count == room:
+                grown = np.empty(2 * room)
+                grown[:room] = t
+                t = grown
+                room *= 2
+            t[count] = t[count - 1] + size
+            count += 1
+        # shrink the steps a little so that the last one ends on the corner
+        least = 2 if n > 1 else 8
+        if count - 1 - first < least:
+            while count + least >= room:
+                grown = np.empty(2 * room)
+                grown[:room] = t
+                t = grown
+                room *= 2
+            for k in range(least + 1):
+                t[first + k] = e.u[begin] + (e.u[stop] - e.u[begin]) * k / least
+            count = first + least + 1
+        else:
+            factor = (e.u[stop] - t[first]) / (t[count - 1] - t[first])
+            for k in range(first + 1, count):
+                t[k] = t[first] + (t[k] - t[first]) * factor
+        t[count - 1] = e.u[stop]
+        begin = stop
+    return t[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def spline_on(e, t):
+    """The spline on given breaks: control points from the curve, then the cubic pieces."""
+    pieces = t.shape[0] - 1
+    total = t[pieces]
+    knots = np.empty(pieces + 7)
+    knots[:3] = 0.0
+    knots[3 : pieces + 4] = t
+    knots[pieces + 4 :] = total
+    control = np.empty((pieces + 3, 5))
+    i = 0
+    for k in range(pieces + 3):
+        at = (knots[k + 1] + knots[k + 2] + knots[k + 3]) / 3.0
+        size = (knots[k + 3] - knots[k + 1]) / 2.0
+        i = el.find(e.u, at, i)
+        low, high = at - 0.5 * size, at + 0.5 * size
+        a, b = el.find(e.u, low, i), el.find(e.u, high, i)
+        if b - a > 1 and low > 0.0 and high < total:
+            # several chords within one knot distance: their mean
+            el.mean(e, low, high, a, control[k])
+        else:
+            el.point(e, i, min(at, total), control[k])
+            if e.kind[i] == ARC and 1 < k < pieces + 1:
+                rate = e.angle[i] / (e.u[i + 1] - e.u[i])
+                phi = (at - e.u[i]) * rate
+                swell = 3.0 / (2.0 + np.cos(size * rate)) - 1.0
+                if at - 1.5 * size > e.u[i] and at + 1.5 * size < e.u[i + 1]:
+                    for d in range(3):
+                        control[k, d] += swell * (np.cos(phi) * e.radius1[i, d] + np.sin(phi) * e.radius2[i, d])
+    return Spline(t, _pieces(knots, control))
+
+
+@numba.njit(cache=True, nogil=True)
+def _pieces(knots, control):
+    """Power coefficients of each cubic piece from control points, by divided differences and de Boor's scheme."""
+    pieces = knots.shape[0] - 7
+    c = np.empty((pieces, 4, 5))
+    for j in range(pieces):
+        m = j + 3
+        x = knots[m]
+        for d in range(5):
+            p0, p1, p2, p3 = control[j, d], control[j + 1, d], control[j + 2, d], control[j + 3, d]
+            d0 = 3.0 * (p1 - p0) / (knots[m + 1] - knots[m - 2])
+            d1 = 3.0 * (p2 - p1) / (knots[m + 2] - knots[m - 1])
+            d2 = 3.0 * (p3 - p2) / (knots[m + 3] - knots[m])
+            e0 = 2.0 * (d1 - d0) / (knots[m + 1] - knots[m - 1])
+            e1 = 2.0 * (d2 - d1) / (knots[m + 2] - knots[m])
+            a0 = (x - knots[m - 2]) / (knots[m + 1] - knots[m - 2])
+            a1 = (x - knots[m - 1]) / (knots[m + 2] - knots[m - 1])
+            q0, q1 = p0 + a0 * (p1 - p0), p1 + a1 * (p2 - p1)
+            b0 = (x - knots[m - 1]) / (knots[m + 1] - knots[m - 1])
+            c[j, 0, d] = q0 + b0 * (q1 - q0)
+            c[j, 1, d] = d0 + b0 * (d1 - d0)
+            c[j, 2, d] = 0.5 * e0
+            c[j, 3, d] = (e1 - e0) / (knots[m + 1] - knots[m]) / 6.0
+    return c
+
+
+@numba.njit(cache=True, nogil=True)
+def spline_point(s, j, at, out):
+    """Point (5,) of piece j at parameter `at`."""
+    x = at - s.t[j]
+    for d in range(5):
+        out[d] = s.c[j, 0, d] + x * (s.c[j, 1, d] + x * (s.c[j, 2, d] + x * s.c[j, 3, d]))
+
+
+@numba.njit(cache=True, nogil=True)
+def joint_ratios(e, s, tolerance, angle_tolerance):
+    """Deviation of the spline at every joint (E + 1,) in tolerances; beside an arc also between, put down to the nearer joint."""
+    n = e.kind.shape[0]
+    out = np.zeros(n + 1)
+    have, want = np.empty(5), np.empty(5)
+    j = 0
+    for k in range(1, n):
+        j = el.find(s.t, e.u[k], j)
+        spline_point(s, j, e.u[k], have)
+        el.point(e, k, e.u[k], want)
+        out[k] = _ratio(have - want, tolerance[k], angle_tolerance[k])
+    i = 0
+    for j in range(1, s.t.shape[0] - 1):
+        i = el.find(e.u, s.t[j], i)
+        if e.kind[i] == ARC or (i > 0 and e.kind[i - 1] == ARC) or (i < n - 1 and e.kind[i + 1] == ARC):
+            spline_point(s, j, s.t[j], have)
+            el.point(e, i, s.t[j], want)
+            k = i if s.t[j] - e.u[i] < e.u[i + 1] - s.t[j] else i + 1
+            out[k] = max(out[k], _ratio(have - want, tolerance[k], angle_tolerance[k]))
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def blend(e, tolerance, angle_tolerance, distance):
+    """The spline of a stretch and its deviation at every joint in tolerances (at most 1)."""
+    h, corner = knot_distances(e, tolerance, angle_tolerance, distance)
+    grade(e, h, corner)
+    s = spline_on(e, breaks(e, h, corner))
+    ratios = joint_ratios(e, s, tolerance, angle_tolerance)
+    for _ in range(REFINEMENTS):
+        worst = 0.0
+        for k in range(ratios.shape[0]):
+            if ratios[k] > ACCEPTED:
+                h[k] *= max(0.3, 0.9 / ratios[k])
+            worst = max(worst, ratios[k])
+        if worst <= ACCEPTED:
+            break
+        grade(e, h, corner)
+        s = spline_on(e, breaks(e, h, corner))
+        ratios = joint_ratios(e, s, tolerance, angle_tolerance)
+    return s, ratios

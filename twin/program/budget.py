@@ -1,0 +1,154 @@
+"""Error budget of a program: what the interpolator (level 1) and what the drives (level 2) do to the part, along the path.
+
+All errors are distances of the tool tip in the part frame [m]:
+
+    rounding    set point to the programmed curve: corners and chords within the tolerance           level 1
+    chord       set points of the interpolation cycle joined by straight lines: sagitta              level 1
+    following   actual position to set point at the same time                                        level 2
+    drives      actual position to the path of the set points                                        level 2
+    contour     actual position to the programmed curve: what the part sees                          both
+
+`following` runs along the path for the most part and does no harm there; `contour` is what remains across it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.program.curve import nearest_along, programmed_curve
+from twin.program.interpolator import AXES
+from twin.program.moves import Program
+from twin.trace import PROGRAM, Trace
+
+SEARCH_BACK, SEARCH_AHEAD = 15e-3, 3e-3
+"""The actual position is looked for this far behind and ahead of its set point along the path [m]: more than any following error."""
+
+QUANTITIES = {
+    "rounding": (1, "set point to programmed curve"),
+    "chord": (1, "straight lines between interpolation cycles"),
+    "following": (2, "actual position to set point, same time"),
+    "drives": (2, "actual position to path of set points"),
+    "contour": (0, "actual position to programmed curve"),
+}
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Errors [m] at each set point (sample,); `path_length` [m] along the programmed curve, `line` of the program.
+
+    `orientation` [rad] is the angle between the actual tool axis and that of the set point at the same time.
+    """
+
+    time: np.ndarray
+    path_length: np.ndarray
+    line: np.ndarray
+    rounding: np.ndarray
+    chord: np.ndarray
+    following: np.ndarray
+    drives: np.ndarray
+    contour: np.ndarray
+    orientation: np.ndarray
+
+    def summary(self) -> list[dict[str, Any]]:
+        """One row per error: level, RMS and greatest value [um], and where the greatest is."""
+        rows = []
+        for name, (level, meaning) in QUANTITIES.items():
+            values = getattr(self, name)
+            worst = int(np.argmax(values))
+            rows.append(
+                {
+                    "error": name,
+                    "level": level,
+                    "rms_um": float(np.sqrt(np.mean(values**2)) * 1e6),
+                    "max_um": float(values[worst] * 1e6),
+                    "at_path_length_mm": float(self.path_length[worst] * 1e3),
+                    "at_line": int(self.line[worst]),
+                    "meaning": meaning,
+                }
+            )
+        return rows
+
+    def worst_lines(self, count: int = 10) -> list[dict[str, float | int]]:
+        """The lines of the program with the greatest contour error, and each level's share there [um]."""
+        lines, index = np.unique(self.line, return_inverse=True)
+        greatest = {name: np.zeros(len(lines)) for name in QUANTITIES}
+        for name, values in greatest.items():
+            np.maximum.at(values, index, getattr(self, name) * 1e6)
+        order = np.argsort(-greatest["contour"])[:count]
+        return [{"line": int(lines[i]), **{name: float(values[i]) for name, values in greatest.items()}} for i in order]
+
+    def table(self, lines: int = 10) -> str:
+        """Both as text for the terminal."""
+        out = ["error      level   rms [um]   max [um]   at [mm]  line  meaning"]
+        for row in self.summary():
+            level = row["level"] or "1+2"
+            out.append(
+                f"{row['error']:<10} {level!s:>5} {row['rms_um']:>10.3f} {row['max_um']:>10.3f} {row['at_path_length_mm']:>9.3f} "
+                f"{row['at_line']:>5}  {row['meaning']}"
+            )
+        out += ["", "line    " + "".join(f"{name + ' [um]':>16}" for name in QUANTITIES)]
+        out += [f"{row['line']:<8}" + "".join(f"{row[name]:>16.3f}" for name in QUANTITIES) for row in self.worst_lines(lines)]
+        return "\n".join(out)
+
+
+def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: Machine) -> ErrorBudget:
+    """Errors of both levels along the path of a program.
+
+    `setpoints` as `interpolate` made them; `followed` has `<axis>.position` of the run; axes that it lacks count as
+    following exactly. Both start at the same time.
+    """
+    if not setpoints.has(PROGRAM, "line"):
+        raise InputError("error budget: the set points carry no program.line; make them with `twin interpolate`")
+    time = setpoints.time[(setpoints.time >= followed.time[0]) & (setpoints.time <= followed.time[-1] + 1e-9)]
+    count = len(time)
+    if count < 3:
+        raise InputError("error budget: the run does not overlap the set points in time; both must start at the same time")
+    line = setpoints.get(PROGRAM, "line")[:count].astype(int)
+    home = program.start
+    wanted, actual = np.tile(home, (count, 1)), np.tile(home, (count, 1))
+    for i, axis in enumerate(AXES):
+        if setpoints.has(axis, "setpoint"):
+            wanted[:, i] = setpoints.get(axis, "setpoint")[:count]
+        actual[:, i] = np.interp(time, followed.time, followed.get(axis, "position")) if followed.has(axis, "position") else wanted[:, i]
+    tip_wanted, axis_wanted = _tips(program, wanted, line)
+    tip_actual, axis_actual = _tips(program, actual, line)
+    curve = programmed_curve(program)
+    nowhere = np.full(count, np.nan)
+    step = float(np.linalg.norm(np.diff(tip_wanted, axis=0), axis=1).max())
+    rounding, foot = nearest_along(curve.points, curve.length, tip_wanted, nowhere, step, max(SEARCH_AHEAD, 4.0 * step))
+    contour, _ = nearest_along(curve.points, curve.length, tip_actual, foot, SEARCH_BACK, SEARCH_AHEAD)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip_wanted, axis=0), axis=1))])
+    drives, _ = nearest_along(tip_wanted, along, tip_actual, along, SEARCH_BACK, SEARCH_AHEAD)
+    every = max(1, round(machine.interpolation_cycle / setpoints.period))
+    chord = np.zeros(count)
+    if count > 2 * every:
+        middle = np.linalg.norm(tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every], axis=1) / 8.0
+        # of the second difference only what is across the path is a sagitta
+        way = tip_wanted[2 * every :] - tip_wanted[: -2 * every]
+        size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+        bend = tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every]
+        parallel = np.abs(np.einsum("ni,ni->n", bend, way)) / size / 8.0
+        chord[every:-every] = np.sqrt(np.maximum(middle**2 - parallel**2, 0.0))
+    following = np.linalg.norm(tip_actual - tip_wanted, axis=1)
+    orientation = np.arctan2(np.linalg.norm(np.cross(axis_wanted, axis_actual), axis=1), np.einsum("ni,ni->n", axis_wanted, axis_actual))
+    return ErrorBudget(time, foot, line, rounding, chord, following, drives, contour, orientation)
+
+
+def _tips(program: Program, axes: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tip and tool axis in the part frame, with the tool that each line works with."""
+    m = program.moves
+    lengths = np.unique(m.tool_length)
+    if len(lengths) == 1:
+        return program.kinematics.with_tool_length(lengths[0]).forward(axes)
+    of_line = dict(zip(m.line.tolist(), m.tool_length.tolist()))
+    used = np.array([of_line.get(int(v), lengths[0]) for v in line])
+    tip, direction = np.empty((len(axes), 3)), np.empty((len(axes), 3))
+    for length in lengths:
+        rows = used == length
+        tip[rows], direction[rows] = program.kinematics.with_tool_length(length).forward(axes[rows])
+    return tip, direction

@@ -1,0 +1,276 @@
+"""Collects what a reader understands, move by move, and turns it into a checked `Program`.
+
+Readers append one row per move: coordinates as programmed in SI, tool axis or angles, the modes in force. `finish` works on
+columns: it finds A and C for all tool axes (nearest solution, shortest way), the feed in m/s or rad/s, the stops, and
+reports what the machine cannot do with file, line and block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.kinematics import Kinematics, kinematics_of
+from twin.machine import Machine
+from twin.program import moves as mv
+from twin.program.orientation import OK, choose_angles, unreachable_text
+from twin.units import AXIS_UNITS, rad_from_deg
+
+DEFAULT_TOLERANCE = 10e-6
+"""Corner rounding of G64 and G642 without another word [m]; chosen, the paper does not say."""
+DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
+"""The same for A and C [rad]."""
+RAPID_TOLERANCE_FACTOR = 3.0
+"""Between two rapid moves the tolerance is this much larger (STOLF on the control)."""
+SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
+"""Wait at an exact stop in time constants 1 / Kv of the slowest axis: until the window is reached; G603 does not wait."""
+
+NAN5 = (math.nan,) * 5
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What is in force for a move; readers share one record among all moves until a word changes it."""
+
+    traori: bool = False
+    workpiece_orientation: bool = True  # ORIWKS: great circle; ORIMKS: A and C linear
+    exact_stop: bool = False
+    stop_window: str = "G601"
+    tolerance: float = DEFAULT_TOLERANCE
+    angle_tolerance: float = DEFAULT_ANGLE_TOLERANCE
+    distance: float = math.inf
+    rapid_distance: float = math.inf
+    feed_mode: int = 94
+    feed_unit: float = 1e-3  # m
+    spindle: float = 0.0
+    brisk: bool = False
+    feedforward: bool = True
+    tool_length: float = 0.0
+
+
+class Collector:
+    """Rows of a program while it is read; `position` holds x y z A C as far as known (A, C NaN after a tool axis)."""
+
+    def __init__(self, path: Path, machine: Machine):
+        self.path = path
+        self.machine = machine
+        self.kinematics = kinematics_of(machine)
+        home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
+        self.position = [float(v) for v in home]
+        self.modes = Modes(tool_length=self.kinematics.tool_length)
+        self.all_modes = [self.modes]
+        self.kinds: list[int] = []
+        self.targets: list[tuple[float, ...]] = []  # x y z A C, NaN: as before
+        self.tool_axes: list[tuple[float, float, float] | None] = []
+        self.feeds: list[float] = []
+        self.mode_of: list[int] = []
+        self.blocks: list[int] = []
+        self.lines: list[int] = []
+        self.stops: dict[int, float] = {}  # row -> pause asked by G9, M0 and the like
+        self.arcs: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}
+        self.pauses: dict[int, float] = {}
+        self.notes: dict[str, None] = {}
+        self.messages: list[str] = []
+        self.feedforward: str | None = None
+        self.angles: list[np.ndarray] = []  # settled (row, 2)
+        self.settled = 0
+        self.last_angles = np.array(self.position[3:])
+        self.started = False
+
+    def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
+        """An error at a place of the program."""
+        where = f"{self.path}: line {line}" + (f", column {column}" if column else "") + (f" (block N{block})" if block >= 0 else "")
+        return InputError(f"{where}: {text}")
+
+    def set_modes(self, modes: Modes) -> None:
+        """Modes from here on."""
+        if modes != self.modes:
+            self.modes = modes
+            self.all_modes.append(modes)
+
+    def add(
+        self, kind: int, target: tuple[float, ...], tool_axis: tuple[float, float, float] | None, feed: float, line: int, block: int
+    ) -> None:
+        """One move; `feed` as in the F word (infinite in rapid moves)."""
+        self.kinds.append(kind)
+        self.targets.append(target)
+        self.tool_axes.append(tool_axis)
+        self.feeds.append(feed)
+        self.mode_of.append(len(self.all_modes) - 1)
+        self.lines.append(line)
+        self.blocks.append(block)
+
+    def settle(self) -> np.ndarray:
+        """Angles of all rows so far are found; returns the last A and C."""
+        begin, end = self.settled, len(self.kinds)
+        if end > begin:
+            fixed = np.array([t[3:5] for t in self.targets[begin:end]])
+            axis = np.full((end - begin, 3), np.nan)
+            given = [i for i, v in enumerate(self.tool_axes[begin:end]) if v is not None]
+            if given:
+                axis[given] = np.array([self.tool_axes[begin + i] for i in given])
+            lengths = np.linalg.norm(axis, axis=1)
+            if np.any(lengths == 0.0):
+                row = begin + int(np.flatnonzero(lengths == 0.0)[0])
+                raise self.fail(self.lines[row], self.blocks[row], "the tool axis has no length; give A3= B3= C3= a direction")
+            chosen = choose_angles(self.kinematics, axis, self.last_angles, fixed=fixed, check=False)
+            bad = np.flatnonzero(chosen.status != OK)
+            if bad.size:
+                k = int(bad[0])
+                unit = axis[k] / lengths[k]
+                text = unreachable_text(self.kinematics, unit, int(chosen.status[k]))
+                raise self.fail(self.lines[begin + k], self.blocks[begin + k], text)
+            cut = np.flatnonzero(chosen.rewound & (np.array(self.kinds[begin:end]) != mv.RAPID))
+            if cut.size:
+                k = begin + int(cut[0])
+                raise self.fail(
+                    self.lines[k], self.blocks[k], "C meets its stop and would rewind inside the cut; retract before, or turn the part"
+                )
+            self.angles.append(chosen.angles)
+            self.last_angles = chosen.angles[-1]
+            self.settled = end
+        return self.last_angles
+
+    def change_frame(self, modes: Modes) -> None:
+        """Switch TRAORI or the tool: the axes stay, the point gets its new coordinates."""
+        old, angles = self.modes, self.settle()
+        point = np.array([*self.position[:3]])
+        if old.traori:
+            point = self.kinematics.with_tool_length(old.tool_length).linear_axes(point[None], angles[None])[0]
+        if modes.traori:
+            axes = np.concatenate([point, angles])
+            point = self.kinematics.with_tool_length(modes.tool_length).forward(axes)[0][0]
+        self.position = [*map(float, point), *map(float, angles)]
+        self.set_modes(modes)
+
+    def finish(self) -> mv.Program:
+        """The checked program."""
+        if not self.kinds:
+            raise InputError(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000")
+        self.settle()
+        angles = np.vstack(self.angles)
+        n = len(self.kinds)
+        kind = np.array(self.kinds, np.int8)
+        target = np.array(self.targets)
+        target[:, 3:] = angles
+        modes = self.all_modes
+        mode_of = np.array(self.mode_of)
+
+        def column(name: str, dtype: type) -> np.ndarray:
+            return np.array([getattr(m, name) for m in modes], dtype)[mode_of]
+
+        centre, normal, angle = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        for row, (c, axis, turn) in self.arcs.items():
+            centre[row], normal[row], angle[row] = c, axis, turn
+        exact = column("exact_stop", bool)
+        settling = np.array([SETTLING[m.stop_window] for m in modes])[mode_of] / min(a.loops.position_gain_per_s for a in self.machine.axes)
+        stop = exact.copy()
+        pause = np.where(exact, settling, 0.0)
+        for row, extra in self.stops.items():
+            stop[row] = True
+            pause[row] = max(pause[row], settling[row]) + extra
+        for row, time in self.pauses.items():
+            pause[row] = time
+        # what cannot be blended: a change of transformation, tool or acceleration mode, the moves beside a dwell, the end
+        traori, brisk, length = column("traori", bool), column("brisk", bool), column("tool_length", float)
+        change = (traori[1:] != traori[:-1]) | (brisk[1:] != brisk[:-1]) | (length[1:] != length[:-1])
+        change |= (kind[1:] == mv.DWELL) | (kind[:-1] == mv.DWELL)
+        stop[:-1] |= change
+        stop[-1] = True
+        both_rapid = np.concatenate([(kind[1:] == mv.RAPID) & (kind[:-1] == mv.RAPID), [False]])
+        factor = np.where(both_rapid, RAPID_TOLERANCE_FACTOR, 1.0)
+        moves = mv.Moves(
+            kind=kind,
+            target=target,
+            traori=traori,
+            workpiece_orientation=column("workpiece_orientation", bool),
+            feed=np.array(self.feeds),
+            rotary=np.zeros(n, bool),
+            stop=stop,
+            pause=pause,
+            tolerance=column("tolerance", float) * factor,
+            angle_tolerance=column("angle_tolerance", float) * factor,
+            distance=np.where(kind == mv.RAPID, column("rapid_distance", float), column("distance", float)),
+            brisk=brisk,
+            feedforward=column("feedforward", bool),
+            tool_length=length,
+            centre=centre,
+            normal=normal,
+            angle=angle,
+            block=np.array(self.blocks),
+            line=np.array(self.lines),
+        )
+        program = self._with_start(moves)
+        self._feeds(program, column("feed_mode", int), column("feed_unit", float), column("spindle", float))
+        self._check_travel(program)
+        return program
+
+    def _with_start(self, moves: mv.Moves) -> mv.Program:
+        """A first rapid move is the start itself; otherwise the axes start at home."""
+        home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
+        start = home
+        if moves.kind[0] == mv.RAPID:
+            start = moves.target[0].copy()
+            if moves.traori[0]:
+                start[:3] = self.kinematics.with_tool_length(moves.tool_length[0]).linear_axes(start[None, :3], start[None, 3:])[0]
+            moves = moves.take(np.arange(1, len(moves)))
+        program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages))
+        if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
+            raise InputError(
+                f"{self.path}: the program moves no axis from its start; a first rapid move is taken as the start, add a move behind it"
+            )
+        return program
+
+    def _feeds(self, program: mv.Program, mode: np.ndarray, unit: np.ndarray, spindle: np.ndarray) -> None:
+        """F words to m/s of the tip, or rad/s where only A and C move (in place: the program is not out yet)."""
+        moves = program.moves
+        mode, unit, spindle = (v[-len(moves) :] for v in (mode, unit, spindle))
+        way = moves.target - program.starts()
+        tip = np.linalg.norm(way[:, :3], axis=1)
+        arc = moves.kind == mv.ARC
+        if arc.any():
+            radius = np.linalg.norm(moves.centre - program.starts()[:, :3], axis=1)
+            along = np.einsum("ni,ni->n", way[:, :3], moves.normal)
+            tip[arc] = np.hypot(moves.angle * radius, along)[arc]
+        turn = np.linalg.norm(way[:, 3:], axis=1)
+        moves.rotary[:] = (tip < 1e-12) & (turn > 0.0)
+        length = np.where(moves.rotary, turn, tip)
+        per_minute = np.where(moves.rotary, rad_from_deg(1.0), unit)
+        value = moves.feed * np.where(mode == 95, spindle, 1.0) * per_minute / 60.0
+        inverse_time = (mode == 93) & np.isfinite(moves.feed)
+        value[inverse_time] = length[inverse_time] * moves.feed[inverse_time] / 60.0
+        moves.feed[:] = np.where(moves.kind == mv.RAPID, np.inf, value)
+        bad = np.flatnonzero((length > 0.0) & ~(moves.feed > 0.0) & (moves.kind != mv.DWELL))
+        if bad.size:
+            row = int(bad[0])
+            text = "the feed is 0; give F a number above 0" + (" and S a speed, since G95 is in force" if mode[row] == 95 else "")
+            raise self.fail(int(moves.line[row]), int(moves.block[row]), text)
+
+    def _check_travel(self, program: mv.Program) -> None:
+        """Every block end within travel (what lies between is checked on the set points)."""
+        moves = program.moves
+        axes = moves.target.copy()
+        for length in np.unique(moves.tool_length[moves.traori]):
+            rows = moves.traori & (moves.tool_length == length)
+            axes[rows, :3] = self.kinematics.with_tool_length(length).linear_axes(axes[rows, :3], axes[rows, 3:])
+        at_start = self.kinematics.outside_travel(program.start[None])
+        hit = self.kinematics.outside_travel(axes)
+        if at_start or hit:
+            row, axis = at_start or hit  # type: ignore[misc]
+            value = program.start[axis] if at_start else axes[row, axis]
+            line, block = (self.lines[0], self.blocks[0]) if at_start else (int(moves.line[row]), int(moves.block[row]))
+            raise self.fail(line, block, travel_text("XYZAC"[axis], float(value), self.kinematics))
+
+
+def travel_text(name: str, value: float, kinematics: Kinematics) -> str:
+    """What lies outside travel and what to do."""
+    unit, factor = AXIS_UNITS["rotary" if name in "AC" else "linear"].position
+    low, high = kinematics.travel["XYZAC".index(name)] * factor
+    return (
+        f"axis {name} would go to {value * factor:.6g} {unit}, outside its travel {low:.6g} .. {high:.6g} {unit}; "
+        "move the program, set a frame (G54) or place the part elsewhere"
+    )

@@ -1,0 +1,120 @@
+"""The programmed curve in the part frame as a fine polyline, and the distance of points to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from twin.program import moves as mv
+from twin.program.moves import Program
+
+SAGITTA = 1e-8
+"""Arcs are divided so that their chords miss them by this [m]."""
+TURN_STEP = np.radians(0.1)
+"""Moves of A and C without TRAORI bend the path in the part frame: points at this distance."""
+MOST_POINTS = 20_000  # per move
+
+
+class Curve(NamedTuple):
+    """Points (P, 3) [m] in the part frame, length along them (P,), and the move that leads to each point (P,)."""
+
+    points: np.ndarray
+    length: np.ndarray
+    row: np.ndarray
+
+
+def programmed_curve(program: Program) -> Curve:
+    """What the program asks for, before any rounding of corners."""
+    m, starts = program.moves, program.starts()
+    turn = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
+    bent = (m.kind == mv.ARC) | (~m.traori & (turn > 1e-12))
+    kept = (np.abs(m.target - starts).max(axis=1) > 1e-12) | (m.kind == mv.ARC)
+    pieces, rows = [_in_part(program, starts[:1], 0)], [np.zeros(1, int)]
+    row = 0
+    while row < len(m):
+        if bent[row]:
+            pieces.append(_in_part(program, _bent_points(program, starts[row], row), row))
+            rows.append(np.full(len(pieces[-1]), row))
+            row += 1
+            continue
+        # straight moves of one kind together
+        end = row
+        while end < len(m) and not bent[end] and m.traori[end] == m.traori[row] and m.tool_length[end] == m.tool_length[row]:
+            end += 1
+        index = np.arange(row, end)[kept[row:end]]
+        if len(index):
+            pieces.append(_in_part(program, m.target[index], row))
+            rows.append(index)
+        row = end
+    points = np.concatenate(pieces)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return Curve(points, np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate(rows))
+
+
+def _in_part(program: Program, points: np.ndarray, row: int) -> np.ndarray:
+    """Tips (n, 3) in the part frame from coordinates of move `row`."""
+    if program.moves.traori[row]:
+        return points[:, :3]
+    return program.kinematics.with_tool_length(program.moves.tool_length[row]).forward(points)[0]
+
+
+def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
+    """Points (n, 5) of an arc or of a move with turning axes, without its start."""
+    m = program.moves
+    end = m.target[row]
+    parts = np.abs(end[3:] - start[3:]).max() / TURN_STEP if not m.traori[row] else 1.0
+    arc = m.kind[row] == mv.ARC
+    if arc:
+        arm = start[:3] - m.centre[row]
+        radius1 = arm - m.normal[row] * (arm @ m.normal[row])
+        parts = max(parts, m.angle[row] / np.sqrt(8.0 * SAGITTA / max(float(np.linalg.norm(radius1)), 1e-6)))
+    share = np.linspace(0.0, 1.0, int(min(MOST_POINTS, np.ceil(parts))) + 1)[1:, None]
+    points = start + share * (end - start)
+    if arc:
+        centre, radius2, phi = start[:3] - radius1, np.cross(m.normal[row], radius1), m.angle[row]
+        pitch = end[:3] - centre - np.cos(phi) * radius1 - np.sin(phi) * radius2
+        points[:, :3] = centre + np.cos(share * phi) * radius1 + np.sin(share * phi) * radius2 + share * pitch
+    return points
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_along(points, length, at, hint, back, ahead):
+    """Distance (n,) of points `at` (n, 3) to a polyline and the length (n,) at which the nearest point lies.
+
+    Each is searched between hint - back and hint + ahead along the polyline; a hint of NaN means the foot of the point before.
+    """
+    n = at.shape[0]
+    distance, foot = np.empty(n), np.empty(n)
+    last = points.shape[0] - 2
+    first = 0
+    before = 0.0
+    for i in range(n):
+        middle = before if np.isnan(hint[i]) else hint[i]
+        low, high = middle - back, middle + ahead
+        while first > 0 and length[first] > low:
+            first -= 1
+        while first < last and length[first + 1] < low:
+            first += 1
+        best, best_foot = np.inf, middle
+        k = first
+        while k <= last:
+            square = 0.0
+            along = 0.0
+            for d in range(3):
+                edge = points[k + 1, d] - points[k, d]
+                square += edge * edge
+                along += edge * (at[i, d] - points[k, d])
+            share = min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
+            off = 0.0
+            for d in range(3):
+                off += (at[i, d] - points[k, d] - share * (points[k + 1, d] - points[k, d])) ** 2
+            if off < best:
+                best, best_foot = off, length[k] + share * (length[k + 1] - length[k])
+            if length[k + 1] > high:
+                break
+            k += 1
+        distance[i], foot[i] = np.sqrt(best), best_foot
+        before = best_foot
+    return distance, foot

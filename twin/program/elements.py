@@ -1,0 +1,114 @@
+"""The programmed curve of one stretch without a stop: lines and arcs in the five coordinates x y z A C.
+
+x y z are the tool tip in the part frame under TRAORI, otherwise the axes X Y Z; A and C are always the axes. Each element
+runs over an interval of the path parameter u [m] with constant speed of all its parts; the length of an element is
+
+    du^2 = |d(x y z)|^2 + r^2 (dA^2 + dC^2),     r = REFERENCE_RADIUS
+
+so that a pure turn has a length too. An arc (or helix) is centre + cos(phi) e1 + sin(phi) e2 + pitch phi / angle, phi = 0 .. angle.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+REFERENCE_RADIUS = 0.1
+"""Radius [m] that turns rad into path length for A and C (as FGREF on the control); only the parametrisation depends on it."""
+
+LINE, ARC = 0, 1
+
+
+class Elements(NamedTuple):
+    """Arrays of the elements e = 0 .. E - 1 of a stretch; `u` (E + 1,) are the ends of their parameter intervals."""
+
+    u: np.ndarray
+    kind: np.ndarray  # (E,) LINE or ARC
+    start: np.ndarray  # (E, 5)
+    end: np.ndarray  # (E, 5)
+    centre: np.ndarray  # (E, 3) of arcs
+    radius1: np.ndarray  # (E, 3) e1, from the centre to the start
+    radius2: np.ndarray  # (E, 3) e2, perpendicular to e1 in the sense of motion
+    angle: np.ndarray  # (E,) angle [rad] > 0 of arcs
+
+
+@numba.njit(cache=True, nogil=True)
+def find(u, at, hint):
+    """Index of the interval of the increasing array `u` that holds `at`, searched from `hint`."""
+    last = u.shape[0] - 2
+    i = min(max(hint, 0), last)
+    while i < last and at >= u[i + 1]:
+        i += 1
+    while i > 0 and at < u[i]:
+        i -= 1
+    return i
+
+
+@numba.njit(cache=True, nogil=True)
+def point(e, i, at, out):
+    """Programmed point (5,) at parameter `at` of element i."""
+    share = (at - e.u[i]) / (e.u[i + 1] - e.u[i])
+    for k in range(5):
+        out[k] = e.start[i, k] + share * (e.end[i, k] - e.start[i, k])
+    if e.kind[i] == ARC:
+        cos, sin = np.cos(share * e.angle[i]), np.sin(share * e.angle[i])
+        cos1, sin1 = np.cos(e.angle[i]), np.sin(e.angle[i])
+        for k in range(3):
+            # what is linear between start and end beyond the circle is the pitch of a helix
+            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
+            out[k] = e.centre[i, k] + cos * e.radius1[i, k] + sin * e.radius2[i, k] + share * pitch
+
+
+@numba.njit(cache=True, nogil=True)
+def slope(e, i, at_end, out):
+    """dw/du (5,) at the start or the end of element i."""
+    length = e.u[i + 1] - e.u[i]
+    for k in range(5):
+        out[k] = (e.end[i, k] - e.start[i, k]) / length
+    if e.kind[i] == ARC:
+        phi = e.angle[i] if at_end else 0.0
+        cos, sin = np.cos(phi), np.sin(phi)
+        cos1, sin1 = np.cos(e.angle[i]), np.sin(e.angle[i])
+        for k in range(3):
+            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
+            out[k] = (e.angle[i] * (cos * e.radius2[i, k] - sin * e.radius1[i, k]) + pitch) / length
+
+
+@numba.njit(cache=True, nogil=True)
+def integral(e, i, low, high, out):
+    """Add the integral of the programmed point over [low, high] within element i to `out` (5,)."""
+    length = e.u[i + 1] - e.u[i]
+    a, b = (low - e.u[i]) / length, (high - e.u[i]) / length
+    half = 0.5 * (b * b - a * a) * length
+    for k in range(5):
+        if e.kind[i] == LINE or k > 2:
+            out[k] += e.start[i, k] * (high - low) + half * (e.end[i, k] - e.start[i, k])
+    if e.kind[i] == ARC:
+        phi = e.angle[i]
+        sines, cosines = (np.sin(b * phi) - np.sin(a * phi)) / phi, (np.cos(a * phi) - np.cos(b * phi)) / phi
+        cos1, sin1 = np.cos(phi), np.sin(phi)
+        for k in range(3):
+            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
+            circle = (sines * e.radius1[i, k] + cosines * e.radius2[i, k]) * length
+            out[k] += e.centre[i, k] * (high - low) + circle + half * pitch
+
+
+@numba.njit(cache=True, nogil=True)
+def mean(e, low, high, hint, out):
+    """Mean of the programmed point over [low, high] into `out` (5,); returns the element of `low`."""
+    out[:] = 0.0
+    first = find(e.u, low, hint)
+    i = first
+    at = low
+    while True:
+        upto = min(high, e.u[i + 1])
+        integral(e, i, at, upto, out)
+        if upto >= high or i == e.u.shape[0] - 2:
+            break
+        at = upto
+        i += 1
+    for k in range(5):
+        out[k] /= high - low
+    return first

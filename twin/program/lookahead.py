@@ -1,0 +1,313 @@
+"""Look-ahead: the grid on which the time law is planned, the limits on it, and long stretches in overlapping windows.
+
+The nodes are the breaks of the spline, divided where the speed changes much from node to node: near stops and slow
+corners the node distance grows by DIVIDE per length; the first node lies 1/1000 of the run-up to feed from the stop.
+
+A stretch of any length is planned in windows of at most WINDOW nodes, each from rest to rest; neighbours overlap by twice the
+way that their invented stop and start can be felt, and are joined in the middle of the overlap, where both agree.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from twin.errors import TwinError
+from twin.program import axis_path, elements, timelaw
+
+DIVIDE = 0.06
+BEND = 0.1  # change of direction [rad] within an interval
+FINEST = 65.0  # nodes at least over a run-up
+WINDOW = 20_000  # nodes planned at once
+FELT = 6.0  # run-ups to feed that an invented stop is felt
+JOIN = 64  # nodes over which two windows are joined
+SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
+"""Limits are planned with these factors, since between two nodes they may be exceeded a little."""
+
+
+class Limits(NamedTuple):
+    """Speed, acceleration and jerk limits of X Y Z A C (5,) in SI."""
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+
+class Feeds(NamedTuple):
+    """Feed per element (E,): greatest speed [m/s or rad/s] (infinite: rapid), and whether it is that of the rotary axes."""
+
+    speed: np.ndarray
+    rotary: np.ndarray
+
+
+class Law(NamedTuple):
+    """The time law of a stretch: nodes (N + 1,), piece of the spline per interval (N,), a and a' at the nodes (N + 1,)."""
+
+    nodes: np.ndarray
+    piece: np.ndarray
+    a: np.ndarray
+    slope: np.ndarray
+
+
+@numba.njit(cache=True, nogil=True)
+def _run_up(s, j, f, limits, feed, rotary):
+    """Way [m of u] from rest to feed in the direction of piece j under the jerk and acceleration limits."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    axis_path.spline_jet(s, j, s.t[j], w)
+    axis_path.axis_jet(f, w, work, q)
+    speed, jerk, acceleration = _along(w, feed, rotary), np.inf, np.inf
+    for k in range(5):
+        size = abs(q[1, k])
+        if size > 1e-12:
+            speed = min(speed, limits.speed[k] / size)
+            acceleration = min(acceleration, limits.acceleration[k] / size)
+            jerk = min(jerk, limits.jerk[k] / size)
+    return speed * max(np.sqrt(speed / jerk), 0.5 * speed / acceleration)
+
+
+@numba.njit(cache=True, nogil=True)
+def _along(w, feed, rotary):
+    """Path speed du/dt that gives the feed at a point with jets w."""
+    square = w[1, 3] ** 2 + w[1, 4] ** 2 if rotary else w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2
+    size = np.sqrt(square)
+    return feed / size if size > 1e-9 else np.inf
+
+
+@numba.njit(cache=True, nogil=True)
+def _slope_change(s, j):
+    """How much the direction of the path changes within piece j (rad, for small changes)."""
+    h = s.t[j + 1] - s.t[j]
+    square = 0.0
+    for d in range(5):
+        change = h * (2.0 * s.c[j, 2, d] + 3.0 * h * s.c[j, 3, d])
+        square += (change if d < 3 else elements.REFERENCE_RADIUS * change) ** 2
+    return np.sqrt(square)
+
+
+@numba.njit(cache=True, nogil=True)
+def run_ups(s, e, f, limits, feeds):
+    """Run-up way of each piece, at most half the stretch."""
+    pieces = s.t.shape[0] - 1
+    way = np.empty(pieces)
+    i = 0
+    for j in range(pieces):
+        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
+        way[j] = min(_run_up(s, j, f, limits, feeds.speed[i], feeds.rotary[i]), 0.5 * s.t[pieces])
+    return way
+
+
+@numba.njit(cache=True, nogil=True)
+def grid(s, e, f, limits, feeds):
+    """Nodes of the time law, the piece of the spline in which each interval lies, and the run-up way of each piece."""
+    pieces = s.t.shape[0] - 1
+    step = np.empty(pieces + 1)  # node distance wanted at the breaks
+    far = np.full(pieces + 1, np.inf)  # way to the next place where the speed may have to change
+    way = run_ups(s, e, f, limits, feeds)
+    i = 0
+    for j in range(pieces):
+        before = i
+        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
+        change = _slope_change(s, j)
+        size = (s.t[j + 1] - s.t[j]) / min(8.0, max(1.0, np.ceil(change / BEND)))
+        step[j] = min(step[j], size) if j else size
+        step[j + 1] = size
+        if change > 0.05 * BEND or f.active or feeds.speed[i] != feeds.speed[before]:
+            far[j] = 0.0
+            far[j + 1] = 0.0
+    # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
+    first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
+    step[0] = DIVIDE * first_step
+    step[pieces] = DIVIDE * last_step
+    far[0] = 0.0
+    far[pieces] = 0.0
+    for j in range(1, pieces + 1):
+        step[j] = min(step[j], step[j - 1] + DIVIDE * (s.t[j] - s.t[j - 1]))
+        far[j] = min(far[j], far[j - 1] + (s.t[j] - s.t[j - 1]))
+    for j in range(pieces - 1, -1, -1):
+        step[j] = min(step[j], step[j + 1] + DIVIDE * (s.t[j + 1] - s.t[j]))
+        far[j] = min(far[j], far[j + 1] + (s.t[j + 1] - s.t[j]))
+    nodes = np.empty(4 * pieces + 4096)
+    piece = np.empty(4 * pieces + 4096, np.int64)
+    nodes[0] = 0.0
+    count = 1
+    for j in range(pieces):
+        first = count - 1
+        at = s.t[j]
+        while at < s.t[j + 1] * (1.0 - 1e-14):
+            left, right = at - s.t[j], s.t[j + 1] - at
+            clear = min(far[j] + left, far[j + 1] + right)
+            # fine while the speed changes; once the feed is reached nothing happens
+            longest = max(way[j] / FINEST, DIVIDE * (clear - 2.0 * way[j]))
+            size = min(longest, step[j] + DIVIDE * left)
+            size = min(size, step[j + 1] + DIVIDE * max(0.0, right - size))
+            size = max(size, 1e-4 * (s.t[j + 1] - s.t[j]))
+            if j == 0 and left == 0.0:
+                size = min(first_step, 0.5 * right)
+            elif j == pieces - 1 and right < 1.5 * last_step:
+                size = right
+            if right < 2.0 * size:
+                size = right if right < 1.3 * size else 0.5 * right
+            at += size
+            if count + 1 >= nodes.shape[0]:
+                more_nodes, more_piece = np.empty(2 * count), np.empty(2 * count, np.int64)
+                more_nodes[:count], more_piece[:count] = nodes[:count], piece[:count]
+                nodes, piece = more_nodes, more_piece
+            nodes[count] = at
+            piece[count - 1] = j
+            count += 1
+        # even out: the last step may have been longer
+        factor = (s.t[j + 1] - s.t[j]) / (nodes[count - 1] - s.t[j])
+        for k in range(first + 1, count):
+            nodes[k] = s.t[j] + (nodes[k] - s.t[j]) * factor
+        nodes[count - 1] = s.t[j + 1]
+    return nodes[:count].copy(), piece[: count - 1].copy(), way
+
+
+@numba.njit(cache=True, nogil=True)
+def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
+    """Derivatives of the axes at the nodes into q1, q2, q3 and the greatest a by speed and feed into `top`."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    intervals = piece.shape[0]
+    top[:] = np.inf
+    i = 0
+    for n in range(intervals):
+        i = elements.find(e.u, nodes[n], i)
+        for end in range(2):
+            axis_path.spline_jet(s, piece[n], nodes[n + end], w)
+            axis_path.axis_jet(f, w, work, q)
+            # the smallest feed of the blocks that the interval touches
+            speed = SPEED_MARGIN * _along(w, feeds.speed[i], feeds.rotary[i])
+            k = i + 1
+            while k < feeds.speed.shape[0] and e.u[k] < nodes[n + 1]:
+                speed = min(speed, SPEED_MARGIN * _along(w, feeds.speed[k], feeds.rotary[k]))
+                k += 1
+            for k in range(5):
+                q1[n + end, k] = q[1, k]
+                q2[n + end, k] = q[2, k]
+                q3[n, end, k] = q[3, k]
+                if abs(q[1, k]) > 1e-12:
+                    speed = min(speed, SPEED_MARGIN * limits.speed[k] / abs(q[1, k]))
+            top[n + end] = min(top[n + end], speed * speed)
+
+
+@numba.njit(cache=True, nogil=True)
+def rest_bounds(q1, q2, q3, h, limit_j):
+    """Greatest a at the inner end of the first and last interval so that u ~ t^3 keeps the jerk limits there.
+
+    With a = alpha u^(4/3) the jerk of an axis is alpha^(3/2) (2/9 q' + 2 q'' u + q''' u^2).
+    """
+    bound = np.empty(2)
+    n = h.shape[0]
+    for side in range(2):
+        i = 0 if side == 0 else n - 1
+        alpha = 1e12
+        for k in range(q1.shape[1]):
+            inner, outer = (1, 0) if side == 0 else (n - 1, n)
+            # backwards in u every odd derivative changes its sign
+            sign = 1.0 if side == 0 else -1.0
+            rest = abs(2.0 / 9.0 * q1[outer, k])
+            moved = abs(2.0 / 9.0 * sign * q1[inner, k] + 2.0 * q2[inner, k] * h[i] + sign * q3[i, 1 - side, k] * h[i] ** 2)
+            size = max(rest, moved)
+            if size > 0.0:
+                alpha = min(alpha, (limit_j[k] / size) ** (2.0 / 3.0))
+        bound[side] = alpha * h[i] ** (4.0 / 3.0)
+    return bound
+
+
+@numba.njit(cache=True, nogil=True)
+def node_values(h, c):
+    """a and a' at the nodes from the coefficients (zero at both ends, where the motion rests)."""
+    n = h.shape[0]
+    a, slope = np.zeros(n + 1), np.zeros(n + 1)
+    for i in range(1, n):
+        a[i] = (h[i] * c[i] + h[i - 1] * c[i + 1]) / (h[i - 1] + h[i])
+        slope[i] = 2.0 * (c[i + 1] - c[i]) / (h[i - 1] + h[i])
+    return a, slope
+
+
+def _window(s, e, f, limits: Limits, feeds: Feeds, nodes, piece, ease, gap: float):
+    """Coefficients of one window, from rest to rest."""
+    n = len(piece)
+    q1, q2, q3, top = np.empty((n + 1, 5)), np.empty((n + 1, 5)), np.empty((n, 2, 5)), np.empty(n + 1)
+    limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top)
+    moving = np.flatnonzero(np.any(np.abs(q1) > 1e-12, axis=0) | np.any(np.abs(q2) > 1e-12, axis=0))
+    q1, q2, q3 = (np.ascontiguousarray(q[..., moving]) for q in (q1, q2, q3))
+    limit_a, limit_j = ACCELERATION_MARGIN * limits.acceleration[moving], JERK_MARGIN * limits.jerk[moving]
+    h = np.diff(nodes)
+    c, _, steps, status = timelaw.time_law(h, q1, q2, q3, ease, top, rest_bounds(q1, q2, q3, h, limit_j), limit_a, limit_j, gap)
+    if status == timelaw.NOT_STARTED:
+        raise TwinError("interpolator: no feasible start was found for the time law; report this program")
+    return c, steps
+
+
+def plan(
+    s, e, f, limits: Limits, feeds: Feeds, gap: float = timelaw.GAP, progress=None, eased: tuple[Law, np.ndarray] | None = None
+) -> Law:
+    """The time law of a stretch; `progress` is called with the share done.
+
+    `eased` is an earlier law and the factors (interval,) on its jerk limits with which it is planned anew.
+    """
+    if eased is None:
+        nodes, piece, _ = grid(s, e, f, limits, feeds)
+        ease = np.ones(len(piece))
+    else:
+        nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
+    if len(piece) <= WINDOW:
+        c, _ = _window(s, e, f, limits, feeds, nodes, piece, ease, gap)
+    else:
+        way = run_ups(s, e, f, limits, feeds)
+        c = _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress)
+    return Law(nodes, piece, *node_values(np.diff(nodes), c))
+
+
+def _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress) -> np.ndarray:
+    """Windows one after the other, joined where both keep clear of their invented stops."""
+    total = len(piece)
+    c = np.zeros(total + 2)
+    begin = join_at = 0  # first node of the window, node up to which c is settled
+    window = WINDOW
+    while True:
+        end = min(begin + window, total)
+        new, _ = _window(s, e, f, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[begin:end], gap)
+        if begin == 0:
+            c[: end + 2] = new
+        else:
+            # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
+            share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
+            share = share * share * (3.0 - 2.0 * share)
+            c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
+        if progress:
+            progress(end / total)
+        if end == total:
+            return c
+        reach = FELT * way[piece[max(begin, end - window // 4)] : piece[end - 1] + 1].max()
+        join = int(np.searchsorted(nodes, nodes[end] - reach)) - JOIN
+        begin_next = int(np.searchsorted(nodes, nodes[max(join, 0)] - reach)) - JOIN
+        if join <= join_at + JOIN or begin_next <= begin:
+            # the run-ups are longer than the window: take a larger one
+            window *= 2
+            continue
+        begin, join_at, window = begin_next, join, WINDOW
+
+
+@numba.njit(cache=True, nogil=True)
+def excess(s, f, limits, law):
+    """Greatest jerk within each interval as a share of its limit (interval,), looked at between the nodes."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    n = law.piece.shape[0]
+    out = np.zeros(n)
+    for i in range(1, n - 1):
+        h = law.nodes[i + 1] - law.nodes[i]
+        bend = (law.slope[i + 1] - law.slope[i]) / h
+        for part in range(1, 4):
+            x = 0.25 * part * h
+            slope = law.slope[i] + bend * x
+            a = law.a[i] + x * (law.slope[i] + 0.5 * bend * x)
+            axis_path.spline_jet(s, law.piece[i], law.nodes[i] + x, w)
+            axis_path.axis_jet(f, w, work, q)
+            for k in range(5):
+                jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a) * np.sqrt(max(a, 0.0))
+                out[i] = max(out[i], jerk / limits.jerk[k])
+    return out

@@ -1,0 +1,147 @@
+"""Which A and C bring the tool axis where the program wants it: both solutions, travel, shortest way of C, singularity.
+
+Each direction has two solutions (tilt to either side, table half a turn apart). Along a program the one is taken that is
+within travel and nearest to where the axes are, measured by the larger of the two turns; C goes the shortest way. Where
+the tool axis lies along the turning axis, C keeps its angle. A turning axis with stops may have to rewind by whole turns:
+this is reported, and left to the caller, since it is harmless in a rapid move and ruins a cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from twin.errors import InputError
+from twin.kinematics import Kinematics
+
+OK, UNREACHABLE, OUTSIDE_TRAVEL = 0, 1, 2
+TRAVEL_TOLERANCE = 1e-9
+WALK_STEP = np.radians(1.0)
+
+
+@dataclass(frozen=True)
+class ChosenAngles:
+    """Angles (sample, 2) of A and C, status per sample (OK, UNREACHABLE, OUTSIDE_TRAVEL), and where C had to rewind."""
+
+    angles: np.ndarray
+    status: np.ndarray
+    rewound: np.ndarray
+
+
+def choose_angles(
+    kinematics: Kinematics, tool_axis: np.ndarray, start: np.ndarray, *, fixed: np.ndarray | None = None, check: bool = True
+) -> ChosenAngles:
+    """A and C along a sequence of tool axes (sample, 3) in the part frame, beginning at `start` (2,).
+
+    A tool axis of NaN asks for the angles `fixed` (sample, 2); what is NaN there too stays as it was. With `check` a
+    direction that cannot be reached raises InputError; otherwise the status says so and the angles stay.
+    """
+    tool_axis, start = np.atleast_2d(tool_axis), np.asarray(start, float)
+    fixed = np.full((len(tool_axis), 2), np.nan) if fixed is None else fixed
+    wanted, walked, kept = _walked(kinematics, tool_axis, fixed, start)
+    free = np.isnan(wanted[:, 0])
+    pairs, reachable = kinematics.angles(np.where(free[:, None], kinematics.tool_axis, wanted))
+    found = ChosenAngles(*_choose(pairs, reachable, free, walked, start, kinematics.travel[3:]))
+    rewound = np.diff(np.concatenate([[0], np.cumsum(found.rewound)[kept]])) > 0
+    chosen = ChosenAngles(found.angles[kept], found.status[kept], rewound)
+    if check and np.any(chosen.status):
+        k = int(np.flatnonzero(chosen.status)[0])
+        raise InputError(f"sample {k}: {unreachable_text(kinematics, tool_axis[k], int(chosen.status[k]))}")
+    return chosen
+
+
+def _walked(
+    kinematics: Kinematics, tool_axis: np.ndarray, fixed: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same directions with steps in between where they lie far apart, and which rows are the original ones.
+
+    Over a large step the nearest solution may be the one on the other side of the turning axis, to which no continuous motion
+    leads; walked along the great circle the choice is that of the motion.
+    """
+    first = kinematics.forward(np.array([0.0, 0.0, 0.0, *start]))[1]
+    before = np.vstack([first, tool_axis[:-1]])
+    size = np.linalg.norm(tool_axis, axis=1) * np.linalg.norm(before, axis=1)
+    cosine = np.einsum("ni,ni->n", before, tool_axis) / np.where(size > 0.0, size, 1.0)
+    angle = np.nan_to_num(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    steps = np.maximum(1, np.ceil(angle / WALK_STEP)).astype(int)
+    kept = np.cumsum(steps) - 1
+    if kept[-1] == len(tool_axis) - 1:
+        return tool_axis, fixed, kept
+    out, walked = np.repeat(tool_axis, steps, axis=0), np.repeat(fixed, steps, axis=0)
+    for i in np.flatnonzero(steps > 1):
+        a, b = before[i] / np.linalg.norm(before[i]), tool_axis[i] / np.linalg.norm(tool_axis[i])
+        share = np.arange(1, steps[i])[:, None] / steps[i]
+        if np.pi - angle[i] > 1e-6:  # opposite directions have no great circle of their own
+            way = np.sin((1.0 - share) * angle[i]) * a + np.sin(share * angle[i]) * b
+            out[kept[i] - steps[i] + 1 : kept[i]] = way / np.linalg.norm(way, axis=1, keepdims=True)
+    return out, walked, kept
+
+
+def inverse(kinematics: Kinematics, tip: np.ndarray, tool_axis: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Axes (sample, 5) along a sequence of tips and tool axes (sample, 3) in the part frame, beginning at the axes `start` (5,)."""
+    angles = choose_angles(kinematics, tool_axis, np.asarray(start, float)[3:]).angles
+    return np.column_stack([kinematics.linear_axes(tip, angles), angles])
+
+
+def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int) -> str:
+    """Why a tool axis cannot be had, and what to do."""
+    i, j, k = tool_axis
+    low, high = np.degrees(kinematics.travel[3])
+    if status == UNREACHABLE:
+        return f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) lies outside what A and C can reach; turn the part on the table"
+    return (
+        f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) needs an angle outside travel in both solutions (A {low:g} to {high:g} deg); "
+        "tilt less or turn the part on the table"
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _choose(pairs, reachable, free, fixed, start, travel):
+    n = pairs.shape[1]
+    angles = np.empty((n, 2))
+    status = np.zeros(n, np.int8)
+    rewound = np.zeros(n, np.bool_)
+    tilt, turn = start[0], start[1]
+    whole = 2.0 * np.pi
+    for i in range(n):
+        best, best_tilt, best_turn = np.inf, tilt, turn
+        if free[i]:
+            best_tilt = tilt if np.isnan(fixed[i, 0]) else fixed[i, 0]
+            best_turn = turn if np.isnan(fixed[i, 1]) else fixed[i, 1]
+        elif not reachable[i]:
+            status[i] = UNREACHABLE
+        else:
+            for k in range(2):
+                new_tilt = pairs[k, i, 0]
+                # the tilt within its travel, nearest to where it is
+                new_tilt += whole * np.round((tilt - new_tilt) / whole)
+                if new_tilt < travel[0, 0] - TRAVEL_TOLERANCE:
+                    new_tilt += whole
+                if new_tilt > travel[0, 1] + TRAVEL_TOLERANCE:
+                    new_tilt -= whole
+                if new_tilt < travel[0, 0] - TRAVEL_TOLERANCE or new_tilt > travel[0, 1] + TRAVEL_TOLERANCE:
+                    continue
+                # the turn by the shortest way, by whole turns back if there are stops
+                new_turn = turn if np.isnan(pairs[k, i, 1]) else pairs[k, i, 1]
+                new_turn += whole * np.round((turn - new_turn) / whole)
+                if new_turn < travel[1, 0] - TRAVEL_TOLERANCE:
+                    new_turn += whole * np.ceil((travel[1, 0] - TRAVEL_TOLERANCE - new_turn) / whole)
+                if new_turn > travel[1, 1] + TRAVEL_TOLERANCE:
+                    new_turn -= whole * np.ceil((new_turn - travel[1, 1] - TRAVEL_TOLERANCE) / whole)
+                if new_turn < travel[1, 0] - TRAVEL_TOLERANCE or new_turn > travel[1, 1] + TRAVEL_TOLERANCE:
+                    continue
+                distance = max(abs(new_tilt - tilt), abs(new_turn - turn))
+                # of two equal ways the one with the smaller tilt step, then the first
+                distance += 1e-6 * abs(new_tilt - tilt)
+                if distance < best - 1e-12:
+                    best, best_tilt, best_turn = distance, new_tilt, new_turn
+            if best == np.inf:
+                status[i] = OUTSIDE_TRAVEL
+            elif abs(best_turn - turn) > np.pi + 1e-9:
+                rewound[i] = True
+        tilt, turn = best_tilt, best_turn
+        angles[i, 0] = tilt
+        angles[i, 1] = turn
+    return angles, status, rewound

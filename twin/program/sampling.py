@@ -1,0 +1,111 @@
+"""From the time law to set points: when each node is passed, and where the axes are at each position cycle.
+
+Within an interval a(u) is a quadratic, so u(t) solves u'' = y0 + k (u - u0) with k = a''/2, in closed form:
+
+    u - u0 = x0 S1(t) + y0 S2(t),   S1 = sinh(sqrt(k) t) / sqrt(k),   S2 = (cosh(sqrt(k) t) - 1) / k      (sin, cos for k < 0)
+
+x0 = sqrt(a), y0 = a'/2 at the node. From rest u = j t^3 / 6.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from twin.program import axis_path
+
+SMALL = 1e-4  # |k| t^2 below which the series is used
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(x0, y0, k, t):
+    """Way, speed and acceleration after the time t in an interval."""
+    z = k * t * t
+    if abs(z) < SMALL:
+        s1 = t * (1.0 + z / 6.0 * (1.0 + z / 20.0 * (1.0 + z / 42.0)))
+        s2 = 0.5 * t * t * (1.0 + z / 12.0 * (1.0 + z / 30.0))
+        c = 1.0 + 0.5 * z * (1.0 + z / 12.0 * (1.0 + z / 30.0))
+    elif k > 0.0:
+        r = math.sqrt(k)
+        s1 = math.sinh(r * t) / r
+        c = math.cosh(r * t)
+        half = math.sinh(0.5 * r * t)
+        s2 = 2.0 * half * half / k
+    else:
+        r = math.sqrt(-k)
+        s1 = math.sin(r * t) / r
+        c = math.cos(r * t)
+        half = math.sin(0.5 * r * t)
+        s2 = 2.0 * half * half / -k
+    return x0 * s1 + y0 * s2, x0 * c + y0 * s1, y0 * c + k * x0 * s1
+
+
+@numba.njit(cache=True, nogil=True)
+def _interval_time(x0, x1, y0, y1, h):
+    """Time for an interval: exact for constant acceleration, then Newton on the closed form."""
+    k = (y1 - y0) / h
+    t = 2.0 * h / (x0 + x1)
+    for _ in range(8):
+        way, speed, _ = _moved(x0, y0, k, t)
+        change = (h - way) / max(speed, 0.1 * max(x0, x1))
+        t += change
+        if abs(change) <= 1e-15 * t:
+            break
+    return t
+
+
+@numba.njit(cache=True, nogil=True)
+def node_times(nodes, a, slope):
+    """Time (node,) [s] at which each node is passed, from rest at the first to rest at the last."""
+    n = nodes.shape[0] - 1
+    times = np.zeros(n + 1)
+    for i in range(n):
+        h = nodes[i + 1] - nodes[i]
+        if i == 0:
+            t = 3.0 * h / math.sqrt(a[1])  # u = j t^3 / 6, speed 3 u / t
+        elif i == n - 1:
+            t = 3.0 * h / math.sqrt(a[n - 1])
+        else:
+            t = _interval_time(math.sqrt(a[i]), math.sqrt(a[i + 1]), 0.5 * slope[i], 0.5 * slope[i + 1], h)
+        times[i + 1] = times[i] + t
+    return times
+
+
+@numba.njit(cache=True, nogil=True)
+def sample(s, f, nodes, piece, a, slope, times, stretch, first, period, count, axes, u, tip_speed, turn_speed):
+    """Fill axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
+
+    Sample i is taken at first + i period [s] after the start; `stretch` slows the law down. Times outside the motion give its ends.
+    """
+    n = nodes.shape[0] - 1
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    i = 0
+    for m in range(count):
+        t = (first + m * period) / stretch
+        if t <= 0.0:
+            at, x, i = nodes[0], 0.0, 0
+        elif t >= times[n]:
+            at, x, i = nodes[n], 0.0, n - 1
+        else:
+            while t >= times[i + 1]:
+                i += 1
+            h = nodes[i + 1] - nodes[i]
+            if i == 0:
+                part = t / times[1]
+                at, x = nodes[0] + h * part**3, math.sqrt(a[1]) * part**2
+            elif i == n - 1:
+                part = (times[n] - t) / (times[n] - times[n - 1])
+                at, x = nodes[n] - h * part**3, math.sqrt(a[n - 1]) * part**2
+            else:
+                k = 0.5 * (slope[i + 1] - slope[i]) / h
+                way, x, _ = _moved(math.sqrt(a[i]), 0.5 * slope[i], k, t - times[i])
+                at = nodes[i] + min(max(way, 0.0), h)
+        axis_path.spline_jet(s, piece[i], at, w)
+        axis_path.axis_jet(f, w, work, q)
+        for d in range(5):
+            axes[m, d] = q[0, d]
+        u[m] = at
+        tip_speed[m] = x / stretch * math.sqrt(w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2)
+        turn_speed[m] = x / stretch * math.sqrt(w[1, 3] ** 2 + w[1, 4] ** 2)

@@ -1,0 +1,161 @@
+"""A program cut at its stops: each stretch between two standstills becomes elements for the blend and the time law.
+
+Under TRAORI with ORIWKS the tool axis turns in the plane between its two directions (great circle), not with A and C
+linear. Where both differ by more than GREAT_CIRCLE_ERROR, the move is divided into parts that follow the great circle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.program import elements as el
+from twin.program import moves as mv
+from twin.program.orientation import choose_angles
+
+GREAT_CIRCLE_ERROR = 1e-4
+"""Tool axis between two programmed directions may leave their plane by this [rad]."""
+MOST_PARTS = 2000
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Elements from standstill to standstill; `row` (E,) is the move of each element, `joints` the tolerances (E + 1,)."""
+
+    elements: el.Elements
+    row: np.ndarray
+    tolerance: np.ndarray
+    angle_tolerance: np.ndarray
+    distance: np.ndarray
+    traori: bool
+    brisk: bool
+    tool_length: float
+    pause: float
+    last_row: int
+
+
+def stretches(program: mv.Program) -> list[tuple[int, int]]:
+    """Rows [first, last] of each stretch, divided at exact stops."""
+    ends = np.flatnonzero(program.moves.stop)
+    return [(int(a), int(b)) for a, b in zip(np.concatenate([[0], ends[:-1] + 1]), ends)]
+
+
+def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, great_circle: np.ndarray) -> Stretch | None:
+    """The elements of rows first .. last; None if nothing moves (a dwell, or moves of no length)."""
+    m = program.moves
+    rows = np.arange(first, last + 1)
+    start, end = starts[rows], m.target[rows]
+    arc = m.kind[rows] == mv.ARC
+    centre, radius1, radius2 = m.centre[rows], np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+    length = np.linalg.norm(end[:, :3] - start[:, :3], axis=1)
+    if arc.any():
+        normal = m.normal[rows]
+        arm = start[:, :3] - centre
+        radius1 = np.where(arc[:, None], arm - normal * np.einsum("ni,ni->n", arm, normal)[:, None], 0.0)
+        # the centre at the height of the start: what is left of the way is the pitch
+        centre = np.where(arc[:, None], start[:, :3] - radius1, centre)
+        radius2 = np.cross(normal, radius1)
+        rise = np.einsum("ni,ni->n", end[:, :3] - start[:, :3], normal)
+        length = np.where(arc, np.hypot(m.angle[rows] * np.linalg.norm(radius1, axis=1), rise), length)
+    turn = el.REFERENCE_RADIUS * np.linalg.norm(end[:, 3:] - start[:, 3:], axis=1)
+    length = np.hypot(length, turn)
+    kept = length > 1e-10
+    if not kept.any():
+        return None
+    kind = np.where(arc, el.ARC, el.LINE)
+    fields = [kind, start, end, centre, radius1, radius2, m.angle[rows], length, rows]
+    if not kept.all():
+        fields = [v[kept] for v in fields]
+    if great_circle[rows].any():
+        fields = _divided(program, fields, great_circle)
+    kind, start, end, centre, radius1, radius2, angle, length, row = fields
+    u = np.concatenate([[0.0], np.cumsum(length)])
+    elements = el.Elements(
+        u, kind.astype(np.int64), *(np.ascontiguousarray(v, float) for v in (start, end, centre, radius1, radius2, angle))
+    )
+
+    # joint k lies at the end of element k - 1; a joint inside a divided move has its tolerance too
+    def joints(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[row[:1]], values[row]])
+
+    return Stretch(
+        elements,
+        row,
+        joints(m.tolerance),
+        joints(m.angle_tolerance),
+        joints(m.distance),
+        bool(m.traori[first]),
+        bool(m.brisk[first]),
+        float(m.tool_length[first]),
+        float(m.pause[last]),
+        last,
+    )
+
+
+def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
+    """Which moves must be divided so that the tool axis keeps to the plane between its directions (row,) bool."""
+    m = program.moves
+    out = np.zeros(len(m), bool)
+    way = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
+    wide = np.flatnonzero(m.traori & m.workpiece_orientation & (way > 1e-3) & (m.kind != mv.RAPID))
+    if wide.size:
+        axes = np.zeros((len(wide), 5))
+        directions = []
+        for angles in (starts[wide, 3:], m.target[wide, 3:], 0.5 * (starts[wide, 3:] + m.target[wide, 3:])):
+            axes[:, 3:] = angles
+            directions.append(program.kinematics.forward(axes)[1])
+        middle = directions[0] + directions[1]
+        size = np.linalg.norm(middle, axis=1, keepdims=True)
+        # opposite directions have no plane: A and C stay linear
+        off = np.where(size[:, 0] > 1e-6, np.linalg.norm(middle / np.maximum(size, 1e-12) - directions[2], axis=1), 0.0)
+        out[wide[off > GREAT_CIRCLE_ERROR]] = True
+    return out
+
+
+def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.ndarray) -> list[np.ndarray]:
+    """Elements with the great circles divided into parts."""
+    kind, start, end, centre, radius1, radius2, angle, _, row = fields
+    out: list[list[np.ndarray]] = [[] for _ in fields]
+    for i in range(len(row)):
+        angles = _great_circle(program, start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
+        if angles is None:
+            for column, values in zip(out, fields):
+                column.append(values[i : i + 1])
+            continue
+        parts = len(angles) - 1
+        share = np.linspace(0.0, 1.0, parts + 1)[:, None]
+        points = np.hstack([start[i, :3] + share * (end[i, :3] - start[i, :3]), angles])
+        tip = np.linalg.norm(end[i, :3] - start[i, :3]) / parts
+        lengths = np.hypot(tip, el.REFERENCE_RADIUS * np.linalg.norm(np.diff(angles, axis=0), axis=1))
+        repeated = [np.repeat(v[i : i + 1], parts, axis=0) for v in (kind, centre, radius1, radius2, angle, row)]
+        for column, values in zip(out, (repeated[0], points[:-1], points[1:], *repeated[1:5], lengths, repeated[5])):
+            column.append(values)
+    return [np.concatenate(column) for column in out]
+
+
+def _great_circle(program: mv.Program, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+    """A and C (part + 1, 2) along the great circle between two poses; None where its solutions do not lead to the end."""
+    k = program.kinematics
+    axes = np.zeros((2, 5))
+    axes[:, 3:] = start, end
+    first, last = k.forward(axes)[1]
+    between = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
+    if between < 1e-9:
+        return None
+    for parts in (8, 32, 128, 512, MOST_PARTS):
+        share = np.linspace(0.0, 1.0, parts + 1)[:, None]
+        directions = (np.sin((1.0 - share) * between) * first + np.sin(share * between) * last) / np.sin(between)
+        chosen = choose_angles(k, directions, start, check=False)
+        angles = chosen.angles
+        angles[0], angles[-1] = start, angles[-1]
+        if np.any(chosen.status) or np.abs(angles[-1] - end).max() > 1e-6:
+            return None
+        angles[-1] = end
+        axes = np.zeros((parts, 5))
+        axes[:, 3:] = 0.5 * (angles[1:] + angles[:-1])
+        middle = directions[1:] + directions[:-1]
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        if np.abs(k.forward(axes)[1] - middle).max() < GREAT_CIRCLE_ERROR:
+            return angles
+    return angles

@@ -1,0 +1,474 @@
+"""The time law: the fastest motion along a path from rest to rest with speed, acceleration and jerk of every axis kept.
+
+Along the path q(u) the square of the path speed, a(u) = (du/dt)^2, is a quadratic spline (so that acceleration is continuous);
+with ' = d/du,
+
+    speed         q' sqrt(a)
+    acceleration  q' a'/2 + q'' a
+    jerk          (q' a''/2 + 3/2 q'' a' + q^(3) a) sqrt(a)
+
+Speed and acceleration limits are linear in a; the jerk limit |f(a)| <= J / sqrt(a) becomes so by its tangent, which lies on
+the safe side. The time T = int du / sqrt(a) is convex in a. It is minimised by a primal-dual interior point method: Newton
+steps on the optimality conditions, every iterate strictly inside all limits at the nodes, so that the result is too; the
+Hessian has five diagonals, so a step costs linear time. At rest the law is that of constant jerk, a = alpha u^(4/3), over
+the first and the last interval. After the speed-squared formulation of Verscheure et al. 2009, with jerk added.
+
+Arrays: node n = 0 .. N, interval i = 0 .. N - 1, `q1` `q2` (node, axis), `q3` (interval, left and right end, axis).
+Coefficient i of the spline belongs to the middle of interval i - 1: node i lies between the coefficients i and i + 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+CONVERGED, NOT_STARTED, STALLED = 0, 1, 2
+
+GAP = 0.001
+"""The iteration ends when limits times multipliers (the duality gap) fall below this fraction of the time."""
+MAX_STEPS = 60
+START_SHARE = 0.5  # share of the jerk limit that the first guess aims at
+TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
+
+_FAST = {"contract", "arcp", "reassoc"}
+
+
+@numba.njit(cache=True, nogil=True)
+def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
+    """The smallest slack of all limits (negative: one is broken); only its sign has a meaning."""
+    intervals = h.shape[0]
+    least = np.inf
+    left = c[1] + (c[2] - c[1]) * h[0] / (h[0] + h[1])
+    left_slope = 2.0 * (c[2] - c[1]) / (h[0] + h[1])
+    least = min(least, rest_top[0] - left)
+    for i in range(1, intervals):
+        least = min(least, left, top[i] - left)
+        for k in range(q1.shape[1]):
+            least = min(least, limit_a[k] - abs(0.5 * q1[i, k] * left_slope + q2[i, k] * left))
+        if i == intervals - 1:
+            return min(least, rest_top[1] - left)
+        least = min(least, 0.5 * (top[i] + top[i + 1]) - c[i + 1])
+        right = c[i + 1] + (c[i + 2] - c[i + 1]) * h[i] / (h[i] + h[i + 1])
+        right_slope = 2.0 * (c[i + 2] - c[i + 1]) / (h[i] + h[i + 1])
+        if least <= 0.0 or right <= 0.0:
+            return -1.0
+        bend = (right_slope - left_slope) / h[i]
+        for end in range(2):
+            a, slope, n = (left, left_slope, i) if end == 0 else (right, right_slope, i + 1)
+            for k in range(q1.shape[1]):
+                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * slope + q3[i, end, k] * a
+                least = min(least, ease[i] * limit_j[k] / math.sqrt(a) - abs(f))
+        left, left_slope = right, right_slope
+    return least
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def assemble(
+    c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, fresh, dual_top, dual_c, dual_a, dual_j, gradient, diagonal, beside, apart
+):
+    """Gradient of T - mu sum(log slack) and Hessian with the weights dual / slack (diagonal and two side diagonals).
+
+    `fresh` sets all multipliers to mu / slack first. Returns the time and the sum of slack times multiplier.
+    """
+    intervals = h.shape[0]
+    axes = q1.shape[1]
+    gradient[:] = 0.0
+    diagonal[:] = 0.0
+    beside[:] = 0.0
+    apart[:] = 0.0
+    time = 0.0
+    gap = 0.0
+    for i in range(1, intervals):
+        # a and a' at node i from the two coefficients i and i + 1
+        width = h[i - 1] + h[i]
+        w1 = h[i - 1] / width
+        w0 = 1.0 - w1
+        d = 2.0 / width
+        a = w0 * c[i] + w1 * c[i + 1]
+        slope = d * (c[i + 1] - c[i])
+        share = 0.25 * width
+        root = math.sqrt(a)
+        time += share / root
+        # first and second derivatives by a and by a': the time, then each limit at the node
+        ga = -0.5 * share / (a * root)
+        haa = 0.75 * share / (a * a * root)
+        bound = top[i]
+        if i == 1:
+            bound = min(bound, rest_top[0])
+        if i == intervals - 1:
+            bound = min(bound, rest_top[1])
+        s = 1.0 / (bound - a)
+        if fresh:
+            dual_top[i] = mu * s
+        gap += dual_top[i] / s
+        ga += mu * s
+        haa += dual_top[i] * s
+        gs = 0.0
+        hss = 0.0
+        has = 0.0
+        for k in range(axes):
+            fs = 0.5 * q1[i, k]
+            fa = q2[i, k]
+            f = fs * slope + fa * a
+            up = 1.0 / (limit_a[k] - f)
+            down = 1.0 / (limit_a[k] + f)
+            if fresh:
+                dual_a[i, k, 0] = mu * up
+                dual_a[i, k, 1] = mu * down
+            gap += dual_a[i, k, 0] / up + dual_a[i, k, 1] / down
+            g = mu * (up - down)
+            hh = dual_a[i, k, 0] * up + dual_a[i, k, 1] * down
+            ga += g * fa
+            gs += g * fs
+            haa += hh * fa * fa
+            has += hh * fa * fs
+            hss += hh * fs * fs
+        gradient[i] += w0 * ga - d * gs
+        gradient[i + 1] += w1 * ga + d * gs
+        diagonal[i] += w0 * w0 * haa - 2.0 * w0 * d * has + d * d * hss
+        diagonal[i + 1] += w1 * w1 * haa + 2.0 * w1 * d * has + d * d * hss
+        beside[i] += w0 * w1 * haa + (w0 - w1) * d * has - d * d * hss
+        if i == intervals - 1:
+            break
+        # the coefficient of the interval itself stands for its middle
+        middle = c[i + 1]
+        root = 0.5 * h[i] / (middle * math.sqrt(middle))
+        time += root * middle
+        s = 1.0 / (0.5 * (top[i] + top[i + 1]) - middle)
+        if fresh:
+            dual_c[i] = mu * s
+        gap += dual_c[i] / s
+        gradient[i + 1] += mu * s - 0.5 * root
+        diagonal[i + 1] += dual_c[i] * s + 0.75 * root / middle
+        # jerk at both ends of interval i, in the three coefficients i, i + 1, i + 2
+        width2 = h[i] + h[i + 1]
+        d2 = 2.0 / width2
+        v1 = h[i] / width2
+        v0 = 1.0 - v1
+        b0 = d / h[i]
+        b2 = d2 / h[i]
+        b1 = -(b0 + b2)
+        bend = b0 * c[i] + b1 * c[i + 1] + b2 * c[i + 2]
+        for end in range(2):
+            if end == 0:
+                n, x, y = i, a, slope
+                a0, a1, a2 = w0, w1, 0.0
+                s0, s1, s2 = -d, d, 0.0
+            else:
+                n = i + 1
+                x = v0 * c[i + 1] + v1 * c[i + 2]
+                y = d2 * (c[i + 2] - c[i + 1])
+                a0, a1, a2 = 0.0, v0, v1
+                s0, s1, s2 = 0.0, -d2, d2
+            inverse_root = 1.0 / math.sqrt(x)
+            ex = 0.0
+            ey = 0.0
+            eb = 0.0
+            xx = 0.0
+            xy = 0.0
+            xb = 0.0
+            yy = 0.0
+            yb = 0.0
+            bb = 0.0
+            for k in range(axes):
+                fb = 0.5 * q1[n, k]
+                fy = 1.5 * q2[n, k]
+                fx = q3[i, end, k]
+                f = fb * bend + fy * y + fx * x
+                bound = ease[i] * limit_j[k] * inverse_root
+                fall = 0.5 * bound / x  # the bound falls by this with a
+                up = 1.0 / (bound - f)
+                down = 1.0 / (bound + f)
+                if fresh:
+                    dual_j[i, end, k, 0] = mu * up
+                    dual_j[i, end, k, 1] = mu * down
+                gap += dual_j[i, end, k, 0] / up + dual_j[i, end, k, 1] / down
+                up_x = fall + fx
+                down_x = fall - fx
+                g = mu * (up - down)
+                hu = dual_j[i, end, k, 0] * up
+                hd = dual_j[i, end, k, 1] * down
+                ex += mu * (up * up_x + down * down_x)
+                ey += g * fy
+                eb += g * fb
+                hx = hu * up_x - hd * down_x
+                hh = hu + hd
+                xx += hu * up_x * up_x + hd * down_x * down_x
+                xy += hx * fy
+                xb += hx * fb
+                yy += hh * fy * fy
+                yb += hh * fy * fb
+                bb += hh * fb * fb
+            gradient[i] += ex * a0 + ey * s0 + eb * b0
+            gradient[i + 1] += ex * a1 + ey * s1 + eb * b1
+            gradient[i + 2] += ex * a2 + ey * s2 + eb * b2
+            x0, y0, z0 = xx * a0 + xy * s0 + xb * b0, xy * a0 + yy * s0 + yb * b0, xb * a0 + yb * s0 + bb * b0
+            x1, y1, z1 = xx * a1 + xy * s1 + xb * b1, xy * a1 + yy * s1 + yb * b1, xb * a1 + yb * s1 + bb * b1
+            x2, y2, z2 = xx * a2 + xy * s2 + xb * b2, xy * a2 + yy * s2 + yb * b2, xb * a2 + yb * s2 + bb * b2
+            diagonal[i] += x0 * a0 + y0 * s0 + z0 * b0
+            diagonal[i + 1] += x1 * a1 + y1 * s1 + z1 * b1
+            diagonal[i + 2] += x2 * a2 + y2 * s2 + z2 * b2
+            beside[i] += x0 * a1 + y0 * s1 + z0 * b1
+            beside[i + 1] += x1 * a2 + y1 * s2 + z1 * b2
+            apart[i] += x0 * a2 + y0 * s2 + z0 * b2
+    return time, gap
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def dual_steps(
+    c, step, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, dual_top, dual_c, dual_a, dual_j, move_top, move_c, move_a, move_j
+):
+    """Changes of all multipliers (into the move arrays), and how far primal and dual may go before a limit or zero.
+
+    The linearised slack is the safe side of the true one, so the ratio test keeps every limit.
+    """
+    intervals = h.shape[0]
+    axes = q1.shape[1]
+    primal = 0.0  # greatest relative fall of a slack, of a multiplier
+    dual = 0.0
+    for i in range(1, intervals):
+        width = h[i - 1] + h[i]
+        w1 = h[i - 1] / width
+        w0 = 1.0 - w1
+        d = 2.0 / width
+        a, da = w0 * c[i] + w1 * c[i + 1], w0 * step[i] + w1 * step[i + 1]
+        slope, dslope = d * (c[i + 1] - c[i]), d * (step[i + 1] - step[i])
+        bound = top[i]
+        if i == 1:
+            bound = min(bound, rest_top[0])
+        if i == intervals - 1:
+            bound = min(bound, rest_top[1])
+        s = 1.0 / (bound - a)
+        primal = max(primal, da * s, -da / a)
+        move_top[i] = mu * s - dual_top[i] * (1.0 - da * s)
+        dual = max(dual, -move_top[i] / dual_top[i])
+        for k in range(axes):
+            f = 0.5 * q1[i, k] * slope + q2[i, k] * a
+            df = 0.5 * q1[i, k] * dslope + q2[i, k] * da
+            up = 1.0 / (limit_a[k] - f)
+            down = 1.0 / (limit_a[k] + f)
+            primal = max(primal, df * up, -df * down)
+            move_a[i, k, 0] = mu * up - dual_a[i, k, 0] * (1.0 - df * up)
+            move_a[i, k, 1] = mu * down - dual_a[i, k, 1] * (1.0 + df * down)
+            dual = max(dual, -move_a[i, k, 0] / dual_a[i, k, 0], -move_a[i, k, 1] / dual_a[i, k, 1])
+        if i == intervals - 1:
+            break
+        s = 1.0 / (0.5 * (top[i] + top[i + 1]) - c[i + 1])
+        primal = max(primal, -step[i + 1] / c[i + 1], step[i + 1] * s)
+        move_c[i] = mu * s - dual_c[i] * (1.0 - step[i + 1] * s)
+        dual = max(dual, -move_c[i] / dual_c[i])
+        width2 = h[i] + h[i + 1]
+        d2 = 2.0 / width2
+        v1 = h[i] / width2
+        v0 = 1.0 - v1
+        right, dright = v0 * c[i + 1] + v1 * c[i + 2], v0 * step[i + 1] + v1 * step[i + 2]
+        right_slope, dright_slope = d2 * (c[i + 2] - c[i + 1]), d2 * (step[i + 2] - step[i + 1])
+        bend, dbend = (right_slope - slope) / h[i], (dright_slope - dslope) / h[i]
+        for end in range(2):
+            if end == 0:
+                n, x, y, dx, dy = i, a, slope, da, dslope
+            else:
+                n, x, y, dx, dy = i + 1, right, right_slope, dright, dright_slope
+            inverse_root = 1.0 / math.sqrt(x)
+            for k in range(axes):
+                fb = 0.5 * q1[n, k]
+                fy = 1.5 * q2[n, k]
+                fx = q3[i, end, k]
+                f = fb * bend + fy * y + fx * x
+                bound = ease[i] * limit_j[k] * inverse_root
+                dbound = 0.5 * bound / x * dx
+                df = fb * dbend + fy * dy + fx * dx
+                up = 1.0 / (bound - f)
+                down = 1.0 / (bound + f)
+                fall_up = (dbound + df) * up
+                fall_down = (dbound - df) * down
+                primal = max(primal, fall_up, fall_down)
+                move_j[i, end, k, 0] = mu * up - dual_j[i, end, k, 0] * (1.0 - fall_up)
+                move_j[i, end, k, 1] = mu * down - dual_j[i, end, k, 1] * (1.0 - fall_down)
+                dual = max(dual, -move_j[i, end, k, 0] / dual_j[i, end, k, 0], -move_j[i, end, k, 1] / dual_j[i, end, k, 1])
+    return primal, dual
+
+
+@numba.njit(cache=True, nogil=True)
+def tie_ends(ties, gradient, diagonal, beside, apart):
+    """Take coefficient 1 (= tie * coefficient 2) and the last but one at the end out of the equations."""
+    t = ties[0]
+    gradient[2] += t * gradient[1]
+    diagonal[2] += t * t * diagonal[1] + 2.0 * t * beside[1]
+    beside[2] += t * apart[1]
+    n = gradient.shape[0] - 2
+    t = ties[1]
+    gradient[n - 1] += t * gradient[n]
+    diagonal[n - 1] += t * t * diagonal[n] + 2.0 * t * beside[n - 1]
+    beside[n - 2] += t * apart[n - 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def solve_band(first, last, diagonal, beside, apart, right):
+    """Solve the symmetric five-diagonal system in place for the unknowns first .. last (inclusive)."""
+    for i in range(first, last + 1):
+        if i > first:
+            factor = beside[i - 1]  # already divided
+            diagonal[i] -= factor * factor * diagonal[i - 1]
+        if i > first + 1:
+            factor = apart[i - 2]
+            diagonal[i] -= factor * factor * diagonal[i - 2]
+        if i < last:
+            if i > first:
+                beside[i] -= beside[i - 1] * diagonal[i - 1] * apart[i - 1]
+            beside[i] /= diagonal[i]
+        if i < last - 1:
+            apart[i] /= diagonal[i]
+    for i in range(first, last + 1):
+        if i > first:
+            right[i] -= beside[i - 1] * right[i - 1]
+        if i > first + 1:
+            right[i] -= apart[i - 2] * right[i - 2]
+    for i in range(last, first - 1, -1):
+        right[i] /= diagonal[i]
+        if i < last:
+            right[i] -= beside[i] * right[i + 1]
+        if i < last - 1:
+            right[i] -= apart[i] * right[i + 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
+    """Node values of a that are about reachable: local limits, then growth from every low place as under constant jerk."""
+    intervals = h.shape[0]
+    a = np.empty(intervals + 1)
+    growth = np.empty(intervals)
+    for n in range(intervals + 1):
+        a[n] = top[n]
+        for k in range(q1.shape[1]):
+            if abs(q2[n, k]) > 0.0:
+                a[n] = min(a[n], START_SHARE * limit_a[k] / abs(q2[n, k]))
+            third = abs(q3[min(n, intervals - 1), 0, k])
+            if n:
+                third = max(third, abs(q3[n - 1, 1, k]))
+            if third > 0.0:
+                a[n] = min(a[n], (START_SHARE * limit_j[k] / third) ** (2.0 / 3.0))
+    for i in range(intervals):
+        jerk = np.inf
+        for k in range(q1.shape[1]):
+            size = max(abs(q1[i, k]), abs(q1[i + 1, k]))
+            if size > 0.0:
+                jerk = min(jerk, limit_j[k] / size)
+        growth[i] = 1.5 * START_SHARE * math.sqrt(2.0 * min(jerk, 1e12)) * h[i]
+    a[0] = 0.0
+    a[intervals] = 0.0
+    for i in range(intervals):
+        a[i + 1] = min(a[i + 1], (a[i] ** 0.75 + growth[i]) ** (4.0 / 3.0))
+    for i in range(intervals - 1, -1, -1):
+        a[i] = min(a[i], (a[i + 1] ** 0.75 + growth[i]) ** (4.0 / 3.0))
+    return a
+
+
+@numba.njit(cache=True, nogil=True)
+def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
+    """Coefficients c (interval + 2,) of a(u), the time [s], the number of Newton steps and a status.
+
+    `ease` (interval,) scales the jerk limits (1: as given). `top` (node,) is the greatest a by speed and feed; `rest_top`
+    (2,) bounds a at the first and last inner node so that
+    the constant jerk from or to rest keeps the limits. At least four intervals.
+    """
+    intervals = h.shape[0]
+    axes = q1.shape[1]
+    n = intervals + 2
+    ties = np.empty(2)
+    ties[0] = (h[0] / 3.0) / (h[0] / 3.0 + 2.0 / 3.0 * (h[0] + h[1]))
+    ties[1] = (h[-1] / 3.0) / (h[-1] / 3.0 + 2.0 / 3.0 * (h[-1] + h[-2]))
+    guess = first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j)
+    c = np.zeros(n)
+    for i in range(2, n - 2):
+        c[i] = 0.5 * (guess[i - 1] + guess[i])
+    c[1] = ties[0] * c[2]
+    c[n - 2] = ties[1] * c[n - 3]
+    # shrink until strictly inside: slow enough keeps every limit
+    inside = False
+    for _ in range(200):
+        if least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j) > 0.0:
+            inside = True
+            break
+        c *= 0.6
+    if not inside:
+        return c, np.inf, 0, NOT_STARTED
+    c *= 0.8
+    gradient, diagonal, beside, apart = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    dual_top, dual_a, dual_j = np.zeros(intervals + 1), np.zeros((intervals + 1, axes, 2)), np.zeros((intervals, 2, axes, 2))
+    dual_c, move_c = np.zeros(intervals), np.zeros(intervals)
+    move_top, move_a, move_j = np.zeros(intervals + 1), np.zeros((intervals + 1, axes, 2)), np.zeros((intervals, 2, axes, 2))
+    rows = (intervals - 1.0) * (2.0 + 2.0 * axes) + (intervals - 2.0) * 4.0 * axes
+    time = 0.0
+    for i in range(1, intervals):
+        time += 0.5 * (h[i - 1] + h[i]) / math.sqrt((h[i] * c[i] + h[i - 1] * c[i + 1]) / (h[i - 1] + h[i]))
+    mu = 0.3 * time / rows
+    settled = False
+    for steps in range(1, MAX_STEPS + 1):
+        time, gap = assemble(
+            c,
+            h,
+            q1,
+            q2,
+            q3,
+            ease,
+            top,
+            rest_top,
+            limit_a,
+            limit_j,
+            mu,
+            steps == 1,
+            dual_top,
+            dual_c,
+            dual_a,
+            dual_j,
+            gradient,
+            diagonal,
+            beside,
+            apart,
+        )
+        if gap < gap_wanted * time and settled:
+            return c, time, steps, CONVERGED
+        tie_ends(ties, gradient, diagonal, beside, apart)
+        step = -gradient
+        solve_band(2, n - 3, diagonal, beside, apart, step)
+        step[1] = ties[0] * step[2]
+        step[n - 2] = ties[1] * step[n - 3]
+        step[0] = 0.0
+        step[n - 1] = 0.0
+        primal, dual = dual_steps(
+            c,
+            step,
+            h,
+            q1,
+            q2,
+            q3,
+            ease,
+            top,
+            rest_top,
+            limit_a,
+            limit_j,
+            mu,
+            dual_top,
+            dual_c,
+            dual_a,
+            dual_j,
+            move_top,
+            move_c,
+            move_a,
+            move_j,
+        )
+        go_primal = min(1.0, TO_THE_WALL / primal) if primal > 0.0 else 1.0
+        go_dual = min(1.0, TO_THE_WALL / dual) if dual > 0.0 else 1.0
+        c += go_primal * step
+        dual_top += go_dual * move_top
+        dual_c += go_dual * move_c
+        dual_a += go_dual * move_a
+        dual_j += go_dual * move_j
+        worse = min(go_primal, go_dual)
+        settled = worse > 0.6
+        # the bolder the last step, the more the multipliers are asked to fall
+        mu = gap / rows * max(0.08, min(0.9, (1.0 - worse) ** 2)) if steps > 1 else mu
+    return c, time, MAX_STEPS, STALLED
