@@ -24,6 +24,12 @@ def call_address_2(typing_context, address, a, b):  # type: ignore[no-untyped-de
 
 
 @intrinsic
+def call_address_3(typing_context, address, a, b, c):  # type: ignore[no-untyped-def]
+    """Call `void f(void*, void*, void*)` at `address`."""
+    return _call(3)
+
+
+@intrinsic
 def call_address_4(typing_context, address, a, b, c, d):  # type: ignore[no-untyped-def]
     """Call `void f(void*, void*, void*, int64)` at `address`."""
     return _call(4)

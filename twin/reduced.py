@@ -25,7 +25,7 @@ import numpy as np
 from twin import loop
 from twin.compiled import compiled, compiled_callback
 from twin.effects import Change
-from twin.native import call_address_2, engine_function_address
+from twin.native import call_address_2, call_address_3, engine_function_address
 from twin.plant import Plant, build_plant
 
 # constants: header, then per degree of freedom, then the series
@@ -79,7 +79,7 @@ class ReducedPlant:
     """Axes by themselves along a known motion; the same face to the loop as `twin.plant.Plant`."""
 
     def __init__(self, change: Change, motion: Motion):
-        loads = _loads(change, motion)
+        loads = loads_along(change, motion)
         axes = change.machine.axes
         n = len(axes)
         split = [a for a, axis in enumerate(axes) if axis.name in change.split_axes]
@@ -142,13 +142,13 @@ _remembered: OrderedDict[object, _Loads] = OrderedDict()
 _lock = threading.Lock()
 
 
-def _loads(change: Change, motion: Motion) -> _Loads:
+def loads_along(change: Change, motion: Motion) -> _Loads:
     """Loads of a changed machine; remembered, because fits ask for the same masses again and again."""
     machine = change.machine
     # what the loads depend on: neither friction nor drives, and effects only where they edit the model
     masses = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
-    edits = repr(machine.effects) if change.model_edits else ""
-    key = (str(machine.model_path), masses, machine.bodies, machine.gravity, edits, machine.base_tick)
+    edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)
+    key = (str(machine.model_path), masses, machine.bodies, machine.gravity, edited, machine.base_tick)
     remembered = motion.loads if any(axis.kind == "rotary" for axis in machine.axes) else _remembered
     with _lock:
         known = remembered.get(key)
@@ -174,6 +174,11 @@ def _loads(change: Change, motion: Motion) -> _Loads:
     return loads
 
 
+def _bodies_of(model: mujoco.MjModel) -> bytes:
+    """What an edit of the model can change of the loads."""
+    return b"".join(a.tobytes() for a in (model.body_mass, model.body_ipos, model.body_inertia, model.body_pos, model.dof_armature))
+
+
 def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np.ndarray]:
     """Diagonal inertia of the loads (without rotors and armature) and bias (row, axis) along a motion.
 
@@ -183,20 +188,42 @@ def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np
     axes = len(plant.load_dof)
     rows = np.zeros(2, int) if constant else np.arange(0, len(motion.position), max(1, round(SERIES_PERIOD / motion.period)))
     inertia, bias = np.empty((len(rows), axes)), np.empty((len(rows), axes))
-    full = np.zeros((model.nv, model.nv))
-    forward = engine_function_address("mj_forward")
     gear = model.actuator_gear[plant.actuator, 0]
     own = model.actuator_armature[plant.actuator] * gear**2 + model.dof_armature[plant.load_dof]
-    for i, row in enumerate(rows):
-        data.qpos[plant.load_position] = motion.position[row]
-        data.qvel[plant.load_dof] = motion.speed[row]
-        call(forward, model._address, data._address)
-        mujoco.mj_fullM(model, data, full)
-        coupled = full[np.ix_(plant.load_dof, plant.load_dof)]
-        diagonal = np.diag(coupled)
-        inertia[i] = diagonal - own
-        bias[i] = data.qfrc_bias[plant.load_dof] + coupled @ motion.acceleration[row] - diagonal * motion.acceleration[row]
+    _read_along(
+        engine_function_address("mj_forward"),
+        engine_function_address("mj_fullM"),
+        model._address,
+        data._address,
+        (data.qpos, data.qvel, data.qfrc_bias, np.zeros((model.nv, model.nv))),
+        (plant.load_position, plant.load_dof),
+        (motion.position[rows], motion.speed[rows], motion.acceleration[rows]),
+        own,
+        inertia,
+        bias,
+    )
     return inertia, bias
+
+
+@compiled
+def _read_along(forward, full_inertia, model, data, views, places, motion, own, inertia, bias):  # type: ignore[no-untyped-def]
+    """Fill inertia and bias (row, axis): the engine's forward dynamics at each row of the motion."""
+    qpos, qvel, engine_bias, full = views
+    load_position, load_dof = places
+    position, speed, acceleration = motion
+    for row in range(len(position)):
+        for a in range(len(own)):
+            qpos[load_position[a]] = position[row, a]
+            qvel[load_dof[a]] = speed[row, a]
+        call_address_2(forward, model, data)
+        call_address_3(full_inertia, model, data, full.ctypes.data)
+        for a in range(len(own)):
+            i = load_dof[a]
+            inertia[row, a] = full[i, i] - own[a]
+            bias[row, a] = engine_bias[i]
+            for b in range(len(own)):
+                if b != a:
+                    bias[row, a] += full[i, load_dof[b]] * acceleration[row, b]
 
 
 def _is_constant(plant: Plant, motion: Motion) -> bool:
@@ -204,12 +231,6 @@ def _is_constant(plant: Plant, motion: Motion) -> bool:
     model = plant.model
     hinges = [a for a, dof in enumerate(plant.load_dof) if model.jnt_type[model.dof_jntid[dof]] == mujoco.mjtJoint.mjJNT_HINGE]
     return not hinges or bool(np.ptp(motion.position[:, hinges], axis=0).max() < 1e-4)
-
-
-@compiled
-def call(address, model, data):  # type: ignore[no-untyped-def]
-    """Call an engine function on model and data."""
-    call_address_2(address, model, data)
 
 
 _Pointer = types.CPointer(types.float64)
@@ -239,7 +260,8 @@ def reduced_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-d
         level = state[1 + _LEVEL * n + i]
         friction = 0.0
         if level > 0.0:
-            friction = -(free / mass + constants[c + _REFERENCE] * v) / (1.0 / mass + constants[c + _SOFTNESS])
+            inverse = 1.0 / mass
+            friction = -(free * inverse + constants[c + _REFERENCE] * v) / (inverse + constants[c + _SOFTNESS])
             friction = min(max(friction, -level), level)
         v += h * (free + friction) / (mass + h * viscous)
         state[1 + _QVEL * n + i] = v

@@ -1,0 +1,227 @@
+"""Where the gap lies: each block of an axis by itself, fed with its measured inputs.
+
+    position controller   set point and position in, speed set point out (channel `controller`)
+    speed controller      speed set point and speed in, current out: the compiled PI law run over the record
+    mechanics             current in, motion out: force balance Kt i / r - M a - Fc sign v - D v - bias, below 40 Hz
+    transmission          motor position against scale (channel `windup`), with `measurement` behind it
+
+The score of a block is the mean square of its residual over that of the nominal twin with noise: about 1 where the
+block does what the machine file says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
+from twin.compiled import compiled
+from twin.diagnose.observe import Group, RunView, simulate_group
+from twin.machine import Axis, Machine
+from twin.run import commissioned_inertia
+from twin.setpoints import command_of
+from twin.trace import Trace
+
+REGIMES = ("reversal", "acceleration", "constant speed", "rest")
+REVERSAL_S = 0.06
+SMOOTH_S = 0.025
+DRIFT_S = 0.2
+
+
+@dataclass
+class BlockResidual:
+    """Residual of one block of one axis in one run with its noise level, on the samples `index` of the trace."""
+
+    run: int
+    axis: str
+    block: str
+    residual: np.ndarray
+    sigma: float
+    index: np.ndarray
+
+    @property
+    def normed(self) -> np.ndarray:
+        return self.residual / self.sigma
+
+    @property
+    def excess(self) -> float:
+        """Sum of squares above what noise makes."""
+        return max(float(np.sum(self.normed**2)) - len(self.residual), 0.0)
+
+
+def block_residuals(group: Group, machine_of: Callable[[Machine], Machine]) -> list[BlockResidual]:
+    """All blocks of all axes of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics."""
+    found = []
+    for channel in group.channels:
+        if channel.name in ("controller", "windup"):
+            view = group.views[channel.run]
+            every = max(1, round(view.machine.position_cycle / view.trace.period))
+            if channel.name == "controller":
+                block, index = "position controller", np.arange(0, len(view.trace.time), every)
+            else:
+                block, index = "transmission", np.flatnonzero(view.reference(channel.axis)[2])
+            found.append(BlockResidual(channel.run, channel.axis, block, channel.residual, float(np.median(channel.sigma)), index))
+    for r, view in enumerate(group.views):
+        moving = [a for a in group.axes if view.moves(a)]
+        if not moving:
+            continue
+        view = replace(view, machine=machine_of(view.machine))
+        noisy = simulate_group(view, moving, noise_seed=77 + r)
+        for name in moving:
+            axis = view.machine.axis(name)
+            for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
+                if not all(view.trace.has(name, s) for s in ("velocity", "current")):
+                    continue
+                if block == "speed controller" and not view.trace.has(name, "velocity_setpoint"):
+                    continue
+                measured, index = law(view, axis, view.trace)
+                expected, _ = law(view, axis, noisy)
+                if len(measured) > 50:
+                    found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
+    return found
+
+
+def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Current that the recorded speed set point and speed ask for, against the recorded current; drift taken out."""
+    machine = view.machine.with_axes([axis.name])
+    a = view.machine.axis_names.index(axis.name)
+    ticks = max(1, round(trace.period / machine.base_tick))
+    count = min(len(trace.time), len(view.trace.time))
+    setpoints = view.setpoints.part((a,))
+    every = max(1, round(machine.position_cycle / trace.period))
+    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
+    drives = drives_of(machine)
+    current = trace.get(axis.name, "current")[:count]
+    state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
+    predicted = _run_speed_loop(
+        drives,
+        state,
+        trace.get(axis.name, "velocity_setpoint")[:count] / axis.ratio,
+        np.repeat(command.torque_feedforward[:, 0], every)[:count],
+        trace.get(axis.name, "velocity")[:count] / axis.ratio,
+        ticks,
+    )
+    error = current - predicted
+    error = error - _moving_mean(error, round(DRIFT_S / trace.period))
+    moving = np.flatnonzero(view.reference(axis.name)[2][:count])
+    return error[moving], moving
+
+
+@compiled
+def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks):  # type: ignore[no-untyped-def]
+    """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated."""
+    out = np.empty(len(speed))
+    for k in range(len(speed)):
+        out[k] = state.current[0]
+        state.speed_setpoint[0] = setpoint[k]
+        state.torque_feedforward[0] = feedforward[k]
+        following = speed[min(k + 1, len(speed) - 1)]
+        for n in range(ticks):
+            w = speed[k] + (following - speed[k]) * n / ticks
+            speed_controller(0, drives, state, w)
+            current_controller(0, drives, state, state.current_setpoint[0], state.current[0])
+            winding(0, drives, state, w)
+    return out
+
+
+def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Force that the motion leaves unexplained [N or Nm], where the axis slides."""
+    from scipy.signal import savgol_filter
+
+    a = view.machine.axis_names.index(axis.name)
+    count = min(len(trace.time), len(view.trace.time))
+    window = max(7, round(SMOOTH_S / trace.period) | 1)
+    if count < 2 * window:
+        return np.zeros(0), np.zeros(0, int)
+    speed = trace.get(axis.name, "velocity")[:count]
+    v = savgol_filter(speed, window, 2)
+    acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
+    drive = savgol_filter(trace.get(axis.name, "current")[:count], window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    inertia, bias = _inertia_and_bias(view, axis, a, count)
+    force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
+    slow = _moving_minimum(np.abs(v), window)
+    sliding = np.flatnonzero(slow > 3e-4 * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
+    return force[sliding], sliding
+
+
+def _inertia_and_bias(view: RunView, axis: Axis, a: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia with rotor and bias of an axis along the nominal motion (sample,)."""
+    from twin.effects import apply_effects
+    from twin.reduced import loads_along
+
+    group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
+    index = [view.machine.axis_names.index(name) for name in group]
+    change = apply_effects(view.machine.with_axes(group))
+    loads = loads_along(change, view.motion.part(tuple(index)))
+    column = group.index(axis.name)
+    rows = np.minimum(np.arange(count) * view.trace.period / view.machine.base_tick / loads.row_ticks, len(loads.inertia) - 1)
+    grid = np.arange(len(loads.inertia))
+    return (
+        np.interp(rows, grid, loads.inertia[:, column]) + axis.reflected_inertia,
+        np.interp(rows, grid, loads.bias[:, column]),
+    )
+
+
+def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
+    """Reversal, acceleration, constant speed and rest of an axis, by its set point (sample,)."""
+    period = view.trace.period
+    s = view.trace.get(name, "setpoint")
+    window = max(5, round(0.01 / period) | 1)
+    v = _moving_mean(np.gradient(s, period), window)
+    a = _moving_mean(np.gradient(v, period), window)
+    axis = view.machine.axis(name)
+    moving = view.reference(name)[2]
+    turned = np.zeros(len(s), bool)
+    signs = np.sign(v) * moving
+    nonzero = np.flatnonzero(signs)
+    turns = nonzero[1:][np.diff(signs[nonzero]) != 0]
+    starts = np.flatnonzero(np.diff(moving.astype(int)) == 1)
+    for i in [*turns, *starts]:
+        turned[max(i - round(0.01 / period), 0) : i + round(REVERSAL_S / period)] = True
+    accelerating = np.abs(a) > 0.03 * axis.max_acceleration
+    return {
+        "reversal": turned,
+        "acceleration": ~turned & moving & accelerating,
+        "constant speed": ~turned & moving & ~accelerating,
+        "rest": ~turned & ~moving,
+    }
+
+
+def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) -> dict[str, np.ndarray]:
+    """What a residual may scale with: named regressors on some samples."""
+    a = view.machine.axis_names.index(name)
+    axis = view.machine.axis(name)
+    q, v, acceleration = (m[index, a] for m in (view.motion.position, view.motion.speed, view.motion.acceleration))
+    t = view.trace.time[index]
+    angle = q / axis.ratio
+    regressors = {
+        "1": np.ones(len(index)),
+        "sign v": np.sign(v),
+        "v": v,
+        "|v|": np.abs(v),
+        "v^2": v * np.abs(v),
+        "a": acceleration,
+        "position": q - q.mean(),
+        "time": t - t.mean(),
+        "motor turn (sin)": np.sin(angle),
+        "motor turn (cos)": np.cos(angle),
+    }
+    if view.trace.has(name, "current"):
+        regressors["current"] = view.trace.get(name, "current")[index]
+    for other in others:
+        if other != name and view.moves(other):
+            regressors[f"a of {other}"] = view.motion.acceleration[index, view.machine.axis_names.index(other)]
+    return regressors
+
+
+def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
+    window = max(1, min(window | 1, len(values) - 1 + len(values) % 2))
+    return np.convolve(np.pad(values, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(values)]
+
+
+def _moving_minimum(values: np.ndarray, window: int) -> np.ndarray:
+    from scipy.ndimage import minimum_filter1d
+
+    return minimum_filter1d(values, 2 * window)

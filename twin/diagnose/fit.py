@@ -1,0 +1,223 @@
+"""Fits in closed loop: effects and toleranced parameters together, by Gauss-Newton on the simulated channels.
+
+    minimise  | z - D(p) - J theta |^2 + w | theta / s |^2
+
+z is the weighted residual of the nominal twin, D(p) the simulated change that the effects with parameters p make, J the
+simulated change per toleranced parameter, s their spread. The weight w stands for what many samples do not know: a small fault of
+the model is repeated in each of them, and must not pull a parameter beyond its tolerance. theta is eliminated, so that an effect is only credited with
+what re-tuning cannot explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from twin.diagnose.candidates import is_scaled, size_parameter
+from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.effects import Setting
+from twin.effects.effect import Parameter
+from twin.errors import TwinError
+from twin.machine import Machine
+
+STEPS = 4
+"""Gauss-Newton steps at most."""
+
+PRIOR_WEIGHT = 50.0
+"""Weight w of the tolerance against the samples: a parameter at the edge of its tolerance costs 75 of log likelihood."""
+
+CONVERGED = 0.02
+"""A step that lowers the loss by less than this (in units of a likelihood) is the last."""
+
+
+@dataclass
+class Tuning:
+    """The toleranced parameters of a group with their simulated effect on all channels."""
+
+    nuisances: tuple[Nuisance, ...]
+    jacobian: np.ndarray  # (row, nuisance), weighted, per spread s
+    spread: float
+    normal: np.ndarray  # J'J + 1
+    inverse: np.ndarray
+
+    def project(self, columns: np.ndarray) -> np.ndarray:
+        """J' columns, for eliminating the tuning."""
+        return self.jacobian.T @ columns
+
+    def solve(self, residual: np.ndarray) -> np.ndarray:
+        """Tuning (nuisance,) in units of its spread that fits a residual best."""
+        return self.inverse @ (self.jacobian.T @ residual)
+
+    def remembered(self, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A column with its projection, for inner products that are asked for again and again."""
+        return a, self.project(a)
+
+    def product(self, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
+        """a' P b of remembered columns."""
+        return float(a[0] @ b[0] - a[1] @ self.inverse @ b[1])
+
+    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """a' P b with the tuning eliminated."""
+        return a.T @ b - self.project(a).T @ self.inverse @ self.project(b)
+
+    def loss(self, residual: np.ndarray) -> float:
+        """Half the least square that tuning leaves of a residual."""
+        return 0.5 * float(self.inner(residual, residual))
+
+
+def tuning_of(group: Group, machine: Machine, mapper) -> Tuning:  # type: ignore[no-untyped-def]
+    """Simulate each toleranced parameter at its spread; `mapper` maps over threads."""
+    nuisances = nuisances_of(machine, group.axes)
+    spread = machine.parameter_tolerance * UNIFORM
+    if spread <= 0.0 or not nuisances:
+        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)))
+    columns: list[np.ndarray] = list(
+        mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + spread), axes=n.axes(group.axes)), nuisances)
+    )
+    jacobian = np.asfortranarray(np.column_stack(columns))
+    normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
+    return Tuning(nuisances, jacobian, spread, normal, np.linalg.inv(normal))
+
+
+@dataclass(frozen=True)
+class Free:
+    """One free parameter of one setting, in a scale in which a step of 1 is of the order of its usual range."""
+
+    setting: int
+    parameter: Parameter
+    logarithmic: bool
+    unit: float
+
+    def value(self, settings: Sequence[Setting]) -> float:
+        return settings[self.setting].parameters[self.parameter.name]
+
+    def moved(self, settings: Sequence[Setting], step: float) -> tuple[Setting, ...]:
+        """The settings with this parameter moved by `step` scale units, within its bounds."""
+        old = self.value(settings)
+        new = old * math.exp(step * self.unit) if self.logarithmic else old + step * self.unit
+        p = self.parameter
+        if p.periodic:
+            new %= 2.0 * math.pi
+        new = min(max(new, p.low), p.high)
+        s = settings[self.setting]
+        changed = replace(s, parameters={**s.parameters, p.name: new})
+        return tuple(changed if i == self.setting else other for i, other in enumerate(settings))
+
+
+def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]:
+    """What a fit may move: everything that the settings give a number, shapes included."""
+    free = []
+    for i, setting in enumerate(settings):
+        axis = machine.axis(setting.axis)
+        size = size_parameter(setting.effect)
+        for p in setting.effect.parameters:
+            if p.name not in setting.parameters:
+                continue
+            value = setting.parameters[p.name]
+            low, high = p.usual_range(machine, axis)
+            by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.name == "factor")
+            if by_ratio:
+                free.append(Free(i, p, True, 0.15))
+            elif p.periodic:
+                free.append(Free(i, p, False, 0.3))
+            else:
+                span = high - low if math.isfinite(high - low) and high > low else abs(value) or 1.0
+                free.append(Free(i, p, False, 0.2 * span if not is_scaled(p) else max(0.1 * span, 1e-12)))
+    return free
+
+
+@dataclass
+class Fit:
+    """Effects fitted to a group: settings, tuning, loss, and what is needed for intervals and for leaving runs out."""
+
+    settings: tuple[Setting, ...]
+    free: list[Free]
+    loss: float
+    tuning: np.ndarray  # in units of the spread
+    response: np.ndarray  # D(p), (row,)
+    columns: np.ndarray  # dD/dp in scale units, (row, free)
+
+    def covariance(self, tuning: Tuning, inflation: float = 1.0) -> np.ndarray:
+        """Covariance of the free parameters in scale units, tuning eliminated."""
+        if not self.free:
+            return np.zeros((0, 0))
+        information = tuning.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
+        return np.linalg.pinv(information) * inflation
+
+
+def no_effect(group: Group, tuning: Tuning) -> Fit:
+    """Re-tuning alone."""
+    return Fit((), [], tuning.loss(group.residual), tuning.solve(group.residual), np.zeros(group.size), np.zeros((group.size, 0)))
+
+
+def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequence[Setting], steps: int = STEPS) -> Fit | None:
+    """Gauss-Newton from these settings; None where they cannot be simulated."""
+    settings = tuple(settings)
+    try:
+        response = answer(group, settings)
+    except TwinError:
+        return None
+    best = tuning.loss(group.residual - response)
+    free = free_parameters(settings, machine)
+    columns = np.zeros((group.size, len(free)))
+    for step in range(steps):
+        try:
+            for i, f in enumerate(free):
+                columns[:, i] = _slope(group, settings, f, response)
+        except TwinError:
+            return None
+        residual = group.residual - response
+        information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
+        gradient = tuning.inner(columns, residual[:, None])[:, 0]
+        move = np.linalg.solve(information, gradient)
+        improved = False
+        for shrink in (1.0, 0.4, 0.1):
+            tried = settings
+            for f, m in zip(free, np.clip(move * shrink, -6.0, 6.0)):
+                tried = f.moved(tried, float(m))
+            try:
+                changed = answer(group, tried)
+            except TwinError:
+                continue
+            loss = tuning.loss(group.residual - changed)
+            if loss < best:
+                gain, best, settings, response, improved = best - loss, loss, tried, changed, True
+                break
+        if not improved or gain < CONVERGED * max(1.0, 0.002 * best):
+            break
+    return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns)
+
+
+def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
+    """Simulated change of the group's channels by these effects (row,)."""
+    also = [s.from_axis for s in settings if s.from_axis]
+    # in the reduced plant an effect changes its own axis only, unless it edits bodies that several axes carry
+    own = {s.axis for s in settings}
+    if any(s.effect.edits_bodies for s in settings):
+        own = set(group.axes)
+    return group.response(None, settings, [a for a in group.axes if a in own], also)
+
+
+def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray) -> np.ndarray:
+    """Change per scale unit by a small step, towards the inside of the bounds."""
+    for step in (0.1, -0.1):
+        moved = f.moved(settings, step)
+        actual = _distance(f, settings, moved)
+        if abs(actual) > 1e-6:
+            return (answer(group, moved) - response) / actual
+    return np.zeros(group.size)
+
+
+def _distance(f: Free, before: Sequence[Setting], after: Sequence[Setting]) -> float:
+    """How far a parameter moved, in scale units."""
+    a, b = f.value(before), f.value(after)
+    if f.logarithmic:
+        return math.log(b / a) / f.unit if a > 0 and b > 0 else 0.0
+    difference = b - a
+    if f.parameter.periodic:
+        difference = (difference + math.pi) % (2 * math.pi) - math.pi
+    return difference / f.unit

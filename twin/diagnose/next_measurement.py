@@ -1,0 +1,106 @@
+"""The one further measurement that would tell most: a move that `twin run` accepts, chosen by what is still open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.diagnose.search import EVIDENCE, Found
+from twin.machine import Axis, Machine
+from twin.moves import moves_in_turn
+from twin.trace import Trace
+
+PERIOD = 1e-3
+
+# what separates an effect from its nearest rivals
+_SEPARATES = {
+    "micro-reversals": ("presliding", "backlash", "coulomb_friction", "stribeck"),
+    "constant speeds": (
+        "viscous_friction",
+        "viscous_asymmetry",
+        "torque_ripple",
+        "cyclic_error",
+        "lead_error",
+        "position_dependent_friction",
+        "constant_force",
+        "torque_constant",
+        "velocity_feedforward",
+        "position_gain",
+        "loop_delay",
+        "encoder_eccentricity",
+    ),
+    "accelerations": ("inertia", "torque_feedforward", "current_limit", "cross_axis_coupling", "set_point_filter", "table_unbalance"),
+    "chirp": ("transmission_compliance", "frame_vibration", "speed_gain", "speed_integral_time", "current_filter"),
+    "rest": ("thermal_drift", "periodic_disturbance"),
+}
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What to measure next, in words, and as set points."""
+
+    text: str
+    move: Trace | None
+
+
+def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
+    """The move that separates what is closest to each other; for 'none' there is nothing to add."""
+    if verdict == "none":
+        return Proposal("none needed: the machine does what its file says", None)
+    pairs = []
+    for f in found:
+        for candidates in f.rounds[:1]:
+            able = [c for c in candidates if c.plausible]
+            if able and able[0].evidence >= EVIDENCE:
+                rival = able[1] if len(able) > 1 else None
+                pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
+    if not pairs:
+        axis = found[0].group.axes[0] if found else machine.axis_names[0]
+        return _proposal("constant speeds", machine.axis(axis), "what is left follows none of the known effects")
+    _, best, rival = min(pairs, key=lambda p: p[0])
+    names = [best.setting.effect.name, *([rival.setting.effect.name] if rival else [])]
+    kind = next((k for k, effects in _SEPARATES.items() if names[-1] in effects), "constant speeds")
+    reason = f"tells {names[0]} from {names[1]}" if rival else f"confirms {names[0]} on a run that it was not found on"
+    return _proposal(kind, machine.axis(best.setting.axis), reason)
+
+
+def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
+    time, position = _move(kind, axis)
+    trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})
+    return Proposal(
+        f"axis {axis.name}: {kind} ({reason}); set points in next_measurement.csv, try them with: twin run next_measurement.csv", trace
+    )
+
+
+def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
+    low, high = axis.travel if math.isfinite(axis.travel[0]) else (-math.pi, math.pi)
+    middle = 0.5 * (low + high)
+    reach = min(0.35 * (high - low), 0.1 if axis.kind == "linear" else 0.5)
+    v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
+    if kind == "micro-reversals":
+        sizes = [2e-6, 5e-6, 10e-6, 20e-6, 50e-6, 200e-6] if axis.kind == "linear" else [2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 2e-3]
+        distances = [sign * size for size in sizes for sign in (1, -1, 1, -1)]
+        return moves_in_turn(middle, distances, 0.002 * v, 0.1 * a, j, 0.1, PERIOD)
+    if kind == "constant speeds":
+        times, positions, start = [], [], 0.0
+        for part in (0.002, 0.01, 0.03, 0.1, 0.3, 0.7):
+            length = min(reach, part * v * 2.0)
+            t, p = moves_in_turn(middle, [length, -length], part * v, a, j, 0.1, PERIOD)
+            times.append(t + start)
+            positions.append(p)
+            start = times[-1][-1] + PERIOD
+        return np.concatenate(times), np.concatenate(positions)
+    if kind == "chirp":
+        t = np.arange(0.0, 8.0, PERIOD)
+        f0, f1 = 2.0, 80.0
+        phase = 2 * np.pi * (f0 * t + (f1 - f0) * t**2 / 16.0)
+        rate = 2 * np.pi * (f0 + (f1 - f0) * t / 8.0)
+        amplitude = np.minimum(0.02 * reach, 0.3 * a / rate**2)
+        drift = 0.02 * v * t
+        return t, middle + drift - drift[0] + amplitude * np.sin(phase) * np.minimum(1.0, t / 0.5)
+    if kind == "rest":
+        return moves_in_turn(middle, [reach, -reach], 0.3 * v, a, j, 20.0, PERIOD)
+    return moves_in_turn(middle, [reach, -reach, reach, -reach], v, a, j, 0.2, PERIOD)

@@ -1,0 +1,345 @@
+"""What a measured campaign shows of one group of axes: channels, their noise, and the residual of the nominal twin.
+
+Channels cut the loop where the recorded signals allow it, so that a fault shows in its own block:
+
+    controller   speed set point minus Kv (s(t - d) - x) - a_v ds/dt: measured inputs in, measured output compared
+    windup       motor position minus scale where the set point moves: transmission and measurement
+    position     scale (the motor encoder where there is no scale), closed loop
+    velocity     motor speed, closed loop
+    current      where the set point moves: speed controller, current loop and mechanics, closed loop
+
+At rest the current of an axis that sticks, and the place of a rotor inside a gap, are history and chance.
+Axes that the mass matrix does not couple are looked at apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import functools
+
+import mujoco
+import numpy as np
+
+from twin.campaign import MeasuredRun
+from twin.effects import Setting, with_effects
+from twin.gap import is_moving
+from twin.machine import Axis, Machine
+from twin.plant import build_plant, full_inertia
+from twin.reduced import Motion, ReducedPlant
+from twin.run import simulate
+from twin.setpoints import Setpoints, setpoints_of
+from twin.trace import Trace
+from twin.units import AXIS_UNITS
+
+CHANNELS = ("controller", "windup", "position", "velocity", "current")
+REALISATIONS = 4
+"""Runs of the nominal twin with noise in the loop, from which expectation and scatter are taken."""
+
+ENOUGH = 50
+"""Moving samples from which a channel is worth looking at."""
+
+CONTROLLER_FLOOR = 0.01
+"""What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
+
+LONGEST_CORRELATION = 150
+"""Samples over which the noise of a channel may be correlated (the loop's own memory)."""
+
+
+@dataclass(frozen=True)
+class RunView:
+    """One run as the diagnosis sees it."""
+
+    name: str
+    trace: Trace
+    machine: Machine  # with this run's feedforward
+    setpoints: Setpoints  # all axes of the machine
+    motion: Motion  # nominal motion of all axes
+    started_at: float
+    references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
+
+    def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Velocity feedforward, delayed set point, and where the set point moves, at the sample times; remembered."""
+        if name not in self.references:
+            axis = self.machine.axis(name)
+            self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
+        return self.references[name]
+
+    def moves(self, name: str) -> bool:
+        """Does the axis' set point move in this run?"""
+        return name in self.trace.axes and bool(np.ptp(self.trace.get(name, "setpoint")) > 1e-6)
+
+
+@dataclass
+class Channel:
+    """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
+
+    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one.
+    """
+
+    run: int
+    axis: str
+    name: str
+    residual: np.ndarray
+    sigma: np.ndarray
+    correlation: float
+    rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
+
+    @functools.cached_property
+    def is_clean(self) -> bool:
+        """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
+        u = self.residual / self.sigma
+        n = len(u)
+        if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
+            means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
+            return bool(float(np.mean(u**2)) < 1.5 and np.abs(means).max() < 2.0)
+        if float(np.mean(u**2)) > 1.15 + 6.0 * np.sqrt(2.0 / n):
+            return False
+        for width in (25, 400):
+            if n > 4 * width:
+                means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
+                if float(np.mean(means**2)) > 1.5 + 6.0 * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > 6.5:
+                    return False
+        return True
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1 / (sigma sqrt(correlation)), (sample,)."""
+        return 1.0 / (self.sigma * np.sqrt(self.correlation))
+
+
+@dataclass
+class Group:
+    """Axes that belong together, their channels over all runs, and the nominal simulation beside them."""
+
+    axes: tuple[str, ...]
+    views: Sequence[RunView]
+    channels: list[Channel]
+    nominal: list[dict[tuple[str, str], np.ndarray]]  # per run: (axis, channel) -> values without noise
+
+    def __post_init__(self) -> None:
+        at = 0
+        for channel in self.channels:
+            channel.rows = slice(at, at + len(channel.residual))
+            at += len(channel.residual)
+        self.size = at
+        self.weights = np.concatenate([c.weight for c in self.channels]) if self.channels else np.zeros(0)
+        self.residual = np.concatenate([c.residual for c in self.channels]) * self.weights if self.channels else np.zeros(0)
+
+    def response(self, machine_of, settings: Sequence[Setting] = (), axes: Sequence[str] = (), also: Sequence[str] = ()) -> np.ndarray:  # type: ignore[no-untyped-def]
+        """Weighted change of all channels against the nominal twin (row,): the variant's simulation minus the nominal's.
+
+        `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group); `also` names
+        axes that must move along.
+        """
+        axes = tuple(axes) or self.axes
+        out = np.zeros(self.size)
+        simulated: dict[int, dict[tuple[str, str], np.ndarray]] = {}
+        for channel in self.channels:
+            if channel.axis not in axes:
+                continue
+            if channel.run not in simulated:
+                view = self.views[channel.run]
+                moving = tuple(a for a in axes if view.moves(a))
+                simulated[channel.run] = channels_of(simulate_group(view, moving, machine_of, settings, also), view, moving)
+            key = (channel.axis, channel.name)
+            out[channel.rows] = simulated[channel.run][key] - self.nominal[channel.run][key]
+        return out * self.weights
+
+    def run_rows(self, run: int) -> np.ndarray:
+        """True for the rows of one run (row,)."""
+        mask = np.zeros(self.size, bool)
+        for channel in self.channels:
+            if channel.run == run:
+                mask[channel.rows] = True
+        return mask
+
+
+def simulate_group(
+    view: RunView, axes: Sequence[str], machine_of=None, settings: Sequence[Setting] = (), also: Sequence[str] = (), **options
+) -> Trace:  # type: ignore[no-untyped-def]
+    """Simulate some axes of a run by themselves in the reduced plant."""
+    machine = view.machine if machine_of is None else machine_of(view.machine)
+    driven = [name for name in view.machine.axis_names if name in axes or name in also]
+    index = [view.machine.axis_names.index(name) for name in driven]
+    part = with_effects(machine.with_axes(driven), [s for s in settings if s.axis in driven])
+    motion = view.motion.part(tuple(index))
+    setpoints = view.setpoints.part(tuple(index))
+    return simulate(
+        part,
+        setpoints,
+        sample_period=view.trace.period,
+        started_at=view.started_at,
+        plant_of=lambda change: ReducedPlant(change, motion),
+        **options,
+    ).trace
+
+
+def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[str, str], np.ndarray]:
+    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,)."""
+    out = {}
+    count = len(view.trace.time)
+    for name in axes:
+        axis = view.machine.axis(name)
+        measured = view.trace
+        if measured.has(name, "position") and measured.has(name, "velocity_setpoint"):
+            every = max(1, round(view.machine.position_cycle / measured.period))
+            command, delayed, _ = view.reference(name)
+            following = delayed - trace.get(name, "position")[:count]
+            error = trace.get(name, "velocity_setpoint")[:count] - command - axis.loops.position_gain_per_s * following
+            out[name, "controller"] = error[::every]
+        moving = view.reference(name)[2]
+        if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > ENOUGH:
+            out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[:count][moving]
+        for signal in ("position", "motor_position"):
+            if measured.has(name, signal):
+                out[name, "position"] = trace.get(name, signal)[:count]
+                break
+        if measured.has(name, "velocity"):
+            out[name, "velocity"] = trace.get(name, "velocity")[:count]
+        if measured.has(name, "current") and moving.sum() > ENOUGH:
+            out[name, "current"] = trace.get(name, "current")[:count][moving]
+    return out
+
+
+def _command(view: RunView, axis: Axis) -> np.ndarray:
+    """Velocity feedforward at the sample times (sample,) [axis units a second]."""
+    times = view.trace.time - view.trace.time[0]
+    a = view.machine.axis_names.index(axis.name)
+    tp = view.machine.position_cycle
+    d = axis.loops.feedforward_delay_s
+    now, before = view.setpoints.at(times - d)[:, a], view.setpoints.at(times - d - tp)[:, a]
+    return axis.loops.velocity_feedforward * (now - before) / tp
+
+
+def _delayed(view: RunView, axis: Axis) -> np.ndarray:
+    times = view.trace.time - view.trace.time[0]
+    return view.setpoints.at(times - axis.loops.position_delay_s)[:, view.machine.axis_names.index(axis.name)]
+
+
+def view_of(machine: Machine, run: MeasuredRun) -> RunView:
+    """A run with the nominal twin's own motion, along which the reduced plant is taken."""
+    actual = with_effects(machine.with_feedforward(run.feedforward), [])
+    setpoints = setpoints_of(run.trace, actual)
+    times = np.arange(len(setpoints.position)) * setpoints.period
+    position = setpoints.position.copy()
+    for a, axis in enumerate(actual.axes):
+        # a linear axis follows its set point by the delay and, without feedforward, by 1 / Kv more
+        lag = axis.loops.position_delay_s + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
+        position[:, a] = setpoints.at(times - lag)[:, a]
+    speed = np.gradient(position, setpoints.period, axis=0)
+    rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")
+    if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
+        # inertia and gravity depend on where rotary axes are: take their motion from the engine
+        names = [actual.axis_names[a] for a in rotary]
+        nominal = simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=setpoints.period).trace
+        position[:, rotary] = nominal.matrix("position", names)[: len(position)]
+        speed[:, rotary] = nominal.matrix("velocity", names)[: len(position)]
+    acceleration = np.gradient(speed, setpoints.period, axis=0)
+    return RunView(run.name, run.trace, actual, setpoints, Motion(position, speed, acceleration, setpoints.period), run.started_at)
+
+
+def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ...]]:
+    """Axes that the mass matrix couples somewhere in their travel, as groups in the machine's order."""
+    plant = build_plant(with_effects(machine, []))
+    rng = np.random.default_rng(0)
+    n = len(machine.axes)
+    coupled = np.eye(n, dtype=bool)
+    for _ in range(12):
+        plant.data.qpos[plant.load_position] = rng.uniform(-0.2, 0.2, n) + [
+            rng.uniform(-1, 1) if axis.kind == "rotary" else 0.0 for axis in machine.axes
+        ]
+        plant.data.qvel[:] = rng.uniform(-1, 1, plant.model.nv)
+        mujoco.mj_forward(plant.model, plant.data)
+        inertia = full_inertia(plant.model, plant.data)[np.ix_(plant.load_dof, plant.load_dof)]
+        scale = np.sqrt(np.diag(inertia))
+        coupled |= np.abs(inertia) / np.outer(scale, scale) > 1e-9
+    groups: list[set[int]] = []
+    for a in range(n):
+        joined = {a, *np.flatnonzero(coupled[a]).tolist()}
+        for group in [g for g in groups if g & joined]:
+            joined |= group
+            groups.remove(group)
+        groups.append(joined)
+    names = [tuple(machine.axis_names[a] for a in sorted(g)) for g in groups]
+    return [g for g in sorted(names, key=lambda g: machine.axis_names.index(g[0])) if any(a in measured for a in g)]
+
+
+def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
+    """Residuals of the nominal twin and their noise for one group of axes over all runs."""
+    channels, nominal = [], []
+    for r, view in enumerate(views):
+        present = tuple(a for a in axes if view.moves(a))
+        if not present:
+            nominal.append({})
+            continue
+        nominal.append(channels_of(simulate_group(view, present), view, present))
+        clean, seen = [], []
+        for k in range(REALISATIONS):
+            options = {"noise_seed": seed + 1000 * r + k}
+            seen.append(channels_of(simulate_group(view, present, **options), view, present))
+            clean.append(channels_of(simulate_group(view, present, record_noise=False, **options), view, present))
+        measured = channels_of(view.trace, view, present)
+        for key, values in measured.items():
+            expected = np.mean([c[key] for c in clean], axis=0)
+            if key[1] == "controller":
+                expected = np.zeros_like(values)  # the law itself: what the controller saw is in the record
+            deviations = np.array([s[key] for s in seen]) - expected
+            residual = values - expected
+            if key[1] == "controller":
+                axis = view.machine.axis(key[0])
+                least = CONTROLLER_FLOOR * view.machine.noise(axis).speed or 1e-9
+                sigma = np.full(len(values), max(_rounding(view.trace, axis, "velocity_setpoint") / np.sqrt(12.0), least))
+                channels.append(Channel(r, *key, residual, sigma, 1.0))
+                continue
+            jitter = np.var([c[key] for c in clean], axis=0, ddof=1)
+            sigma = _sigma(deviations, jitter, residual)
+            channels.append(Channel(r, key[0], key[1], residual, sigma, _correlation(deviations / sigma)))
+    return Group(axes, views, channels, nominal)
+
+
+def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
+
+    The motion that noise in the loop makes, variance `jitter`, is too small by 1 / K in deviations from a mean of K and comes
+    in again with that mean. A sensor noisier than the machine file says shows in sample-to-sample differences, which slow
+    faults leave alone.
+    """
+    square = np.mean(deviations**2, axis=0) + 2.0 / REALISATIONS * jitter
+    window = min(51, len(square) | 1)
+    smooth = np.convolve(np.pad(square, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(square)]
+    level = float(np.mean(square))
+    measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
+    expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
+    if expected > 0.0 and 1.0 < measured / expected < _NOISIER**2:
+        smooth = smooth * measured / expected
+    return np.sqrt(np.maximum(smooth, 0.5 * level))
+
+
+_NOISIER = 5.0
+"""A record this much rougher than expected is no longer taken for sensor noise."""
+
+
+def _rounding(trace: Trace, axis: Axis, signal: str) -> float:
+    """Step of the decimal grid on which a recorded signal lies, in SI (0: none seen)."""
+    factor = AXIS_UNITS[axis.kind].speed[1]
+    values = trace.get(axis.name, signal) * factor
+    for digits in range(1, 7):
+        if np.all(np.abs(values * 10**digits - np.rint(values * 10**digits)) < 1e-4):
+            return 10.0**-digits / factor
+    return 0.0
+
+
+def _correlation(normed: np.ndarray) -> float:
+    """Integrated correlation (>= 1) of noise: how many samples carry the information of one."""
+    n = normed.shape[1]
+    lags = min(LONGEST_CORRELATION, n // 4)
+    if lags < 2:
+        return 1.0
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.mean(np.abs(np.fft.rfft(normed - normed.mean(axis=1, keepdims=True), size, axis=1)) ** 2, axis=0)
+    correlation = np.fft.irfft(spectrum)[: lags + 1]
+    if correlation[0] <= 0:
+        return 1.0
+    taper = 1.0 - np.arange(1, lags + 1) / (lags + 1)
+    return float(max(1.0, 1.0 + 2.0 * np.sum(taper * correlation[1:] / correlation[0])))

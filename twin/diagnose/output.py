@@ -1,0 +1,61 @@
+"""The files of a diagnosis: JSON by contract, the corrected machine, report, recording, and the next measurement."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.report import write_recording_of, write_report
+from twin.machine import write_machine
+from twin.trace import write_trace
+
+
+def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
+    """Write all files to a folder; returns the document of `diagnosis.json`."""
+    document = diagnosis.document()
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "diagnosis.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    write_machine(diagnosis.corrected, out / "machine.toml")
+    if diagnosis.proposal.move is not None:
+        write_trace(diagnosis.proposal.move, out / "next_measurement.csv")
+    write_report(diagnosis, document, out / "report.html")
+    write_recording_of(diagnosis, out / "diagnosis.rrd")
+    return document
+
+
+def summary_text(document: dict[str, Any]) -> str:
+    """The verdict in a few lines for the terminal."""
+    gap = document["gap"]
+    lines = [verdict_sentence(document)]
+    for e in document["effects"]:
+        values = ", ".join(f"{k} {v['value']:.4g} {v['unit']} ({v['low']:.4g} to {v['high']:.4g})" for k, v in e["parameters"].items())
+        lines.append(
+            f"  {e['effect']} on {e['axis']} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
+        )
+    for place in document["where"][:3]:
+        runs = ", ".join(place["runs"][:3])
+        lines.append(
+            f"  where: axis {place['axis']}, {place['block']}, {place['regime']}, scales with {place['scales_with']}, share {place['share']:.0%} ({runs})"
+        )
+    lines.append(
+        f"  gap {gap['before']:.2f} before, {gap['after']:.2f} after, 1 = noise alone; re-tuning alone closes {gap['retuning_share']:.0%}"
+    )
+    for rival in document["ambiguous_with"]:
+        lines.append(f"  not told apart here: {rival['effect']} on {rival['axis']} instead of {rival['instead_of']}")
+    lines += [f"  note: {note}" for note in document["notes"]]
+    lines.append(f"  next measurement: {document['next_measurement']}")
+    return "\n".join(lines)
+
+
+def verdict_sentence(document: dict[str, Any]) -> str:
+    """The answer in one sentence."""
+    if document["verdict"] == "none":
+        return "No effect: within its tolerance and noise the machine does what its file says."
+    names = " and ".join(f"{e['effect'].replace('_', ' ')} on axis {e['axis']}" for e in document["effects"])
+    if document["verdict"] == "effect":
+        return f"The gap comes from {names}."
+    place = document["where"][0] if document["where"] else None
+    at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
+    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {names}." if names else ".")

@@ -1,0 +1,104 @@
+"""The report of a diagnosis: one page that needs nothing beside it, read from the verdict down to the evidence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.evidence import blocks_map, retuned_values, retuning_share, run_levels, stretches, waterfall
+from twin.diagnose.recording import write_recording_of
+from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
+from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times
+from twin.effects import EFFECTS
+from twin.errors import InputError
+
+__all__ = ["report_page", "verdict_sentence", "write_recording_of", "write_report"]
+
+CANDIDATES_SHOWN = 12
+STRETCHES_SHOWN = 3
+
+
+def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
+    """Write the page; an unwritable place is an InputError."""
+    try:
+        path.write_text(report_page(diagnosis, document), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+
+
+def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
+    """The page as HTML."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("twin.diagnose", "."),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters.update(percent=percent, times=times, effect_title=effect_title, parameters=parameters_of)
+    axes, blocks = blocks_map(diagnosis, document)
+    run_axes, runs = run_levels(diagnosis)
+    steps = waterfall(diagnosis, document)
+    return environment.get_template("report.html.j2").render(
+        document=document,
+        campaign=diagnosis.campaign,
+        machine=diagnosis.machine,
+        seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
+        verdict=verdict_sentence(document),
+        numbers=gap_sentence(document),
+        summaries={name: effect.summary for name, effect in EFFECTS.items()},
+        telling=telling_gaps(document),
+        waterfall=as_image(waterfall_figure(steps)),
+        retuning=retuning_share(steps),
+        map=as_image(map_figure(axes, blocks)),
+        curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],
+        run_axes=run_axes,
+        runs=runs,
+        candidates=document["candidates"][:CANDIDATES_SHOWN],
+        retuned=_retuned_table(diagnosis),
+    )
+
+
+def verdict_sentence(document: dict[str, Any]) -> str:
+    """The answer in one sentence, with the number of each effect."""
+    from twin.diagnose.output import verdict_sentence as sentence
+
+    text = sentence(document)
+    for effect in document["effects"]:
+        name = f"{effect['effect'].replace('_', ' ')} on axis {effect['axis']}"
+        text = text.replace(name, f"{effect_title(effect)} ({headline_number(effect)})", 1)
+    return text
+
+
+def gap_sentence(document: dict[str, Any]) -> str:
+    """How far the gap shrinks, in multiples of noise, and the worst signal of the first effect's axis in its own unit."""
+    gap = document["gap"]
+    where = "runs that took no part in the fit" if gap["held_out_runs"] else "the runs of the fit"
+    if not document["effects"]:
+        return (
+            f"The gap is {times(gap['before'])} times what noise makes, after re-tuning within tolerance {times(gap['after'])} times."
+        )
+    return f"Corrected, the gap falls from {times(gap['before'])} to {times(gap['after'])} times what noise makes, on {where}."
+
+
+def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """For each axis with an effect the signal that stood out most from noise: axis, signal, before, after, noise_floor, unit."""
+    rows = []
+    for axis in dict.fromkeys(e["axis"] for e in document["effects"]):
+        signals = {name: g for name, g in document["gap"]["axes"].get(axis, {}).items() if g["noise_floor"] > 0}
+        if signals:
+            name = max(signals, key=lambda s: signals[s]["before"] / signals[s]["noise_floor"])
+            rows.append({"axis": axis, "signal": name.replace("_", " "), **signals[name]})
+    return rows
+
+
+def _retuned_table(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Deviations by owner (row) and quantity (column)."""
+    values = retuned_values(diagnosis)
+    quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
+    owners = list(dict.fromkeys(owner for owner, _, _ in values))
+    cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
+    return {"quantities": quantities, "rows": [(owner, [cells.get((owner, q)) for q in quantities]) for owner in owners]}

@@ -1,0 +1,186 @@
+"""The pictures of the report: waterfall of the gap, map axis by block, curves of a telling stretch. Each returns a figure.
+
+Measured is black, the machine file as it is orange, the corrected machine blue, what noise makes grey: in all of them.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+import numpy as np
+
+from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.evidence import BLOCKS_NEED, MARGIN, Stretch
+from twin.diagnose.wording import percent, times
+from twin.gap import gap_unit, is_moving, sensor_noise
+from twin.machine import Axis
+from twin.report import figure_svg
+from twin.trace import Trace
+
+MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
+NOISE, CLOSED = "#8b929c", "#b9d3f0"
+WORTH_A_SHARE = 0.1
+"""Drop of the squared level below which shares of it would be shares of nothing."""
+MOST_POINTS = 4000
+"""Points of a curve in the page."""
+
+
+def as_image(figure: Figure) -> str:
+    """The figure as an address that an <img> of a page shows without any file beside it."""
+    return "data:image/svg+xml;base64," + base64.b64encode(figure_svg(figure).encode()).decode()
+
+
+def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
+    """Levels of the gap in multiples of noise, each bar what one step closes; the last what is left."""
+    figure = Figure(figsize=(6.2, 3.5), layout="constrained")
+    ax = figure.add_subplot()
+    levels = [level for _, level in steps]
+    ax.bar(0, levels[0], color=NOMINAL, width=0.62)
+    for i in range(1, len(steps)):
+        low, high = sorted((levels[i - 1], levels[i]))
+        grown = levels[i] > levels[i - 1]
+        ax.bar(i, high - low, bottom=low, color="#d9534f" if grown else CLOSED, edgecolor=CORRECTED, linewidth=0.8, width=0.62)
+        ax.plot([i - 1 + 0.31, i + 0.31], [levels[i - 1]] * 2, color=NOISE, linewidth=0.8)
+    ax.bar(len(steps), levels[-1], color=CORRECTED, width=0.62)
+    ax.plot([len(steps) - 0.69, len(steps) + 0.31], [levels[-1]] * 2, color=NOISE, linewidth=0.8)
+    top = max(*levels, 1.0)
+    ax.axhline(1.0, color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
+    if len(levels) > 1 and levels[1] > 1.0 + 0.1 * top:  # there is room below the second bar
+        ax.text(1, 1.0 + 0.012 * top, "1: what noise\nalone makes", color="#5c636d", fontsize=8, va="bottom", ha="center")
+    for i, level in [(0, levels[0]), (len(steps), levels[-1])]:
+        ax.text(i, level + 0.02 * top, times(level), ha="center", fontsize=11, weight="bold", color=MEASURED)
+    total = levels[0] ** 2 - levels[-1] ** 2
+    for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
+        share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
+        ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, f"{-100 * share:+.0f} %", ha="center", fontsize=9.5, color=CORRECTED)
+    ax.set_xticks(range(len(steps) + 1), [*(label for label, _ in steps), "left with the\ncorrected machine"], fontsize=8.5)
+    ax.set_ylim(0.0, 1.16 * top)
+    ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)
+    _plain(ax)
+    return figure
+
+
+def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, float]]]) -> Figure:
+    """Share of the gap by axis and block, with the level of the block's residual over noise."""
+    figure = Figure(figsize=(6.2, 1.1 + 0.48 * len(axes)), layout="constrained")
+    ax = figure.add_subplot()
+    for r, row in enumerate(rows):
+        for b, (state, share, level) in enumerate(row):
+            colour = _heat(share) if state == "place" else "#eef3ee" if state == "healthy" else "#ffffff"
+            hatch = "////" if state == "unseen" else None
+            ax.add_patch(Rectangle((b + 0.03, r + 0.04), 0.94, 0.92, facecolor=colour, edgecolor="#d8dce2", hatch=hatch, linewidth=0.8))
+            if state == "place":
+                ink = "white" if share > 0.45 else MEASURED
+                ax.text(b + 0.5, r + 0.38, percent(share), ha="center", va="center", fontsize=11, weight="bold", color=ink)
+                ax.text(b + 0.5, r + 0.73, f"{times(level)} × noise", ha="center", va="center", fontsize=7.5, color=ink)
+            elif state == "healthy":
+                ax.text(b + 0.5, r + 0.5, "as it should be", ha="center", va="center", fontsize=7.5, color="#6b8a6f")
+            else:
+                ax.text(
+                    b + 0.5, r + 0.5, "not recorded", ha="center", va="center", fontsize=7.5, color=NOISE,
+                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+                )  # fmt: skip
+    ax.set_xlim(0, len(BLOCKS_NEED))
+    ax.set_ylim(len(axes), 0)
+    ax.set_xticks(
+        np.arange(len(BLOCKS_NEED)) + 0.5, [b.replace(" controller", "\ncontroller").replace(" loop", "\nloop") for b in BLOCKS_NEED]
+    )
+    ax.set_yticks(np.arange(len(axes)) + 0.5, axes, weight="bold")
+    ax.tick_params(length=0, top=False, labelsize=9.5)
+    ax.xaxis.set_ticks_position("top")
+    ax.spines[:].set_visible(False)
+    return figure
+
+
+def _heat(share: float) -> tuple[float, float, float]:
+    """White over yellow to red."""
+    stops = np.array([[1.0, 0.97, 0.90], [1.0, 0.80, 0.45], [0.93, 0.45, 0.20], [0.72, 0.11, 0.11]])
+    at = np.clip(share, 0.0, 1.0) ** 0.7 * 3.0
+    low = min(int(at), 2)
+    r, g, b = stops[low] + (at - low) * (stops[low + 1] - stops[low])
+    return float(r), float(g), float(b)
+
+
+def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
+    """Following error, the block's own signal, and what is left of the gap, measured against both machines."""
+    run = next(r for r in diagnosis.campaign.runs if r.name == stretch.run)
+    axis = diagnosis.machine.axis(stretch.axis)
+    margin = MARGIN * (stretch.stop - stretch.start)
+    shown = np.flatnonzero((run.trace.time >= stretch.start - margin) & (run.trace.time <= stretch.stop + margin))
+    shown = shown[:: max(1, len(shown) // MOST_POINTS)]
+    series = [
+        ("measured", MEASURED, run.trace),
+        ("machine file as it is", NOMINAL, diagnosis.predictions["before"][run.name].trace),
+        ("corrected machine", CORRECTED, diagnosis.predictions["after"][run.name].trace),
+    ]
+    panels = _panels(axis, run.trace, stretch.block)
+    figure = Figure(figsize=(12.6, 2.0 * len(panels) + 2.4), layout="constrained")
+    parts = figure.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.15] * len(panels) + [1.0])[:, 0]
+    time = run.trace.time[shown]
+    for ax, (label, signals) in zip(parts, panels):
+        for name, colour, trace in series:
+            values, unit = _signal(axis, trace, run.trace, signals)
+            wide = {"linewidth": 4.0, "alpha": 0.35} if name == "measured" else {"linewidth": 1.3}
+            ax.plot(time, values[shown], color=colour, label=name, **wide)
+        ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
+    signal = _gap_signal(run.trace, axis.name, stretch.block)
+    unit, factor = gap_unit(axis, signal)
+    noise = sensor_noise(diagnosis.machine, axis, signal) * factor
+    parts[-1].axhspan(-2 * noise, 2 * noise, color="#d5dae1", zorder=0, label="noise of the sensor (95 %)")
+    for name, colour, trace in series[1:]:
+        difference = (run.trace.get(axis.name, signal) - trace.get(axis.name, signal)) * factor
+        if signal == "current":
+            difference = np.where(is_moving(run.trace, axis), difference, np.nan)
+        parts[-1].plot(time, difference[shown], color=colour, linewidth=1.3, label=f"measured − {name}")
+    parts[-1].set_ylabel(f"gap of {signal.replace('_', ' ')} [{unit}]", fontsize=9)
+    parts[-1].set_xlabel("time in the run [s]", fontsize=9)
+    for ax in parts:
+        ax.axvspan(stretch.start, stretch.stop, color="#fff6d6", zorder=-1)
+        ax.margins(x=0)
+        _plain(ax)
+    for ax in (parts[0], parts[-1]):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, fontsize=9, frameon=False, borderpad=0.1)
+    figure.align_ylabels()
+    return figure
+
+
+def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
+    """What is drawn of a stretch, as far as it is recorded: (label, signal)."""
+    panels = []
+    if measured.has(axis.name, "position"):
+        panels.append(("following error", "following error"))
+    if block in ("transmission", "measurement") and measured.has(axis.name, "position") and measured.has(axis.name, "motor_position"):
+        panels.append(("motor − scale", "windup"))
+    elif measured.has(axis.name, "current"):
+        panels.append(("current", "current"))
+    return panels or [("position", "motor_position" if measured.has(axis.name, "motor_position") else "setpoint")]
+
+
+def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:
+    """A signal of the panels in its unit (sample,); the following error without the delay that the control makes on purpose."""
+    unit, factor = gap_unit(axis, "position")
+    if signal == "following error":
+        asked = np.interp(measured.time - axis.loops.position_delay_s, measured.time, measured.get(axis.name, "setpoint"))
+        return (asked - trace.get(axis.name, "position")) * factor, unit
+    if signal == "windup":
+        return (trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")) * factor, unit
+    unit, factor = gap_unit(axis, signal)
+    return trace.get(axis.name, signal) * factor, unit
+
+
+def _gap_signal(measured: Trace, axis: str, block: str) -> str:
+    """The signal whose gap is drawn: the current where the mechanics are at fault, else the position."""
+    first = ("current",) if block in ("mechanics", "current loop", "speed controller") else ()
+    return next(s for s in (*first, "position", "motor_position", "velocity", "current") if measured.has(axis, s))
+
+
+def _plain(ax: Axes) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color("#b5bbc4")
+    ax.tick_params(labelsize=9, colors="#3a4048")
+    ax.grid(axis="y", color="#eceff3", linewidth=0.8)
+    ax.set_axisbelow(True)

@@ -1,0 +1,276 @@
+"""Which effects a group of axes has: screen all, fit the best, add one while it earns its place, try each removal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+import math
+
+import numpy as np
+
+from twin.diagnose.candidates import Start, combine, is_scaled, size_parameter, starts_of
+from twin.diagnose.fit import PRIOR_WEIGHT, Fit, Tuning, answer, fit_effects, no_effect, tuning_of
+from twin.diagnose.observe import Group
+from twin.effects import Setting
+from twin.errors import TwinError
+from twin.machine import Machine
+
+FOLDS = 3
+"""Parts into which the runs are divided; each is predicted by a fit of the others."""
+
+MOST_EFFECTS = 3
+"""Effects that one group of axes can be found to have."""
+
+EVIDENCE = 14.0
+"""Log likelihood on runs left out, over re-tuning alone, that an effect must bring to be there."""
+
+MOST_FITTED = 8
+RIVALS_WITHIN, BENT_WITHIN = 0.25, 0.08
+"""Screened candidates that are fitted in closed loop: those that reach this share of the best one's gain (less for effects
+that are not in proportion to their size, which a start may underrate), at most so many."""
+
+PRICE = 2.0
+"""Log likelihood that each further free parameter costs."""
+
+SMALLEST, LARGEST = 0.12, 4.0
+"""Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
+
+
+@dataclass
+class Candidate:
+    """One effect on one axis, fitted together with what was accepted before; `evidence` is on runs left out."""
+
+    fit: Fit
+    evidence: float
+    plausible: bool
+
+    @property
+    def setting(self) -> Setting:
+        return self.fit.settings[-1]
+
+    @property
+    def key(self) -> tuple[str, str, str | None]:
+        return self.setting.effect.name, self.setting.axis, self.setting.from_axis
+
+
+@dataclass
+class Found:
+    """Result for one group: the final fit, every candidate of the first round, and what is left."""
+
+    group: Group
+    tuning: Tuning
+    fit: Fit
+    retuned: Fit
+    inflation: float
+    rounds: list[list[Candidate]] = field(default_factory=list)
+    screened: list[tuple[tuple[str, str, str | None], float, Setting]] = field(default_factory=list)
+    answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=dict, repr=False
+    )  # simulated answers of starts, for later rounds
+
+
+def search(
+    group: Group,
+    machine: Machine,
+    folds: Sequence[Sequence[int]],
+    mapper: Callable,  # type: ignore[type-arg]
+    progress: Callable[[str], None],
+    quick: bool = False,
+) -> Found:
+    """Forward selection with refit of all accepted effects, then removals."""
+    tuning = tuning_of(group, machine, mapper)
+    retuned = no_effect(group, tuning)
+    found = Found(group, tuning, retuned, retuned, _inflation(group, tuning, retuned))
+    if quick and is_quiet(found):
+        return found
+    while len(found.fit.settings) < MOST_EFFECTS:
+        candidates = _round(found, machine, folds, mapper, progress, quick)
+        found.rounds.append(candidates)
+        best = next((c for c in candidates if c.plausible), None)
+        if best is None or best.evidence < EVIDENCE:
+            break
+        found.fit = best.fit
+        found.inflation = _inflation(group, tuning, best.fit)
+    _try_removals(found, machine, folds)
+    return found
+
+
+def is_quiet(found: Found) -> bool:
+    """Does re-tuning alone leave nothing but noise in every channel?"""
+    group = found.group
+    left = (group.residual - found.fit.response - found.tuning.jacobian @ found.fit.tuning) / group.weights
+    return all(replace(c, residual=left[c.rows]).is_clean for c in group.channels)
+
+
+def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]
+    group, tuning = found.group, found.tuning
+    accepted = found.fit.settings
+    residual = group.residual - found.fit.response
+    left = residual - tuning.jacobian @ tuning.solve(residual)
+    taken = {(s.effect.name, s.axis, s.from_axis) for s in accepted}
+    starts = [s for s in starts_of(group, machine, left) if s.key not in taken and not _is_ruled_out(group, s)]
+    progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
+    target = tuning.remembered(residual)
+    gains = list(mapper(lambda s: _screen(found, s, target), starts))
+    best: dict[tuple[str, str, str | None], tuple[float, Setting]] = {}
+    for start, screened in zip(starts, gains):
+        if screened is not None and screened[0] > best.get(start.key, (0.0,))[0]:
+            best[start.key] = screened
+    order = sorted(best.items(), key=lambda item: -item[1][0])
+    if not found.rounds:
+        found.screened = [(key, gain, setting) for key, (gain, setting) in order]
+    if not order or order[0][1][0] < EVIDENCE * 0.5:
+        order = order[:1]
+    most = 3 if quick else MOST_FITTED
+    top = order[0][1][0] if order else 0.0
+    near = [item for i, item in enumerate(order) if i < 2 or item[1][0] > (RIVALS_WITHIN if _is_linear(item[1][1]) else BENT_WITHIN) * top]
+    chosen = near[:most]
+    progress(f"{'+'.join(group.axes)}: fitting {', '.join(f'{k[0]} {k[1]}' for k, _ in chosen[:3])} ...")
+    fits = list(mapper(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], 2 if quick else 4), chosen))
+    base = held_out_loss(found, found.fit, folds)
+    candidates = []
+    for fit in fits:
+        if fit is None:
+            continue
+        # on runs left out, and not more than the drop on all runs pays for its parameters
+        gain = min(base - held_out_loss(found, fit, folds), found.fit.loss - fit.loss - PRICE * (len(fit.free) - len(found.fit.free)))
+        evidence = gain / min(found.inflation, _inflation(group, tuning, fit))
+        candidates.append(Candidate(fit, evidence, is_plausible(fit.settings[-1], machine)))
+    return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
+
+
+def _is_ruled_out(group: Group, start: Start) -> bool:
+    """An effect that must show in a cut channel which is clean on its axis: the block's own law holds, whatever else is wrong."""
+    channel = SHOWS_IN.get(start.effect.block)
+    mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
+    return bool(mine) and all(c.is_clean for c in mine)
+
+
+SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
+"""The cut channel in which every effect of a block shows."""
+
+
+def _is_linear(setting: Setting) -> bool:
+    size = size_parameter(setting.effect)
+    return is_scaled(size) and setting.effect.name != "backlash"
+
+
+def _screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -> tuple[float, Setting] | None:
+    """Gain of a start (half the drop of the squares) with its size scaled linearly, and the setting it stands for."""
+    tuning = found.tuning
+    try:
+        columns = [_remembered_answer(found, s) for s in start.settings]
+    except TwinError:
+        return None
+    setting = start.settings[0]
+    size = size_parameter(start.effect)
+    inner = np.array([[tuning.product(a, b) for b in columns] for a in columns])
+    with_target = np.array([tuning.product(c, target) for c in columns])
+    if not np.all(np.isfinite(inner)) or not np.all(np.diag(inner) > 1e-9):
+        return None
+    if not is_scaled(size):
+        return float(with_target[0] - 0.5 * inner[0, 0]), setting
+    sizes = np.linalg.solve(inner + 1e-12 * np.eye(len(inner)), with_target)
+    if len(sizes) == 1:
+        neutral = size.neutral or 0.0
+        deviation = setting.parameters[size.name] - neutral
+        low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
+        sizes = np.clip(sizes, max(min(low, high), -4.0), min(max(low, high), 4.0))
+        if size.low >= neutral and size.name != "factor":
+            sizes = np.maximum(sizes, 0.02)
+    scaled = combine(start, sizes.tolist())
+    return float(sizes @ with_target - 0.5 * sizes @ inner @ sizes), scaled
+
+
+def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
+    key = repr(setting.table())
+    if key not in found.answers:
+        found.answers[key] = found.tuning.remembered(answer(found.group, [setting]).astype(np.float32))
+    return found.answers[key]
+
+
+def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
+    """Half the squares on runs left out, each fold predicted by the fit without it.
+
+    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
+    -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
+    """
+    group, tuning = found.group, found.tuning
+    x = np.column_stack([fit.columns, tuning.jacobian])
+    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
+    normal = x.T @ x + prior
+    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
+    loss = 0.0
+    for fold in folds:
+        rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
+        if not rows.size:
+            continue
+        xf, rf = x[rows], r[rows]
+        if len(folds) > 1:
+            rf = rf + xf @ np.linalg.lstsq(normal - xf.T @ xf, xf.T @ rf, rcond=None)[0]
+        loss += 0.5 * float(np.minimum(rf**2, _OUTLIER * np.maximum(1.0, rf**2) ** 0.5).sum())
+    return loss
+
+
+_OUTLIER = 5.0
+"""Squares grow linearly beyond this many standard deviations: the moment of break-away is chance."""
+
+
+def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of free parameters and tuning when the runs of a fold are left out."""
+    fit, tuning, group = found.fit, found.tuning, found.group
+    x = np.column_stack([fit.columns, tuning.jacobian])
+    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
+    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
+    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
+    shift = -np.linalg.lstsq(x.T @ x + prior - x[rows].T @ x[rows], x[rows].T @ r[rows], rcond=None)[0]
+    return shift[: fit.columns.shape[1]], shift[fit.columns.shape[1] :]
+
+
+def _inflation(group: Group, tuning: Tuning, fit: Fit) -> float:
+    """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
+    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
+    expected = sum(len(c.residual) / c.correlation for c in group.channels)
+    return max(1.0, float(r @ r) / expected)
+
+
+def is_plausible(setting: Setting, machine: Machine) -> bool:
+    """Is the size one that is found on machines, and more than their normal spread?"""
+    axis = machine.axis(setting.axis)
+    size = size_parameter(setting.effect)
+    value = setting.parameters[size.name]
+    low, high = size.usual_range(machine, axis)
+    neutral = size.neutral or 0.0
+    if size.name == "factor":
+        deviation = abs(value - neutral)
+        least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
+        toleranced = setting.effect.name in ("torque_constant", "coulomb_friction", "viscous_friction")
+        return deviation > max(SMALLEST * least, 2.0 * machine.parameter_tolerance if toleranced else 0.0)
+    if not math.isfinite(neutral):  # springs and limits: the softer, the larger
+        if size.name == "limit_a":
+            return True
+        return low / LARGEST <= value <= high / SMALLEST
+    if low < neutral < high:
+        return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
+    if setting.effect.name == "inertia":
+        total_share = abs(value) / max(high / 0.35, 1e-12)
+        return total_share > 2.0 * machine.parameter_tolerance
+    return SMALLEST * low < abs(value) < LARGEST * high
+
+
+def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]]) -> None:
+    """Drop an accepted effect that the later ones have made superfluous."""
+    while len(found.fit.settings) > 1:
+        full = held_out_loss(found, found.fit, folds)
+        worst: tuple[float, Fit] | None = None
+        for i in range(len(found.fit.settings)):
+            rest = [s for j, s in enumerate(found.fit.settings) if j != i]
+            fit = fit_effects(found.group, machine, found.tuning, rest, 2)
+            if fit is None:
+                continue
+            cost = (held_out_loss(found, fit, folds) - full) / found.inflation
+            if worst is None or cost < worst[0]:
+                worst = (cost, fit)
+        if worst is None or worst[0] >= EVIDENCE:
+            return
+        found.fit = worst[1]

@@ -1,0 +1,170 @@
+"""The places of the gap: axis, block, regime, runs, stretch, band, and what the residual scales with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.blocks import REGIMES, BlockResidual, block_residuals, regime_masks, scaling
+from twin.diagnose.observe import Group
+from twin.effects import Setting
+from twin.machine import Machine
+
+NOTICED = 1.6
+"""Mean square of a block's residual over noise from which a block is a place of the gap."""
+
+MOST_RUNS = 0.8
+"""The runs named are those that together hold this share of a place's excess."""
+
+
+def places(groups: Sequence[Group], settings: Sequence[Setting], retuned: Sequence[Callable[[Machine], Machine]]) -> list[dict[str, Any]]:
+    """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
+
+    `retuned` gives each group's machine re-tuned within its tolerance: that is no fault of a block.
+
+    A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place.
+    """
+    found = []
+    for group, machine_of in zip(groups, retuned):
+        residuals = block_residuals(group, machine_of)
+        for axis in group.axes:
+            of_axis = [b for b in residuals if b.axis == axis]
+            blocks = sorted({b.block for b in of_axis})
+            for block in blocks:
+                parts = [b for b in of_axis if b.block == block]
+                excess = sum(b.excess for b in parts)
+                level = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
+                if level > NOTICED:
+                    found.append(_place(group, axis, block, parts, excess, level))
+    for setting in settings:
+        _lead(found, setting, groups)
+    total = sum(p["_excess"] for p in found) or 1.0
+    for place in found:
+        place["share"] = place.pop("_excess") / total
+    return sorted(found, key=lambda p: -p["share"])
+
+
+def _lead(found: list[dict[str, Any]], setting: Setting, groups: Sequence[Group]) -> None:
+    """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
+
+    Current loop and mechanics share the force balance, transmission and measurement the windup, and what the recorded
+    signals cannot cut is seen in the next block: the effect's own block tells them apart.
+    """
+    block, axis = setting.effect.block, setting.axis
+    same = {
+        "current loop": ("mechanics", "speed controller"),
+        "mechanics": ("mechanics", "speed controller"),
+        "measurement": ("transmission", "mechanics"),
+        "transmission": ("transmission", "mechanics"),
+        "speed controller": ("speed controller", "mechanics"),
+        "position controller": ("position controller", "speed controller"),
+    }[block]
+    mine = [p for p in found if p["axis"] == axis]
+    for name in same:
+        for place in mine:
+            if place["block"] == name:
+                place["block"] = block
+                place["effect"] = setting.effect.name
+                place["_excess"] += sum(p["_excess"] for p in mine if p is not place)
+                for other in mine:
+                    if other is not place:
+                        other["_excess"] *= 0.05
+                return
+    found.append(
+        {
+            "axis": axis,
+            "block": block,
+            "_excess": 1.0,
+            "scales_with": "-",
+            "regime": "all",
+            "runs": [],
+            "level": 1.0,
+            "effect": setting.effect.name,
+        }
+    )
+
+
+def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], excess: float, level: float) -> dict[str, Any]:
+    runs = sorted(parts, key=lambda b: -b.excess)
+    named, reached = [], 0.0
+    for part in runs:
+        named.append(group.views[part.run].name)
+        reached += part.excess
+        if reached >= MOST_RUNS * excess:
+            break
+    top = runs[0]
+    view = group.views[top.run]
+    start, stop = _stretch(top)
+    return {
+        "axis": axis,
+        "block": block,
+        "_excess": excess,
+        "scales_with": _scales_with(group, axis, parts),
+        "regime": _regime(group, axis, parts),
+        "runs": named,
+        "level": float(np.sqrt(level)),
+        "stretch": {"run": view.name, "from_s": float(view.trace.time[start]), "to_s": float(view.trace.time[stop])},
+        "band_hz": _band(top, view.trace.period),
+    }
+
+
+def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
+    """The regime in which the excess per sample is largest and which holds most of it, or 'all'."""
+    energy, count = dict.fromkeys(REGIMES, 0.0), dict.fromkeys(REGIMES, 0)
+    for part in parts:
+        masks = regime_masks(group.views[part.run], axis)
+        for regime in REGIMES:
+            inside = masks[regime][part.index]
+            energy[regime] += float(np.sum(part.normed[inside] ** 2 - 1.0)) if inside.any() else 0.0
+            count[regime] += int(inside.sum())
+    total = sum(max(e, 0.0) for e in energy.values()) or 1.0
+    best = max(REGIMES, key=lambda regime: energy[regime])
+    densities = {r: energy[r] / count[r] for r in REGIMES if count[r] > 50}
+    others = [d for r, d in densities.items() if r != best and r != "rest"]
+    if energy[best] / total > 0.6 or (densities.get(best, 0.0) > 3.0 * max(others, default=0.0) and energy[best] / total > 0.4):
+        return best
+    return "all"
+
+
+def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
+    """The regressor that explains most of a block's residual; '-' where none explains a tenth."""
+    names = group.views[0].machine.axis_names
+    best, best_share = "-", 0.1
+    shares: dict[str, list[float]] = {}
+    total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
+    sums: dict[str, tuple[float, float]] = {}
+    for part in parts:
+        view = group.views[part.run]
+        for name, regressor in scaling(view, axis, part.index, names).items():
+            xy, xx = sums.get(name, (0.0, 0.0))
+            sums[name] = (xy + float(regressor @ part.residual), xx + float(regressor @ regressor))
+    for name, (xy, xx) in sums.items():
+        if xx > 0:
+            shares.setdefault(name.split(" (")[0], []).append(xy**2 / xx / total)
+    for name, values in shares.items():
+        if sum(values) > best_share:
+            best, best_share = name, sum(values)
+    return best
+
+
+def _stretch(part: BlockResidual) -> tuple[int, int]:
+    """Samples of the most telling stretch: the 0.5 s (at most a third of the run) with the most excess."""
+    n = len(part.residual)
+    width = max(10, min(n // 3, 500))
+    energy = np.convolve(part.normed**2, np.ones(width), mode="valid")
+    at = int(np.argmax(energy)) if len(energy) else 0
+    return int(part.index[at]), int(part.index[min(at + width, n) - 1])
+
+
+def _band(part: BlockResidual, period: float) -> list[float]:
+    """Frequencies [Hz] between which the middle four fifths of the residual's power lie."""
+    step = float(np.median(np.diff(part.index))) * period if len(part.index) > 1 else period
+    values = part.normed - part.normed.mean()
+    power = np.cumsum(np.abs(np.fft.rfft(values)) ** 2)
+    frequencies = np.fft.rfftfreq(len(values), step)
+    if power[-1] <= 0:
+        return [0.0, 0.0]
+    low, high = np.searchsorted(power / power[-1], [0.1, 0.9])
+    return [float(frequencies[min(low, len(frequencies) - 1)]), float(frequencies[min(high, len(frequencies) - 1)])]

@@ -1,0 +1,115 @@
+"""Numbers as engineers say them: um, arcsec, per cent, ms; the decimals follow the interval.
+
+interval_text("clearance", "m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Any
+
+from twin.units import ARCSEC, deg_from_rad
+
+_BY_NAME: dict[str, tuple[str, float]] = {
+    "phase_rad": ("deg", deg_from_rad(1.0)),
+    "angle_rad": ("deg", deg_from_rad(1.0)),
+    "wavelength": ("deg", deg_from_rad(1.0)),  # of a rotary axis; a linear one has it in m
+    "radius_m": ("mm", 1e3),
+    "height_m": ("mm", 1e3),
+    "mass_ratio": ("%", 100.0),
+    "fraction": ("%", 100.0),
+}
+_BY_UNIT: dict[str, tuple[str, float]] = {
+    "m": ("um", 1e6),
+    "rad": ("arcsec", 1.0 / ARCSEC),
+    "s": ("ms", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "rad/s": ("deg/s", deg_from_rad(1.0)),
+    "N/m": ("N/um", 1e-6),
+    "Nm/rad": ("kNm/rad", 1e-3),
+    "N s/m": ("kN s/m", 1e-3),
+    "Nm s/rad": ("Nm s/rad", 1.0),
+    "1": ("", 1.0),
+}
+_SMALL = {"rate": ("um/min", 6e7), "lead_error": ("um/m", 1e6)}
+FEWEST_DIGITS, MOST_DIGITS = 3, 5
+"""Significant digits of a number without an interval, and of one with a narrow interval."""
+
+
+def readable_unit(name: str, unit: str, value: float, effect: str = "") -> tuple[str, float, float]:
+    """Unit, factor and offset in which a parameter is told: told = factor (value - offset)."""
+    if name == "factor":
+        return "%", 100.0, 1.0
+    for key in (effect, name):
+        if key in _SMALL:
+            return _SMALL[key][0], _SMALL[key][1], 0.0
+    if unit == "m" and name not in _BY_NAME and abs(value) >= 1e-3:
+        return "mm", 1e3, 0.0
+    if name in _BY_NAME and not (name == "wavelength" and unit == "m"):
+        return *_BY_NAME[name], 0.0
+    return *_BY_UNIT.get(unit, (unit, 1.0)), 0.0
+
+
+def interval_text(name: str, unit: str, value: float, low: float, high: float, effect: str = "") -> tuple[str, str]:
+    """A parameter and its interval in engineer's units; the interval is '' where there is none."""
+    told, factor, offset = readable_unit(name, unit, value, effect)
+    numbers = [factor * (x - offset) for x in (value, low, high)]
+    half = 0.5 * abs(numbers[2] - numbers[1])
+    known = -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] else 0  # decimals of one digit, less one
+    decimals = FEWEST_DIGITS + known
+    if half > 0.0 and math.isfinite(half):
+        decimals = min(1 - math.floor(math.log10(half)), MOST_DIGITS + known)
+    decimals = max(decimals, 0)
+    sign = "+" if name == "factor" else ""
+    texts = [f"{x:{sign}.{decimals}f}" for x in numbers]
+    end = f" {told}" if told else ""
+    return texts[0] + end, f"{texts[1]} to {texts[2]}{end}" if half > 0.0 else ""
+
+
+def parameter_label(name: str) -> str:
+    """'delay_s' -> 'delay', 'mass_kg' -> 'mass': the unit stands with the number."""
+    for ending in ("_rad", "_kg", "_hz", "_nm", "_s", "_m", "_a"):
+        name = name.removesuffix(ending)
+    return name.replace("_", " ")
+
+
+def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
+    """The parameters of an effect of `diagnosis.json` as texts: name, value, interval."""
+    rows = []
+    for name, p in entry["parameters"].items():
+        value, interval = interval_text(name, p["unit"], p["value"], p["low"], p["high"], entry["effect"])
+        rows.append({"name": parameter_label(name), "value": value, "interval": interval})
+    return rows
+
+
+def effect_title(entry: dict[str, Any]) -> str:
+    """'backlash on axis X', 'cross axis coupling on axis X from Y'."""
+    origin = f" from {entry['from_axis']}" if entry.get("from_axis") else ""
+    return f"{entry['effect'].replace('_', ' ')} on axis {entry['axis']}{origin}"
+
+
+def headline_number(entry: dict[str, Any]) -> str:
+    """The first parameter of an effect in few digits: '12.6 um'."""
+    for name, p in entry["parameters"].items():
+        return interval_text(name, p["unit"], p["value"], p["value"], p["value"], entry["effect"])[0]
+    return ""
+
+
+def percent(share: float) -> str:
+    """A share as it is told: never a certainty that was not computed."""
+    if 0.0 < share < 0.005:
+        return "< 1 %"
+    if 0.995 < share <= 1.0:
+        return "> 99 %"
+    return f"{100.0 * share:.0f} %"
+
+
+def times(level: float) -> str:
+    """A level in multiples of noise."""
+    return f"{level:.2f}" if level < 10.0 else f"{level:.1f}" if level < 100.0 else f"{level:.0f}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + (words[-1] if words else "")
