@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.ccallback import CFunc
 from numba.core import sigutils
+from numba.core.ccallback import CFunc
 
 
 @functools.cache

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def _sizes(effect: Effect, p: Parameter, low: float, high: float) -> list[float]
 class _Lines:
     """Spectral lines of an axis' residual: along the motor's turn, along the travel, in time, and of a frame that swings."""
 
-    scanned = {
+    scanned: ClassVar = {
         ("torque_ripple", "periods_per_rev"),
         ("position_dependent_friction", "wavelength"),
         ("periodic_disturbance", "frequency_hz"),
@@ -220,7 +221,7 @@ class _Lines:
             if len(t) < 200:
                 continue
             period = float(np.median(np.diff(t)))
-            grid = np.zeros(int(round(t[-1] / period)) + 1)
+            grid = np.zeros(round(t[-1] / period) + 1)
             grid[np.rint(t / period).astype(int)] = values - np.median(values)
             size = 1 << max(16, (len(grid) - 1).bit_length())
             spectrum = np.abs(np.fft.rfft(grid, size)) ** 2 / len(grid)

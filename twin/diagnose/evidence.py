@@ -162,18 +162,22 @@ def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
     found: list[Stretch] = []
     effects = {(e["effect"], e["axis"]) for e in document["effects"]}
     for place in document["where"]:
-        if "stretch" in place and (not found or (place.get("effect"), place["axis"]) in effects):
+        if found and (place.get("effect"), place["axis"]) not in effects:
+            continue
+        if "stretch" in place:
             s = place["stretch"]
             found.append(Stretch(place["axis"], s["run"], s["from_s"], s["to_s"], place["block"]))
-    return found or _largest(diagnosis)
+        else:
+            found += _largest(diagnosis, [place["axis"]], place["block"])
+    return found or _largest(diagnosis, diagnosis.machine.axis_names)
 
 
-def _largest(diagnosis: Diagnosis) -> list[Stretch]:
-    """The half second in which the position differs most from the nominal twin."""
+def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list[Stretch]:
+    """The half second in which the position of one of the axes differs most from the nominal twin."""
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
         prediction = diagnosis.predictions["before"][run.name].trace
-        for axis in diagnosis.machine.axis_names:
+        for axis in axes:
             if not _moves(run, axis):
                 continue
             signal = next((s for s in COMPARED if run.trace.has(axis, s)), None)
@@ -186,7 +190,7 @@ def _largest(diagnosis: Diagnosis) -> list[Stretch]:
             at = int(np.argmax(energy))
             level = gap.rms / gap.noise
             if best is None or level > best[0]:
-                best = level, Stretch(axis, run.name, float(run.trace.time[at]), float(run.trace.time[at + width - 1]), "")
+                best = level, Stretch(axis, run.name, float(run.trace.time[at]), float(run.trace.time[at + width - 1]), block)
     return [best[1]] if best else []
 
 

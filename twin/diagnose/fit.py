@@ -164,7 +164,7 @@ def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequen
     best = tuning.loss(group.residual - response)
     free = free_parameters(settings, machine)
     columns = np.zeros((group.size, len(free)))
-    for step in range(steps):
+    for _ in range(steps):
         try:
             for i, f in enumerate(free):
                 columns[:, i] = _slope(group, settings, f, response)

@@ -14,7 +14,7 @@ Axes that the mass matrix does not couple are looked at apart.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 import functools
 
@@ -35,6 +35,9 @@ from twin.units import AXIS_UNITS
 CHANNELS = ("controller", "windup", "position", "velocity", "current")
 REALISATIONS = 4
 """Runs of the nominal twin with noise in the loop, from which expectation and scatter are taken."""
+
+Variant = Callable[[Machine], Machine]
+"""Turns a run's machine into another one."""
 
 ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
@@ -156,8 +159,15 @@ class Group:
 
 
 def simulate_group(
-    view: RunView, axes: Sequence[str], machine_of=None, settings: Sequence[Setting] = (), also: Sequence[str] = (), **options
-) -> Trace:  # type: ignore[no-untyped-def]
+    view: RunView,
+    axes: Sequence[str],
+    machine_of: Variant | None = None,
+    settings: Sequence[Setting] = (),
+    also: Sequence[str] = (),
+    *,
+    noise_seed: int | None = None,
+    record_noise: bool = True,
+) -> Trace:
     """Simulate some axes of a run by themselves in the reduced plant."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
     driven = [name for name in view.machine.axis_names if name in axes or name in also]
@@ -171,7 +181,8 @@ def simulate_group(
         sample_period=view.trace.period,
         started_at=view.started_at,
         plant_of=lambda change: ReducedPlant(change, motion),
-        **options,
+        noise_seed=noise_seed,
+        record_noise=record_noise,
     ).trace
 
 
@@ -267,7 +278,8 @@ def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ..
 
 def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
     """Residuals of the nominal twin and their noise for one group of axes over all runs."""
-    channels, nominal = [], []
+    channels: list[Channel] = []
+    nominal: list[dict[tuple[str, str], np.ndarray]] = []
     for r, view in enumerate(views):
         present = tuple(a for a in axes if view.moves(a))
         if not present:
@@ -276,9 +288,9 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
         nominal.append(channels_of(simulate_group(view, present), view, present))
         clean, seen = [], []
         for k in range(REALISATIONS):
-            options = {"noise_seed": seed + 1000 * r + k}
-            seen.append(channels_of(simulate_group(view, present, **options), view, present))
-            clean.append(channels_of(simulate_group(view, present, record_noise=False, **options), view, present))
+            drawn = seed + 1000 * r + k
+            seen.append(channels_of(simulate_group(view, present, noise_seed=drawn), view, present))
+            clean.append(channels_of(simulate_group(view, present, noise_seed=drawn, record_noise=False), view, present))
         measured = channels_of(view.trace, view, present)
         for key, values in measured.items():
             expected = np.mean([c[key] for c in clean], axis=0)

@@ -78,9 +78,7 @@ def gap_sentence(document: dict[str, Any]) -> str:
     gap = document["gap"]
     where = "runs that took no part in the fit" if gap["held_out_runs"] else "the runs of the fit"
     if not document["effects"]:
-        return (
-            f"The gap is {times(gap['before'])} times what noise makes, after re-tuning within tolerance {times(gap['after'])} times."
-        )
+        return f"The gap is {times(gap['before'])} times what noise makes, after re-tuning within tolerance {times(gap['after'])} times."
     return f"Corrected, the gap falls from {times(gap['before'])} to {times(gap['after'])} times what noise makes, on {where}."
 
 

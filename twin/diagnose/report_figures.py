@@ -76,7 +76,7 @@ def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, fl
             if state == "place":
                 ink = "white" if share > 0.45 else MEASURED
                 ax.text(b + 0.5, r + 0.38, percent(share), ha="center", va="center", fontsize=11, weight="bold", color=ink)
-                ax.text(b + 0.5, r + 0.73, f"{times(level)} × noise", ha="center", va="center", fontsize=7.5, color=ink)
+                ax.text(b + 0.5, r + 0.73, f"{times(level)} × noise" if level else "", ha="center", va="center", fontsize=7.5, color=ink)
             elif state == "healthy":
                 ax.text(b + 0.5, r + 0.5, "as it should be", ha="center", va="center", fontsize=7.5, color="#6b8a6f")
             else:

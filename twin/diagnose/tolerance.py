@@ -34,7 +34,7 @@ class Nuisance:
         """The machine with this parameter multiplied."""
         if self.quantity == "body":
             bodies = tuple(
-                replace(b, mass_kg=b.mass_kg * factor, inertia_kg_m2=tuple(factor * i for i in b.inertia_kg_m2))
+                replace(b, mass_kg=b.mass_kg * factor, inertia_kg_m2=_scaled(b.inertia_kg_m2, factor))
                 if b.name == self.owner
                 else b
                 for b in machine.bodies
@@ -59,6 +59,11 @@ class Nuisance:
             return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_and")]
         name = _AXIS_FIELDS[self.quantity]
         return [f"axis.{self.owner}.motor.{name}" if name in table["motor"] else f"axis.{self.owner}.{name}"]
+
+
+def _scaled(inertia: tuple[float, float, float], factor: float) -> tuple[float, float, float]:
+    x, y, z = inertia
+    return factor * x, factor * y, factor * z
 
 
 def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:

@@ -1,9 +1,9 @@
 """Effects: everything that a machine may have beyond the nominal model, each as one switch.
 
-    EFFECTS          all effects by name (found in the modules of this package: adding one is adding its unit)
-    with_effects     a machine with a list of effects
-    parse_setting    an effect from the command line
-    apply_effects    what the effects change: used by `twin.run.simulate`
+EFFECTS          all effects by name (found in the modules of this package: adding one is adding its unit)
+with_effects     a machine with a list of effects
+parse_setting    an effect from the command line
+apply_effects    what the effects change: used by `twin.run.simulate`
 """
 
 import importlib

@@ -14,7 +14,7 @@ from twin.effects.effect import EFFECTS, Setting, settings_of
 from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.plant import ModelEdit, Plant, build_plant, full_inertia
-from twin.terms import FORCE, Term, X_LOAD_FORCE, arrays, term
+from twin.terms import FORCE, X_LOAD_FORCE, Term, arrays, term
 
 FASTEST_MODE = 1.5
 """Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
@@ -86,7 +86,9 @@ class Change:
         """Replace fields of the axis, its motor or its loops."""
         self.machine = self.machine.with_axis(axis.name, **values)
 
-    def add_term(self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), state: Sequence[float] = (), order: int = 0) -> None:
+    def add_term(
+        self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), state: Sequence[float] = (), order: int = 0
+    ) -> None:
         """Add a term of the compiled loop."""
         self.terms.append(Term(law, stage, self.index(axis), parameters, state, order))
 

@@ -111,10 +111,15 @@ EFFECTS: dict[str, Effect] = {}
 AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     "all": ("any axis", lambda machine, axis: True),
     "linear": ("linear axes", lambda machine, axis: axis.kind == "linear"),
-    "full turn": ("rotary axes that turn fully round", lambda machine, axis: axis.kind == "rotary" and axis.travel[1] - axis.travel[0] > 6.28),
+    "full turn": (
+        "rotary axes that turn fully round",
+        lambda machine, axis: axis.kind == "rotary" and axis.travel[1] - axis.travel[0] > 6.28,
+    ),
     "tilting": (
         "the rotary axis that tilts the table",
-        lambda machine, axis: axis.kind == "rotary" and axis == next(a for a in machine.axes if a.kind == "rotary") and len(_rotary(machine)) > 1,
+        lambda machine, axis: (
+            axis.kind == "rotary" and axis == next(a for a in machine.axes if a.kind == "rotary") and len(_rotary(machine)) > 1
+        ),
     ),
 }
 
@@ -168,7 +173,7 @@ def find_effect(name: str, where: str) -> Effect:
 def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Setting:
     """A Setting from a table {name, axis, parameters...}; every fault is an InputError."""
     if not isinstance(table, Mapping) or "name" not in table:
-        raise InputError(f"{where}: an effect needs a name; write name = \"backlash\"")
+        raise InputError(f'{where}: an effect needs a name; write name = "backlash"')
     found = find_effect(table["name"], where)
     where = f"{where}: {found.name}"
     if "axis" not in table:

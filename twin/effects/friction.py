@@ -69,7 +69,9 @@ def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="mechanics",
     parameters=(
         Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
-        Parameter("damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])),
+        Parameter(
+            "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])
+        ),
     ),
 )
 def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:

@@ -8,7 +8,6 @@ from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
 from twin.machine import Axis, Machine
 from twin.terms import (
-    FORCE,
     MEASURE,
     X_LOAD_FORCE,
     X_LOAD_MIDDLE,
@@ -68,7 +67,9 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="transmission",
     parameters=(
         Parameter("stiffness", "stiffness", 1e3, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
-        Parameter("damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _screw_damping(m, a, v["stiffness"])),
+        Parameter(
+            "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _screw_damping(m, a, v["stiffness"])
+        ),
     ),
 )
 def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:

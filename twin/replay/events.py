@@ -5,6 +5,7 @@
     reversal        the set point's speed changes sign, after it moved by more than REVERSAL_MOVE both ways
     sticking        the set point moves, the axis stands
     block           the block number of the program changes
+    telling stretch where a diagnosis says to look (given, not found)
 
 An event has a start and an end; a row of the list names it, a click on its time goes there.
 """
@@ -20,7 +21,9 @@ from twin.machine import Axis, Machine
 from twin.trace import PROGRAM, Trace
 from twin.units import ARCSEC, AXIS_UNITS, rad_from_deg
 
-KINDS = ("current limit", "speed limit", "reversal", "sticking", "block")
+TELLING = "telling stretch"
+"""An event that a diagnosis adds."""
+KINDS = ("current limit", "speed limit", "reversal", "sticking", "block", TELLING)
 MOST_EVENTS = 5000
 """Marks beyond this number would only make the viewer slow; the summary says how many there are."""
 WORST = "largest contour error"

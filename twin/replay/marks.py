@@ -11,7 +11,7 @@ import rerun as rr
 from twin.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
 from twin.machine import Machine
 from twin.replay.curves import following_error
-from twin.replay.events import WORST, Event
+from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
 from twin.trace import Trace
 from twin.units import AXIS_UNITS
@@ -23,12 +23,14 @@ _MARKS: dict[str, Any] = {
     "sticking": "circle",
     "block": "up",
     WORST: "asterisk",
+    TELLING: "square",
 }
 _STATES = {
     "follows": lighter(SETPOINT_COLOUR, 0.65),
     "sticking": (240, 150, 10),
     "current limit": LIMIT_COLOUR,
     "speed limit": (176, 92, 220),
+    TELLING: (235, 60, 150),
 }
 
 
@@ -47,7 +49,7 @@ def log_events(
         rr.TextLog.columns(
             text=[f"{e.kind}: {e.text}" for e in events],
             level=["WARN" if "limit" in e.kind else "INFO" for e in events],
-            color=[(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours],
+            color=np.array([(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours], dtype=np.uint32),
         ),
     )
     lanes = []

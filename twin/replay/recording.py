@@ -16,7 +16,7 @@ from twin.poses import local_poses
 from twin.replay.blueprint import Content, layout
 from twin.replay.curves import Curve, axis_curves, contour_curve, following_error
 from twin.replay.decimate import decimate
-from twin.replay.events import MOST_EVENTS, find_events
+from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
 from twin.replay.scene import Scene, scene_bounds, scene_of
@@ -51,18 +51,20 @@ def write_recording(
     summary: str = "",
     full: bool = False,
     events: bool = True,
+    also: Sequence[Event] = (),
 ) -> Written:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
     The first run moves the machine; later ones are drawn over it, with their difference. `programmed` is the ideal path as
     set points on the clock of the first run (default: its set points); `summary` is a table of plain text for the text panel.
-    `full` keeps every sample, else a minute takes at most 5 MB. Raises InputError for runs that cannot be shown.
+    `full` keeps every sample, else a minute takes at most 5 MB; `also` are events of the caller's own. Raises InputError for
+    runs that cannot be shown.
     """
     _check(machine, runs)
     main, trace = next(iter(runs.items()))
     scene = scene_of(machine)
     paths = tool_paths_of(scene, machine, runs, programmed)
-    found = find_events(machine, trace, paths.contours[main].error if paths else None) if events else []
+    found = [*also, *(find_events(machine, trace, paths.contours[main].error if paths else None) if events else ())]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
         shapes = log_scene(recording, scene)
         steps = pose_steps(trace.time, full)
