@@ -50,6 +50,7 @@ class _Parser(argparse.ArgumentParser):
 
 def build_parser() -> argparse.ArgumentParser:
     from twin.replay import add_replay_arguments, replay_command
+    from twin.surface.command import add_cut_arguments, cut_command
 
     parser = _Parser(prog="twin", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
@@ -101,6 +102,9 @@ def build_parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
     diagnose.add_argument("--quick", action="store_true", help="fewer candidates, one look: an answer in seconds")
     diagnose.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
+
+    cut = add("cut", cut_command, "cut the part along the followed tool path: where the mark is and how deep")
+    add_cut_arguments(cut)
 
     replay = add("replay", replay_command, "open the viewer on a run, a recording, a trace or any MJCF or URDF")
     add_replay_arguments(replay)

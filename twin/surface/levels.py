@@ -1,0 +1,153 @@
+"""The tool paths that cut: what was programmed, what the interpolator commands (level 1), what the drives follow (levels 1 and 2).
+
+Each level is cut by itself, so that a mark can be blamed: programmed minus commanded is the interpolator's, commanded minus followed
+the drives'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.kinematics import Kinematics, kinematics_of
+from twin.machine import Machine
+from twin.surface.steps import GAP_LENGTH, STEP_TOLERANCE, bend_of, refined_axes
+from twin.surface.tools import Tool
+from twin.toolpath import ToolPath, axes_of_trace, contour_error, path_of_axes, search_window
+from twin.trace import Trace
+
+PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
+LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
+PROGRAM_ENDINGS = (".mpf", ".spf", ".ngc", ".nc", ".iso", ".apt", ".aptsource", ".cls", ".cl")
+
+
+@dataclass(frozen=True)
+class Level:
+    """One path to cut: `level` of LEVELS, `feedforward` of the run (empty where it plays no part), path, and errors beside it."""
+
+    level: str
+    feedforward: str
+    path: ToolPath
+    errors: Mapping[str, float]
+
+    @property
+    def label(self) -> str:
+        return f"{self.level}, feedforward {self.feedforward}" if self.feedforward else self.level
+
+
+def axis_path(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray, reach: float, *, where: str = "tool path") -> ToolPath:
+    """The tool path of axis positions (sample, 5), read more finely where it bends."""
+    path = path_of_axes(kinematics, axes, time)
+    jump = np.linalg.norm(np.diff(path.tip, axis=0), axis=1)
+    if len(jump) and jump.max() > GAP_LENGTH:
+        i = int(np.argmax(jump))
+        raise InputError(
+            f"{where}: the tool jumps by {jump[i] * 1e3:.3g} mm between two samples at {time[i]:.6g} s; "
+            "the recording has a gap: cut it there"
+        )
+    finer, at = refined_axes(axes, bend_of(path.tip, path.axis, reach), STEP_TOLERANCE)
+    if len(finer) == len(axes):
+        return path
+    return path_of_axes(kinematics, finer, np.interp(at, np.arange(len(time)), time))
+
+
+def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence[str], where: str) -> list[Level]:
+    """Commanded and followed path of a recorded or simulated run."""
+    kinematics = kinematics_of(machine).with_tool_length(tool.length)
+    out = []
+    signals = {COMMANDED: "setpoint", FOLLOWED: "position"}
+    have = {name: any(trace.has(axis, signal) for axis in trace.axes) for name, signal in signals.items()}
+    if not any(have.values()):
+        raise InputError(f"{where}: neither set points nor positions of an axis; give a run of the twin or a recorded trace")
+    paths = {
+        name: axis_path(kinematics, axes_of_trace(trace, signals[name], machine), trace.time, tool.reach, where=where)
+        for name in signals
+        if have[name]
+    }
+    for name in (COMMANDED, FOLLOWED):
+        if name in paths and name in levels:
+            out.append(Level(name, "", paths[name], _errors(paths[name], paths.get(COMMANDED), machine) if name == FOLLOWED else {}))
+    return out
+
+
+def levels_of_program(
+    path: Path,
+    machine: Machine,
+    tool: Tool,
+    levels: Sequence[str],
+    feedforward: Sequence[str],
+    progress: Callable[[float], None] | None = None,
+) -> list[Level]:
+    """Programmed, commanded and followed paths of a program; the run is simulated once for each feedforward word."""
+    from twin.program import interpolate, read_program
+    from twin.run import simulate
+    from twin.setpoints import setpoints_of
+
+    program = read_program(path, machine)
+    kinematics = kinematics_of(machine).with_tool_length(tool.length)
+    out = []
+    if PROGRAMMED in levels:
+        out.append(Level(PROGRAMMED, "", programmed_path(program), {}))
+    if COMMANDED not in levels and FOLLOWED not in levels:
+        return out
+    parts = 1 + len(feedforward) * (FOLLOWED in levels)
+
+    def report(done: int) -> Callable[[float], None] | None:
+        return (lambda share: progress((done + share) / parts)) if progress else None
+
+    setpoints = interpolate(program, machine, progress=report(0))
+    commanded = axis_path(kinematics, axes_of_trace(setpoints, "setpoint", machine), setpoints.time, tool.reach)
+    if COMMANDED in levels:
+        out.append(Level(COMMANDED, "", commanded, {}))
+    for i, word in enumerate(feedforward if FOLLOWED in levels else ()):
+        run = simulate(machine.with_feedforward(word), setpoints_of(setpoints, machine), progress=report(1 + i))
+        followed = axis_path(kinematics, axes_of_trace(run.trace, "position", machine), run.trace.time, tool.reach)
+        out.append(Level(FOLLOWED, word, followed, {**_errors(followed, commanded, machine), **_rotary(run.trace)}))
+    return out
+
+
+def programmed_path(program: Any) -> ToolPath:
+    """Poses of the programmed curve, block by block; its time is the number of the point."""
+    from twin.program.curve import programmed_curve
+
+    curve = programmed_curve(program)
+    moves = program.moves
+    angles = np.zeros((len(curve.points), 5))
+    angles[:, 3:] = moves.target[curve.row][:, 3:]
+    angles[0, 3:] = program.start[3:]
+    _, axis = program.kinematics.forward(angles)
+    # the feed of a move as programmed, so that what it cuts can be told fast from slow
+    feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[curve.row]
+    way = np.concatenate([[0.0], np.linalg.norm(np.diff(curve.points, axis=0), axis=1)])
+    time = np.cumsum(np.maximum(way / np.maximum(feed, 1e-9), 1e-9))
+    return ToolPath(time, curve.points, axis)
+
+
+def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dict[str, float]:
+    """Greatest contour and orientation error of a followed path against the commanded one, while it moves."""
+    if reference is None:
+        return {}
+    error = contour_error(path, reference, search_window(machine))
+    return {"contour_um": float(error.error.max() * 1e6), "orientation_deg": float(np.degrees(error.orientation.max()))}
+
+
+def _rotary(trace: Trace) -> dict[str, float]:
+    """Greatest deviation of A and C from their set points [deg]: at the same time, and with the constant delay taken out."""
+    out = {}
+    for axis in ("A", "C"):
+        if not trace.has(axis, "position") or np.ptp(trace.get(axis, "setpoint")) < 1e-6:
+            continue
+        s, x = trace.get(axis, "setpoint"), trace.get(axis, "position")
+        following = s - x
+        speed = np.gradient(s, trace.time)
+        delay = float(following @ speed / (speed @ speed))
+        out[f"{axis}_following_deg"] = float(np.degrees(np.abs(following).max()))
+        out[f"{axis}_delay_ms"] = delay * 1e3
+        out[f"{axis}_deviation_deg"] = float(np.degrees(np.abs(np.interp(trace.time - delay, trace.time, s) - x).max()))
+        out[f"{axis}_deviation_rms_deg"] = float(np.degrees(np.sqrt(np.mean((np.interp(trace.time - delay, trace.time, s) - x) ** 2))))
+    return out

@@ -1,0 +1,182 @@
+"""Virtual machining of a part: every surface, coarse all over and fine in its zone, cut by every level of the path.
+
+The result keeps, per level, the cut nails and what a metrologist reads from them; deviations from the programmed cut take
+the scallops out and leave what interpolator and drives did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+import time
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.surface.levels import PROGRAMMED, Level
+from twin.surface.metrology import Mark, areal, mark, scallop_height
+from twin.surface.nails import Nails
+from twin.surface.part import Part, Surface
+from twin.surface.removal import CutStatistics, cut
+from twin.surface.steps import steps_of
+
+FAST_MARGIN = 1e-3
+"""A zone found by the feed reaches this far beyond what the fast motion made [m]."""
+
+
+@dataclass(frozen=True)
+class CutSurface:
+    """One surface cut by one level: nails of the whole and of the zone (None without one), feed that made each nail of the finest."""
+
+    level: Level
+    surface: Surface
+    whole: Nails
+    zone: Nails | None
+    feed: np.ndarray
+
+    @property
+    def finest(self) -> Nails:
+        """The nails of the zone where there is one, else of the whole."""
+        return self.whole if self.zone is None else self.zone
+
+
+@dataclass(frozen=True)
+class Machining:
+    """All cut surfaces, in the order of surfaces and levels, and how much work it was."""
+
+    part: Part
+    cuts: tuple[CutSurface, ...]
+    statistics: CutStatistics
+    seconds: float
+
+    def of(self, surface: str, level: str, feedforward: str = "") -> CutSurface:
+        """The cut of one surface at one level."""
+        for one in self.cuts:
+            if one.surface.name == surface and one.level.level == level and one.level.feedforward == feedforward:
+                return one
+        raise InputError(f"no cut of '{surface}' at level {level} {feedforward}")
+
+    def reference(self, one: CutSurface) -> CutSurface | None:
+        """The programmed cut of the same surface, None where there is none."""
+        return next((c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED), None)
+
+
+def machine_part(
+    part: Part,
+    levels: Sequence[Level],
+    *,
+    threads: int | None = None,
+    zone_spacing: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Machining:
+    """Cut every surface of the part with every level. Raises InputError where a path never touches the part."""
+    began = time.perf_counter()
+    done, total = 0, 2 * len(part.surfaces) * len(levels)
+    statistics, cuts = CutStatistics(0, 0), []
+    steps = {id(level): steps_of(level.path, part.tool.reach) for level in levels}
+    for surface in part.surfaces:
+        whole = _with_stock(surface.nails(part), part)
+        zone: Nails | None = None
+        for level in levels:
+
+            def report(share: float, at: int = done) -> None:
+                if progress:
+                    progress((at + share) / total)
+
+            after, work = cut(whole, steps[id(level)], part.tool, threads=threads, progress=report)
+            if not np.any(after.cutter >= 0):
+                raise InputError(_untouched(level, surface, whole, part))
+            statistics, done = statistics + work, done + 1
+            fine = None
+            if surface.zone_spacing and zone is None and surface.kind != "mesh":
+                zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_spacing), part)
+            if zone is not None:
+                fine, work = cut(zone, steps[id(level)], part.tool, threads=threads, progress=partial(report, at=done))
+                statistics = statistics + work
+            done += 1
+            finest = after if fine is None else fine
+            feed = np.where(finest.cutter >= 0, level.path.feed[np.maximum(finest.cutter, 0)], np.nan)
+            cuts.append(CutSurface(level, surface, after, fine, feed))
+    return Machining(part, tuple(cuts), statistics, time.perf_counter() - began)
+
+
+def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
+    """What a metrologist reads from one cut, in um, mm and degrees, as plain numbers."""
+    nails = one.finest
+    height = nails.height * 1e6
+    touched = nails.cutter >= 0
+    out: dict[str, Any] = {
+        "surface": one.surface.name,
+        "level": one.level.level,
+        "feedforward": one.level.feedforward,
+        "nails": len(nails),
+        "untouched": int((~touched).sum()),
+        "deviation_um": {"min": float(height.min()), "max": float(height.max()), "mean": float(height.mean())},
+        "errors": dict(one.level.errors),
+    }
+    if nails.is_grid:
+        numbers = asdict(areal(nails.map(), nails.u, nails.v))
+        out["areal_um"] = {k: v * (1e6 if k not in ("ssk", "sku") else 1.0) for k, v in numbers.items()}
+        middle = nails.map()[:, nails.shape[1] // 8]
+        out["scallop_um"] = scallop_height(middle) * 1e6
+    reference = machining.reference(one)
+    if reference is not None and reference is not one:
+        found: Mark = mark(nails, reference.finest)
+        out["mark"] = {
+            "depth_um": found.depth * 1e6,
+            "left_um": found.height * 1e6,
+            "width_mm": found.width * 1e3,
+            "length_mm": found.length * 1e3,
+            "u_mm": found.u * 1e3,
+            "v_mm": found.v * 1e3,
+            "below_nominal_um": found.below_nominal * 1e6,
+        }
+        difference = (nails.height - reference.finest.height) * 1e6
+        # fast or slow by the feed at which the place was made
+        fast = one.feed > one.surface.zone_feed
+        for name, rows in (("slow", ~fast & touched), ("fast", fast & touched)):
+            if rows.any():
+                out[f"against_programmed_{name}_um"] = {"min": float(difference[rows].min()), "max": float(difference[rows].max())}
+    return out
+
+
+def _with_stock(nails: Nails, part: Part) -> Nails:
+    """Uncut nails with the height of the stock: its mesh, or the allowance."""
+    if part.stock_mesh is None:
+        return nails
+    from twin.surface.mesh import stock_heights
+
+    return replace(nails, height=stock_heights(nails, part))
+
+
+def _zone(surface: Surface, part: Part, after: Nails, level: Level, spacing: float) -> Nails:
+    """Fine nails in the zone of the part file, or where motion above the zone's feed made the surface."""
+    along, across = surface.zone_along, surface.zone_across
+    if along is None or across is None:
+        feed = np.where(after.cutter >= 0, level.path.feed[np.maximum(after.cutter, 0)], 0.0)
+        rows, columns = np.nonzero(after.map(feed) > surface.zone_feed)
+        if len(rows) == 0:
+            raise InputError(
+                f"surface '{surface.name}': nothing was made above {surface.zone_feed * 60:g} m/min, so there is no zone; "
+                "give zone_along_mm and zone_across_mm, or lower zone_feed_m_per_min"
+            )
+        whole = surface.extent()
+        found = [(float(x[i.min()]) - FAST_MARGIN, float(x[i.max()]) + FAST_MARGIN) for x, i in ((after.u, columns), (after.v, rows))]
+        clipped = [(max(low, w[0]), min(high, w[1])) for (low, high), w in zip(found, whole)]
+        along, across = along or clipped[0], across or clipped[1]
+    return surface.nails(part, spacing=spacing, along=along, across=across)
+
+
+def _untouched(level: Level, surface: Surface, nails: Nails, part: Part) -> str:
+    """How far a path passes by a surface that it never touches."""
+    from scipy.spatial import cKDTree
+
+    centre = level.path.tip + part.tool.radius * level.path.axis
+    gap, _ = cKDTree(nails.surface[:: max(1, len(nails) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
+    return (
+        f"surface '{surface.name}': the {level.label} path never touches it: the tool's centre stays "
+        f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm further off than its radius; "
+        "check [placement] origin_mm and the tool length of the part file"
+    )

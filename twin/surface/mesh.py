@@ -1,0 +1,107 @@
+"""Meshes as nominal part or stock: read, checked, brought to metres, and turned into nails.
+
+STL, OBJ and PLY carry no unit. It is guessed from the size (a part between 5 mm and 2 m) and said; `unit` in the part file
+decides. A mesh with holes has no inside: it is refused as stock, and as a nominal surface it is taken with a warning.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.surface.nails import Nails
+from twin.units import UNITS
+
+if TYPE_CHECKING:
+    from twin.surface.part import Part, Surface
+
+ENDINGS = (".stl", ".obj", ".ply")
+SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
+"""A part is taken to be between these in its longest side [m]."""
+SHARP_EDGE = np.radians(20.0)
+"""Faces that meet at more than this have an edge between them, not a curve [rad]."""
+GUESSES = ("mm", "m", "um")
+
+
+def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
+    """A mesh in metres, and one line that says in which unit it was read."""
+    import trimesh
+
+    if path.suffix.lower() not in ENDINGS:
+        raise InputError(f"{path}: not a mesh that can be read; give one of {', '.join(ENDINGS)}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh; correct the part file or put the mesh beside it")
+    try:
+        mesh: Any = trimesh.load(path, force="mesh")
+    except Exception as error:  # trimesh raises whatever its readers raise
+        raise InputError(
+            f"{path}: cannot be read as a mesh ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        ) from None
+    if len(getattr(mesh, "faces", ())) == 0:
+        raise InputError(f"{path}: the mesh has no triangle; export it again")
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise InputError(f"{path}: a vertex of the mesh is no finite number; export it again")
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    if unit is None:
+        fits = [u for u in GUESSES if SMALLEST_PART <= size * UNITS[u][1] <= LARGEST_PART]
+        if not fits:
+            raise InputError(
+                f'{path}: longest side {size:g} is no plausible part in {", ".join(GUESSES)}; say unit = "mm" in the part file'
+            )
+        unit = fits[0]
+        said = f'{path.name}: unit guessed as {unit} (longest side {size * UNITS[unit][1] * 1e3:g} mm); say unit = "{unit}" to be sure'
+    elif unit not in UNITS or UNITS[unit][0] != "length":
+        raise InputError(f"{path}: unit '{unit}' is no length; use mm, m or um")
+    else:
+        said = f"{path.name}: longest side {size * UNITS[unit][1] * 1e3:g} mm"
+    mesh.apply_scale(UNITS[unit][1])
+    if not mesh.is_watertight:
+        edges = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)[1]
+        holes = int((edges == 1).sum())
+        if closed:
+            raise InputError(
+                f"{path}: the mesh is not watertight ({holes} open edges), so it has no inside; close it, or give allowance_mm instead"
+            )
+        said += f"; not watertight ({holes} open edges)"
+    return mesh, said
+
+
+def mesh_nails(surface: Surface, part: Part, spacing: float) -> Nails:
+    """Nails at the vertices of a mesh, divided until no edge is longer than the spacing."""
+    import trimesh
+
+    mesh, said = read_mesh(part.folder / str(surface.table["file"]), surface.table.get("unit"), closed=False)
+    print(f"note: {said}", file=sys.stderr)
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
+    _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
+    fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)
+    # at sharp edges each side keeps its own nails: a mean normal would read too much
+    fine = trimesh.graph.smooth_shade(fine, angle=SHARP_EDGE)
+    vertices, faces = fine.vertices, fine.faces
+    direction = fine.vertex_normals / np.maximum(np.linalg.norm(fine.vertex_normals, axis=1, keepdims=True), 1e-12)
+    point, direction = part.placed(np.asarray(vertices), np.asarray(direction))
+    count = len(point)
+    return Nails(
+        surface.name, point, direction, np.full(count, part.allowance), surface.depth, (count, 1), np.zeros(1), np.arange(float(count)),
+        np.full(count, -1), faces=np.asarray(faces),
+    )  # fmt: skip
+
+
+def stock_heights(nails: Nails, part: Part) -> np.ndarray:
+    """Height (nail,) at which each nail leaves the stock mesh; nails that never meet it are empty (-depth)."""
+    assert part.stock_mesh is not None
+    mesh, said = read_mesh(part.stock_mesh, part.stock_unit, closed=True)
+    print(f"note: {said}", file=sys.stderr)
+    vertices, _ = part.placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
+    mesh.vertices = vertices
+    # from just below the nominal surface outwards: the first way out of the stock
+    origin = nails.point - nails.depth * nails.direction
+    where, ray, _ = mesh.ray.intersects_location(origin, nails.direction, multiple_hits=True)
+    height = np.full(len(nails), -nails.depth)
+    distance = np.einsum("ij,ij->i", where - origin[ray], nails.direction[ray]) - nails.depth
+    np.maximum.at(height, ray, distance)
+    return height

@@ -1,0 +1,134 @@
+"""What a metrologist reads from a cut surface: deviations, profile sections, the mark, scallops, areal parameters.
+
+Deviations are heights of nails against the nominal surface [m]: above 0 material is left, below 0 the tool went too deep. The
+areal parameters follow ISO 25178-2 on the primary surface after form removal (F-operator: least-squares polynomial of u
+and v); no S- or L-filter is applied:
+
+    Sa = mean |z|,  Sq = sqrt(mean z^2),  Sp = max z,  Sv = -min z,  Sz = Sp + Sv,  Ssk = mean z^3 / Sq^3,  Sku = mean z^4 / Sq^4
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.surface.nails import Nails
+
+
+@dataclass(frozen=True)
+class Areal:
+    """Areal parameters of a patch [m; Ssk, Sku: 1]."""
+
+    sa: float
+    sq: float
+    sz: float
+    sp: float
+    sv: float
+    ssk: float
+    sku: float
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A mark: where the surface lies lowest against what it would be without the mark.
+
+    `depth` [m] below the reference, `width` and `length` [m] at half depth across (v) and along (u), `u`, `v` [m] of the deepest
+    point, `below_nominal` [m] its depth below the nominal surface, `height` [m] what stands above the reference most.
+    """
+
+    depth: float
+    width: float
+    length: float
+    u: float
+    v: float
+    below_nominal: float
+    height: float
+
+
+def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> Areal:
+    """Areal parameters of a height map (row, column) over v (row,) and u (column,), form removed up to the order."""
+    z = without_form(height, u, v, order)
+    sq = float(np.sqrt(np.mean(z**2)))
+    safe = sq if sq > 0.0 else 1.0
+    return Areal(
+        sa=float(np.mean(np.abs(z))),
+        sq=sq,
+        sz=float(np.ptp(z)),
+        sp=float(z.max()),
+        sv=float(-z.min()),
+        ssk=float(np.mean(z**3)) / safe**3,
+        sku=float(np.mean(z**4)) / safe**4,
+    )
+
+
+def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> np.ndarray:
+    """Height map minus its least-squares polynomial: order 0 mean, 1 plane, 2 with squares and the product."""
+    if height.size < 6:
+        raise InputError(f"areal parameters: a patch of {height.size} points is too small; take at least 6")
+    a, b = (x - x.mean() for x in (u, v))
+    a, b = (x / max(np.abs(x).max(), 1e-30) for x in (a, b))
+    # terms as products of rows and columns: the normal equations stay small however large the map is
+    terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    rows, columns = b[:, None] ** [j for _, j in terms], a[:, None] ** [i for i, _ in terms]
+    matrix = (rows.T @ rows) * (columns.T @ columns)
+    right = np.einsum("rt,rc,ct->t", rows, height, columns, optimize=True)
+    weight = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    return height - np.einsum("rt,t,ct->rc", rows, weight, columns, optimize=True)
+
+
+def mark(cut: Nails, reference: Nails) -> Mark:
+    """The mark of a cut against the same nails cut without it (the slow passes alone, or the programmed path)."""
+    if cut.shape != reference.shape:
+        raise InputError("mark: the two surfaces have different nails; cut the same nails twice")
+    below = (reference.height - cut.height).reshape(cut.shape)
+    if not cut.is_grid:
+        i = int(np.argmax(below))
+        return Mark(
+            float(below.ravel()[i]), float("nan"), float("nan"), float("nan"), float("nan"), float(-cut.height[i]), float(-below.min())
+        )
+    row, column = np.unravel_index(int(np.argmax(below)), below.shape)
+    depth = float(below[row, column])
+    return Mark(
+        depth=depth,
+        width=_width(cut.v, below[:, column], int(row), depth / 2.0),
+        length=_width(cut.u, below[row], int(column), depth / 2.0),
+        u=float(cut.u[column]),
+        v=float(cut.v[row]),
+        below_nominal=float(-cut.map()[row, column]),
+        height=float(-below.min()),
+    )
+
+
+def scallop_height(profile: np.ndarray) -> float:
+    """Scallop height [m] of a section across the passes: mean peak minus mean valley of its inner scallops."""
+    inner = np.arange(1, len(profile) - 1)
+    peaks = inner[(profile[1:-1] > profile[:-2]) & (profile[1:-1] >= profile[2:])]
+    valleys = inner[(profile[1:-1] < profile[:-2]) & (profile[1:-1] <= profile[2:])]
+    if len(peaks) == 0 or len(valleys) == 0:
+        return 0.0
+    return float(np.mean(profile[peaks]) - np.mean(profile[valleys]))
+
+
+def section(nails: Nails, *, u: float | None = None, v: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A profile section: at constant u the heights over v, at constant v the heights over u, [m]; the nearest row or column."""
+    if not nails.is_grid or (u is None) == (v is None):
+        raise InputError("section: give either u or v of a surface whose nails lie on a grid")
+    if u is not None:
+        return nails.v, nails.map()[:, int(np.argmin(np.abs(nails.u - u)))]
+    return nails.u, nails.map()[int(np.argmin(np.abs(nails.v - v)))]
+
+
+def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:
+    """Length over which y stays above the level around index `at`, with crossings interpolated."""
+    if level <= 0.0:
+        return 0.0
+    ends = []
+    for step in (-1, 1):
+        i = at
+        while 0 <= i + step < len(y) and y[i + step] > level:
+            i += step
+        j = i + step
+        ends.append(float(x[i]) if not 0 <= j < len(y) else float(np.interp(level, [y[j], y[i]], [x[j], x[i]])))
+    return ends[1] - ends[0]

@@ -1,0 +1,408 @@
+"""Where a nail first meets the volume that a moving tool sweeps: closed forms, compiled.
+
+A nail is the line x(t) = p + t n. A tool is a union of convex elements about its axis; within a step each point of it moves
+along a straight line, y(s, t) = x(t) - P(s), s in [0, 1]. The nail is cut at the lowest t of the region that the element covers in
+the plane (s, t). For an element that only translates with velocity w this region is a conic cut by straight lines,
+
+    sphere     |y|^2 <= R^2
+    frustum    |y - (y.u) u| <= r0 + k (y.u - a0),   a0 <= y.u <= a1
+    rounded    a sphere of radius r about each point of a circle of radius Rm: the lowest over the angle of that point
+
+and its lowest point is known in closed form, also where the nail misses the tool at both ends of the step. A turning axis
+u(s) = u0 + s du is treated by the same forms with w the velocity of the touching point, repeated until that point stays:
+the condition that holds then (surface normal across the velocity) is the exact one. Missed: t = inf.
+
+All lengths in m; `tests/reference/test_surface_random.py` holds every form against brute force.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.surface.kernels import kernel
+
+SPHERE, FRUSTUM, ROUNDED = 0, 1, 2
+TINY = 1e-30
+"""Squared length of a step [m2] below which the tool stands."""
+PARALLEL = 1e-6
+"""Squared sine between nail and motion below which the ends of the step are looked at too."""
+SETTLED = 1e-10
+"""The touching point has settled when t changes by less than this [m]."""
+SLAB_MARGIN = 2e-8
+"""A nail counts as clear of a turning tool's end faces only beyond this [m], plus what they bend within the step."""
+MOST_REPEATS = 12
+STANDING_SAMPLES = 17
+RIM_SAMPLES = 12
+"""Points of the rim of a rounded element from which the search starts."""
+
+RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
+"""Golden section on the rim ends at these intervals [rad]: once the nail is met, and where it never is."""
+GOLDEN = 0.6180339887498949
+
+
+@kernel
+def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
+    """Lowest t in a sphere that moves by d (length2 = d.d), and the s where it happens; y = nail point - first centre."""
+    e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
+    f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - square
+    if length2 > TINY:
+        b = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
+        g = -(y[0] * d[0] + y[1] * d[1] + y[2] * d[2])
+        # the conic without its ends: lowest point where its derivative in s vanishes
+        over = 1.0 / length2
+        cc = 1.0 - b * b * over
+        ee = e - b * g * over
+        disc = ee * ee - cc * (f - g * g * over)
+        if disc < 0.0:
+            return math.inf, 0.0
+        if cc > PARALLEL:
+            t = (-ee - math.sqrt(disc)) / cc
+            s = -(b * t + g) * over
+            if s > 0.0 and s < 1.0:
+                return t, s
+            s = 0.0 if s <= 0.0 else 1.0
+            es = e + s * b
+            disc = es * es - (f + s * (2.0 * g + s * length2))
+            return (-es - math.sqrt(disc), s) if disc >= 0.0 else (math.inf, s)
+        best, at = math.inf, 0.0
+        if cc > 0.0:
+            s = min(1.0, max(0.0, -(b * (-ee - math.sqrt(disc)) / cc + g) * over))
+            es = e + s * b
+            disc = es * es - (f + s * (2.0 * g + s * length2))
+            if disc >= 0.0:
+                best, at = -es - math.sqrt(disc), s
+        es = e + b
+        disc = es * es - (f + 2.0 * g + length2)
+        if disc >= 0.0 and -es - math.sqrt(disc) < best:
+            best, at = -es - math.sqrt(disc), 1.0
+        disc = e * e - f
+        if disc >= 0.0 and -e - math.sqrt(disc) < best:
+            best, at = -e - math.sqrt(disc), 0.0
+        return best, at
+    disc = e * e - f
+    return (-e - math.sqrt(disc), 0.0) if disc >= 0.0 else (math.inf, 0.0)
+
+
+@kernel
+def _roots(a, b, c):  # type: ignore[no-untyped-def]
+    """Interval where a x^2 + 2 b x + c <= 0, for a convex region; (inf, -inf) where there is none.
+
+    With a < 0 (beyond the tip of a cone) or a = 0 the region is cut by the caller's own bounds: a wide interval stands for no bound.
+    """
+    far = 1e6
+    scale = abs(b) + abs(c)
+    if abs(a) <= 1e-15 * scale or a == 0.0:
+        if abs(b) <= 1e-30:
+            return (-far, far) if c <= 0.0 else (math.inf, -math.inf)
+        x = -0.5 * c / b
+        return (-far, x) if b > 0.0 else (x, far)
+    disc = b * b - a * c
+    if disc < 0.0:
+        return (math.inf, -math.inf) if a > 0.0 else (-far, far)
+    root = math.sqrt(disc)
+    q = -(b + root) if b >= 0.0 else root - b
+    x1 = q / a
+    x2 = c / q if q != 0.0 else x1
+    if x1 > x2:
+        x1, x2 = x2, x1
+    if a > 0.0:
+        return x1, x2
+    # outside the roots: two branches of a double cone; the caller's bounds keep the real one
+    return x2, x1
+
+
+@kernel
+def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
+    """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) where there is none.
+
+    The region is convex within the bounds, so with aa < 0 one branch of it lies there.
+    """
+    if low > high:
+        return math.inf, -math.inf
+    x1, x2 = _roots(aa, bb, cc)
+    if x1 == math.inf:
+        return math.inf, -math.inf
+    if x1 <= x2:
+        x1, x2 = max(x1, low), min(x2, high)
+        return (x1, x2) if x1 <= x2 else (math.inf, -math.inf)
+    # branches (-inf, x2] and [x1, inf)
+    if low <= x2:
+        return low, min(high, x2)
+    if high >= x1:
+        return max(low, x1), high
+    return math.inf, -math.inf
+
+
+@kernel
+def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
+    """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = nail point - tip at s = 0.
+
+    Also says whether the nail passes the endless cone at all (2: hit, 1: passes it beyond the ends, 0: misses it). What lies at or
+    above `top` need not be found: inf then stands for it.
+    """
+    z0 = y[0] * u[0] + y[1] * u[1] + y[2] * u[2]
+    nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
+    wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
+    if top < math.inf:
+        # the part of the nail up to `top` against the slab between the two faces
+        reach = z0 + top * nz
+        if nz > 0.0 and reach <= a0 + min(s_low * wz, s_high * wz):
+            return math.inf, 0.0, 1
+        if nz < 0.0 and reach >= a1 + max(s_low * wz, s_high * wz):
+            return math.inf, 0.0, 1
+    rho = r0 + k * (z0 - a0)
+    yn = y[0] * n[0] + y[1] * n[1] + y[2] * n[2] - z0 * nz
+    yw = y[0] * w[0] + y[1] * w[1] + y[2] * w[2] - z0 * wz
+    nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2] - nz * wz
+    ww = max(w[0] * w[0] + w[1] * w[1] + w[2] * w[2] - wz * wz, 0.0)
+    # Q(s, t) = A s^2 + 2 B s t + C t^2 + 2 D s + 2 E t + F <= 0
+    kk = k * k
+    a = ww - kk * wz * wz
+    b = -nw + kk * wz * nz
+    c = max(1.0 - nz * nz, 0.0) - kk * nz * nz
+    d = -yw + k * rho * wz
+    e = yn - k * rho * nz
+    f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - z0 * z0 - rho * rho
+    if a > TINY:
+        over = 1.0 / a
+        cc = c - b * b * over
+        ee = e - b * d * over
+        disc = ee * ee - cc * (f - d * d * over)
+        if cc > 0.0 and disc < 0.0:
+            return math.inf, 0.0, 0
+        # ellipse: the lower root; hyperbola (a cone): the lowest point of the upper branch, which is the other root
+        if abs(cc) > 1e-9 and disc >= 0.0:
+            t = (-ee - math.sqrt(disc)) / cc
+            if cc > 0.0 and t >= top:
+                return math.inf, 0.0, 1
+            s = -(b * t + d) * over
+            z = z0 + t * nz - s * wz
+            if s >= s_low and s <= s_high and z >= a0 and z <= a1:
+                return t, s, 2
+    best, at = math.inf, 0.0
+    # the two ends of the step
+    for end in range(2):
+        s = s_low if end == 0 else s_high
+        low, high = -1e6, 1e6
+        base = z0 - s * wz
+        if abs(nz) > 1e-15:
+            low, high = (a0 - base) / nz, (a1 - base) / nz
+            if low > high:
+                low, high = high, low
+        elif base < a0 or base > a1:
+            low, high = 1.0, 0.0
+        t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), low, high)
+        if t1 < best:
+            best, at = t1, s
+    # the two faces: z = face is a line in the plane (s, t)
+    for end in range(2):
+        face = a0 if end == 0 else a1
+        if abs(nz) > abs(wz) * 1e-9 and nz != 0.0:
+            # t = t0 + m s
+            t0, m = (face - z0) / nz, wz / nz
+            s1, s2 = _lowest_on_line(a + m * (2.0 * b + m * c), d + b * t0 + m * (c * t0 + e), f + t0 * (2.0 * e + t0 * c), s_low, s_high)
+            if s1 <= s2:
+                s = s1 if m >= 0.0 else s2
+                if t0 + m * s < best:
+                    best, at = t0 + m * s, s
+        elif wz != 0.0:
+            s = (z0 - face) / wz
+            if s >= s_low and s <= s_high:
+                t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)
+                if t1 < best:
+                    best, at = t1, s
+    return best, at, 2 if best < math.inf else 1
+
+
+@kernel
+def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-untyped-def]
+    """Lowest t in the frustum as it stands at the part s of its step."""
+    u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
+    norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    q = (y[0] - s * d[0], y[1] - s * d[1], y[2] - s * d[2])
+    return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, 0.0, 0.0, math.inf)[0]
+
+
+@kernel
+def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
+    """Lowest t in a frustum whose tip moves from `tip` by d and whose axis turns from u0 by du; nothing is sought above `top`."""
+    y = (p[0] - tip[0], p[1] - tip[1], p[2] - tip[2])
+    if not turning:
+        t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
+        return t
+    # the part of the nail up to `top` against the slab between the two faces, at both ends of the step
+    if top < math.inf:
+        x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
+        first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
+        rise = n[0] * u0[0] + n[1] * u0[1] + n[2] * u0[2]
+        v = (u0[0] + du[0], u0[1] + du[1], u0[2] + du[2])
+        last = (x[0] - d[0]) * v[0] + (x[1] - d[1]) * v[1] + (x[2] - d[2]) * v[2]
+        margin = SLAB_MARGIN + 0.25 * turning * math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        if rise > turning and max(first, last) < a0 - margin:
+            return math.inf
+        if rise < -turning and min(first, last) > a1 + margin:
+            return math.inf
+    # start: the velocity of the axis beside the nail's own point, at half of the step (never `top`: the result must not hang on it)
+    s, t = 0.5, 0.0
+    last, hit = math.inf, False
+    for _ in range(MOST_REPEATS):
+        u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
+        norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        u = (u[0] * norm, u[1] * norm, u[2] * norm)
+        # the touching point as seen from the tip at s, split along and across the axis
+        q = (y[0] - s * d[0] + t * n[0], y[1] - s * d[1] + t * n[1], y[2] - s * d[2] + t * n[2])
+        z = q[0] * u[0] + q[1] * u[1] + q[2] * u[2]
+        z_held = min(max(z, a0), a1)
+        tilt = q[0] * du[0] + q[1] * du[1] + q[2] * du[2] - z * (u[0] * du[0] + u[1] * du[1] + u[2] * du[2])
+        reach = max(r0, r0 + k * (a1 - a0))
+        tilt = min(max(tilt, -reach * turning), reach * turning)
+        w = (d[0] + z_held * du[0] - tilt * u[0], d[1] + z_held * du[1] - tilt * u[1], d[2] + z_held * du[2] - tilt * u[2])
+        # tip of the frustum that translates with w and is in place at s
+        back = (y[0] - s * d[0] + s * w[0], y[1] - s * d[1] + s * w[1], y[2] - s * d[2] + s * w[2])
+        found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, 0.0, 1.0, math.inf)
+        if state == 2:
+            hit = True
+            if abs(found - last) < SETTLED:
+                return found
+            s, t, last = at, found, found
+        else:
+            # missed with this velocity: look again from the closest approach of nail and axis
+            zz = back[0] * u[0] + back[1] * u[1] + back[2] * u[2]
+            nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
+            wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
+            ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2] - wz * wz
+            nn = 1.0 - nz * nz
+            nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2] - nz * wz
+            yn = back[0] * n[0] + back[1] * n[1] + back[2] * n[2] - zz * nz
+            yw = back[0] * w[0] + back[1] * w[1] + back[2] * w[2] - zz * wz
+            det = ww * nn - nw * nw
+            at = min(1.0, max(0.0, (nn * yw - nw * yn) / det)) if det > 1e-12 * ww * nn and det > 0.0 else s
+            found = (nw * at - yn) / nn if nn > 1e-12 else t
+            if abs(at - s) < 1e-9 and abs(found - t) < 1e-9:
+                break
+            s, t = at, found
+    # not settled (an edge passes by): the standing tool at some moments, then golden section about the lowest
+    best, at = math.inf, 0.0
+    moments = STANDING_SAMPLES if hit else 2
+    for i in range(moments):
+        t = _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, i / (moments - 1.0))
+        if t < best:
+            best, at = t, i / (moments - 1.0)
+    if hit and best < math.inf:
+        low, high = max(0.0, at - 1.0 / (moments - 1.0)), min(1.0, at + 1.0 / (moments - 1.0))
+        while high - low > 1e-7:
+            s1, s2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+            t1 = _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s1)
+            t2 = _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s2)
+            best = min(best, t1, t2)
+            if t1 < t2:
+                high = s2
+            else:
+                low = s1
+    return best
+
+
+@kernel
+def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
+    """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the nail lies.
+
+    f1, f2 span the circle at the start, g1, g2 at the end; y = nail point - first centre. Returns t, angle, squared distance.
+    """
+    c, s = math.cos(phi), math.sin(phi)
+    e0 = (c * f1[0] + s * f2[0], c * f1[1] + s * f2[1], c * f1[2] + s * f2[2])
+    e1 = (c * g1[0] + s * g2[0], c * g1[1] + s * g2[1], c * g1[2] + s * g2[2])
+    v = (y[0] - major * e0[0], y[1] - major * e0[1], y[2] - major * e0[2])
+    w = (d[0] + major * (e1[0] - e0[0]), d[1] + major * (e1[1] - e0[1]), d[2] + major * (e1[2] - e0[2]))
+    ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    t, at = swept_sphere(v, n, w, ww, square)
+    gap = 0.0
+    if t == math.inf:
+        # closest approach of the nail and the way of this point
+        nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
+        vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
+        vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+        det = ww - nw * nw
+        at = min(1.0, max(0.0, (vw - nw * vn) / det)) if det > TINY else 0.0
+        near = nw * at - vn
+        q = (v[0] + near * n[0] - at * w[0], v[1] + near * n[1] - at * w[1], v[2] + near * n[2] - at * w[2])
+        gap = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    else:
+        near = t
+    x = (y[0] + near * n[0] - at * d[0], y[1] + near * n[1] - at * d[1], y[2] + near * n[2] - at * d[2])
+    h1 = (f1[0] + at * (g1[0] - f1[0]), f1[1] + at * (g1[1] - f1[1]), f1[2] + at * (g1[2] - f1[2]))
+    h2 = (f2[0] + at * (g2[0] - f2[0]), f2[1] + at * (g2[1] - f2[1]), f2[2] + at * (g2[2] - f2[2]))
+    return t, math.atan2(x[0] * h2[0] + x[1] * h2[1] + x[2] * h2[2], x[0] * h1[0] + x[1] * h1[1] + x[2] * h1[2]), gap
+
+
+@kernel
+def _turn(angle):  # type: ignore[no-untyped-def]
+    """An angle brought to -pi .. pi."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@kernel
+def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
+    """Lowest t on the rim between two angles: golden section, on the distance until the nail is met, then secants to the end."""
+    x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+    t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+    best, where = math.inf, 0.0
+    while True:
+        if t1 < best:
+            best, where = t1, x1
+        if t2 < best:
+            best, where = t2, x2
+        if high - low < (RIM_CLOSEST if best == math.inf else RIM_CLOSE):
+            break
+        if t1 < t2 or (t1 == t2 and gap1 <= gap2):
+            high, x2, t2, gap2 = x2, x1, t1, gap1
+            x1 = high - GOLDEN * (high - low)
+            t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+        else:
+            low, x1, t1, gap1 = x1, x2, t2, gap2
+            x2 = low + GOLDEN * (high - low)
+            t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+    if best == math.inf:
+        return best
+    # secants on (angle of the touching point) - (angle of the sphere), which vanishes for the lowest sphere
+    before = where
+    _, angle, _ = _rim(y, n, where, d, f1, f2, g1, g2, major, square)
+    off_before = _turn(angle - before)
+    now = before + 0.5 * off_before
+    for _ in range(20):
+        t, angle, _ = _rim(y, n, now, d, f1, f2, g1, g2, major, square)
+        if t == math.inf:
+            now = 0.5 * (now + where)
+            continue
+        off = _turn(angle - now)
+        best = min(best, t)
+        if abs(off) < 1e-9 or off == off_before:
+            break
+        ahead = now - off * (now - before) / (off - off_before)
+        if abs(ahead - now) > 0.1:
+            ahead = now + 0.5 * off
+        before, off_before, now = now, off, ahead
+        if abs(now - before) < 1e-9:
+            break
+    return best
+
+
+@kernel
+def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untyped-def]
+    """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = nail point - first centre.
+
+    From samples of the rim, about each that is lower (or, where the nail misses it, nearer) than both of its neighbours.
+    """
+    square = radius * radius
+    step = 2.0 * math.pi / RIM_SAMPLES
+    t1, _, gap1 = _rim(y, n, -2.0 * step, d, f1, f2, g1, g2, major, square)
+    t2, _, gap2 = _rim(y, n, -step, d, f1, f2, g1, g2, major, square)
+    best = math.inf
+    for i in range(RIM_SAMPLES):
+        t3, _, gap3 = _rim(y, n, i * step, d, f1, f2, g1, g2, major, square)
+        lower = t2 <= t1 and t2 <= t3 and t2 < math.inf
+        nearer = t1 == math.inf and t2 == math.inf and t3 == math.inf and gap2 <= gap1 and gap2 <= gap3
+        if lower or nearer:
+            best = min(best, _lowest_near(y, n, d, f1, f2, g1, g2, major, square, (i - 2) * step, i * step))
+        t1, gap1, t2, gap2 = t2, gap2, t3, gap3
+    return best

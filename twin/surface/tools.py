@@ -1,0 +1,172 @@
+"""Cutting tools as unions of convex elements about their axis, which points from the tip (z = 0) to the spindle.
+
+    sphere     centre at height z, radius R
+    frustum    from height z0 to z1, radius r0 growing by `slope` per height (0: a cylinder)
+    rounded    a torus: spheres of radius r about a circle of radius Rm at height z
+
+A ball-end is a sphere and a shaft, a flat end a shaft, a bull nose a torus with the disc inside it and a shaft, and any
+tool of revolution a stack of frustums along its profile. Lengths in m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.surface.sweep import FRUSTUM, ROUNDED, SPHERE
+
+KINDS = ("ball", "flat", "bull", "revolution")
+DEFAULT_CUTTING_LENGTH = 0.04
+ARC_CHORD = 2e-8
+"""Arcs of a profile become chords that lie this close [m]."""
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool of revolution.
+
+    `elements` (element, 5): kind, height of the centre or lower end, height of the upper end, radius, slope (frustum) or
+    radius of the rounding (rounded). `profile` (point, 2): radius and height of the outline, for pictures and for the
+    size of the tool. `length` is what the five-axis transformation takes, spindle nose to tip.
+    """
+
+    name: str
+    elements: np.ndarray
+    profile: np.ndarray
+    length: float
+
+    @property
+    def radius(self) -> float:
+        """Largest radius [m]."""
+        return float(self.profile[:, 0].max())
+
+    @property
+    def reach(self) -> float:
+        """Height of what cuts above the tip [m]."""
+        return float(self.profile[:, 1].max())
+
+
+def ball_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
+    """A ball-end tool; the tip is the lowest point of the ball."""
+    r = diameter / 2.0
+    angle = np.linspace(0.0, math.pi / 2.0, 33)
+    profile = np.vstack([np.column_stack([r * np.sin(angle), r - r * np.cos(angle)]), [[r, cutting_length]]])
+    return _tool(f"ball-end d{diameter * 1e3:g}", [(SPHERE, r, r, r, 0.0), (FRUSTUM, r, cutting_length, r, 0.0)], profile, length)
+
+
+def flat_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
+    """A cylinder with a flat end."""
+    r = diameter / 2.0
+    profile = np.array([[0.0, 0.0], [r, 0.0], [r, cutting_length]])
+    return _tool(f"flat end d{diameter * 1e3:g}", [(FRUSTUM, 0.0, cutting_length, r, 0.0)], profile, length)
+
+
+def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
+    """A flat end with a rounded corner of radius `corner`."""
+    r = diameter / 2.0
+    if not 0.0 < corner < r:
+        raise InputError(
+            f"tool: corner radius {corner * 1e3:g} mm of a bull nose of radius {r * 1e3:g} mm; give one between 0 and the tool's radius"
+        )
+    major = r - corner
+    angle = np.linspace(0.0, math.pi / 2.0, 33)
+    arc = np.column_stack([major + corner * np.sin(angle), corner - corner * np.cos(angle)])
+    elements = [
+        (ROUNDED, corner, corner, major, corner),
+        (FRUSTUM, 0.0, 2.0 * corner, major, 0.0),
+        (FRUSTUM, corner, cutting_length, r, 0.0),
+    ]
+    return _tool(
+        f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", elements, np.vstack([[[0.0, 0.0]], arc, [[r, cutting_length]]]), length
+    )
+
+
+def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12) -> Tool:
+    """Any tool by its outline: points (radius, height) from the tip upwards, heights never falling.
+
+    A third number at a point makes the way to it an arc with that radius: positive bulges outwards, negative inwards.
+    """
+    points = _with_arcs(profile)
+    if len(points) < 2 or np.any(points[:, 0] < 0.0) or np.any(np.diff(points[:, 1]) < 0.0) or points[:, 0].max() <= 0.0:
+        raise InputError(
+            f"{name}: a profile needs at least two points (radius, height) with radii from 0 and heights that never fall; reorder them"
+        )
+    points = points - [0.0, points[0, 1]]
+    elements = []
+    for (r0, z0), (r1, z1) in itertools.pairwise(points):
+        if z1 - z0 > 1e-12:
+            elements.append((FRUSTUM, z0, z1, r0, (r1 - r0) / (z1 - z0)))
+    return _tool(name, elements, points, length)
+
+
+def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
+    """A tool from the table [tool] of a part file; all lengths there in mm."""
+    kind = table.get("kind")
+    if kind not in KINDS:
+        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
+    known = {"kind", "name", "length_mm"} | ({"profile_mm"} if kind == "revolution" else {"diameter_mm", "cutting_length_mm"})
+    known |= {"corner_mm"} if kind == "bull" else set()
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}' of a {kind} tool; {nearest(key, known)}")
+    length = positive(table, "length_mm", where, 120.0) * 1e-3
+    if kind == "revolution":
+        if "profile_mm" not in table:
+            raise InputError(f"{where}: profile_mm is missing; give [[radius, height], ...] from the tip upwards")
+        try:
+            profile = [[float(v) * 1e-3 for v in point] for point in table["profile_mm"]]
+        except (TypeError, ValueError):
+            raise InputError(f"{where}: profile_mm holds something that is no number; give [[radius, height], ...] in mm") from None
+        return revolution(profile, name=str(table.get("name", "tool of revolution")), length=length)
+    diameter = positive(table, "diameter_mm", where) * 1e-3
+    cutting = positive(table, "cutting_length_mm", where, DEFAULT_CUTTING_LENGTH * 1e3) * 1e-3
+    if cutting < diameter / 2.0:
+        raise InputError(f"{where}: cutting_length_mm = {cutting * 1e3:g} is below the tool's radius; make it longer")
+    if kind == "ball":
+        return ball_end(diameter, cutting_length=cutting, length=length)
+    if kind == "flat":
+        return flat_end(diameter, cutting_length=cutting, length=length)
+    return bull_nose(diameter, positive(table, "corner_mm", where) * 1e-3, cutting_length=cutting, length=length)
+
+
+def positive(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
+    """A number above 0 of a table."""
+    value = table.get(key, default)
+    if value is None:
+        raise InputError(f"{where}: {key} is missing; add it")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0.0:
+        raise InputError(f"{where}: {key} = {value!r} is no number above 0; correct it")
+    return float(value)
+
+
+def _tool(name: str, elements: Sequence[tuple[float, ...]], profile: np.ndarray, length: float) -> Tool:
+    return Tool(name, np.array(elements, float), np.asarray(profile, float), length)
+
+
+def _with_arcs(profile: Sequence[Sequence[float]]) -> np.ndarray:
+    """The profile (point, 2) with its arcs as chords."""
+    points = [[float(profile[0][0]), float(profile[0][1])]] if len(profile) else []
+    for point in profile[1:]:
+        end = np.array(point[:2], float)
+        if len(point) > 2 and point[2] != 0.0:
+            start, radius = np.array(points[-1]), float(point[2])
+            chord = end - start
+            half = float(np.linalg.norm(chord)) / 2.0
+            if half > abs(radius):
+                raise InputError(f"profile: an arc of radius {abs(radius) * 1e3:g} mm does not reach over {half * 2e3:g} mm; enlarge it")
+            # centre on the axis side for a bulge, on the other side for a hollow
+            across = np.array([-chord[1], chord[0]]) / (2.0 * half) * math.copysign(math.sqrt(radius**2 - half**2), radius)
+            centre = (start + end) / 2.0 + across
+            first, last = (math.atan2(*(p - centre)[::-1]) for p in (start, end))
+            turn = (last - first + math.pi) % (2.0 * math.pi) - math.pi
+            count = max(2, math.ceil(abs(turn) / math.sqrt(8.0 * ARC_CHORD / abs(radius))))
+            angles = first + turn * np.arange(1, count) / count
+            points += (centre + abs(radius) * np.column_stack([np.cos(angles), np.sin(angles)])).tolist()
+        points.append(end.tolist())
+    return np.array(points, float).reshape(-1, 2)
