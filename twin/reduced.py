@@ -97,6 +97,8 @@ class ReducedPlant:
         bias[:, :n] = loads.bias
         rotor_dof = np.arange(n)
         for i, a in enumerate(split):
+            # the friction constraint of a load by itself is softer by as much as it is lighter
+            constants[a, _SOFTNESS] *= inertia[0, a] / loads.inertia[0, a]
             inertia[:, a] -= reflected[a]
             inertia[:, n + i] = reflected[a]
             constants[n + i] = (0.0, 1.0, 1.0, 1.0 / axes[a].ratio)

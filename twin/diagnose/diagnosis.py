@@ -33,7 +33,7 @@ CONFIDENCE = 0.98
 AMBIGUOUS = 10.0
 """Evidence by which a rival may lie behind and still be named as possible."""
 
-REMAINING = 0.5
+REMAINING = 0.1
 """Share of the excess over noise that, left after all found effects, makes the verdict 'unknown'."""
 
 NOTICED_EXCESS = 0.12

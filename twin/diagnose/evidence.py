@@ -67,9 +67,9 @@ def waterfall(diagnosis: Diagnosis, document: dict[str, Any]) -> list[tuple[str,
             steps.pop()
         steps.append((label, float(np.sqrt(square))))
 
-    step("as the machine\nfile says")
+    step("as the machine file says")
     for found in diagnosis.found:
-        step("re-tuned within\ntolerance", found, retuned_within(found, diagnosis.machine.parameter_tolerance))
+        step("re-tuned within tolerance", found, retuned_within(found, diagnosis.machine.parameter_tolerance))
     # groups of axes do not touch each other: the one whose effects close most comes first
     for found in sorted(diagnosis.found, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
         for label, fit in _accepted(found):
@@ -117,19 +117,18 @@ def _accepted(found: Found) -> list[tuple[str, Fit]]:
     for candidates in found.rounds:
         best = next((c for c in candidates if c.plausible), None)
         if best is not None and best.evidence >= EVIDENCE and best.key in final:
-            title = effect_title({"effect": best.key[0], "axis": best.key[1], "from_axis": best.key[2]})
-            steps.append((title.replace(" on axis", "\non axis"), best.fit))
+            steps.append((effect_title({"effect": best.key[0], "axis": best.key[1], "from_axis": best.key[2]}), best.fit))
     return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
 
 
 def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
-    """Mean square of residual over noise of each axis over its runs and closed-loop signals, `fit` None: the nominal machine."""
+    """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
     left = found.group.residual.copy()
     if fit is not None:
         left -= fit.response + found.tuning.jacobian @ fit.tuning
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:
-        if channel.name in COMPARED:
+        if channel.name != "controller":  # windup stands for the motor encoder
             normed = left[channel.rows] * np.sqrt(channel.correlation)
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
     return {axis: float(np.mean(values)) for axis, values in squares.items()}

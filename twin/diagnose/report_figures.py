@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from textwrap import fill
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -57,7 +58,8 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
         share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
         ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, f"{-100 * share:+.0f} %", ha="center", fontsize=9.5, color=CORRECTED)
-    ax.set_xticks(range(len(steps) + 1), [*(label for label, _ in steps), "left with the\ncorrected machine"], fontsize=8.5)
+    labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "left with the corrected machine")]
+    ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
     ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)
     _plain(ax)
