@@ -14,8 +14,8 @@ import numpy as np
 from twin.campaign import Campaign, MeasuredRun
 from twin.diagnose.fit import PRIOR_WEIGHT
 from twin.diagnose.next_measurement import Proposal, propose
-from twin.diagnose.observe import Group, axis_groups, observe, view_of
-from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, is_plausible, leave_out, search
+from twin.diagnose.observe import axis_groups, observe, view_of
+from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, expected_loss, is_plausible, leave_out, retuned_within, search
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, with_effects
@@ -183,7 +183,7 @@ class Diagnosis:
         chosen = {(s.effect.name, s.axis, s.from_axis): p for s, _, p in self.settings}
         for found in self.found:
             seen = set()
-            excess = max(found.retuned.loss - 0.5 * sum(len(c.residual) / c.correlation for c in found.group.channels), 1e-9)
+            excess = max(found.retuned.loss - expected_loss(found.group), 0.02 * expected_loss(found.group))
             for candidates in found.rounds:
                 probabilities = probabilities_of(candidates)
                 for candidate, probability in zip(candidates, probabilities):
@@ -275,11 +275,6 @@ def diagnose(
     say("simulating the runs left out")
     gaps, predictions = _held_out_gaps(campaign, machine_without, found, folds, quick)
     verdict = _verdict(found, settings)
-    where = places(
-        [f.group for f in found],
-        [s for s, _, _ in settings],
-        [tuned(f.tuning.nuisances, f.retuned.tuning * f.tuning.spread) for f in found],
-    )
     diagnosis = Diagnosis(
         campaign=campaign,
         machine=machine,
@@ -287,15 +282,19 @@ def diagnose(
         verdict=verdict,
         found=found,
         settings=settings,
-        where=where if verdict != "none" else [],
+        where=[],
         gaps=gaps,
         held_out=[run.name for run in campaign.runs] if len(folds) > 1 else [],
         proposal=propose(machine, found, verdict),
-        retuned_share=_retuned_share(found),
+        retuned_share=_retuned_share(found, machine.parameter_tolerance),
         seed=seed,
         notes=_notes(campaign),
         predictions=predictions,
     )
+    if verdict != "none":
+        within = [tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread) for f in found]
+        weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
+        diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], within, weights)
     return diagnosis
 
 
@@ -356,15 +355,11 @@ def _named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Foun
     return sorted(out, key=lambda item: -strength[id(item[0])])
 
 
-def _expected(group: Group) -> float:
-    return 0.5 * sum(len(c.residual) / c.correlation for c in group.channels)
-
-
 def _verdict(found: Sequence[Found], settings: Sequence[Any]) -> str:
     """'effect', 'none', or 'unknown' where something is left that no effect explains."""
     unknown = False
     for f in found:
-        expected = _expected(f.group)
+        expected = expected_loss(f.group)
         excess_before, excess = f.retuned.loss - expected, f.fit.loss - expected
         there = excess > NOTICED_EXCESS * expected or _localised(f)
         if there and excess > REMAINING * max(excess_before, 1e-9):
@@ -386,11 +381,15 @@ def _localised(f: Found) -> bool:
     return False
 
 
-def _retuned_share(found: Sequence[Found]) -> float:
-    """Share of the gap above noise that re-tuning within the tolerance closes by itself."""
-    before = sum(max(0.5 * float(f.group.residual @ f.group.residual) - _expected(f.group), 0.0) for f in found)
-    after = sum(max(f.retuned.loss - _expected(f.group), 0.0) for f in found)
-    return float(1.0 - after / before) if before > 0 else 0.0
+def _retuned_share(found: Sequence[Found], tolerance: float) -> float:
+    """Share of the squared gap above noise that re-tuning within the tolerance closes by itself."""
+    before = after = 0.0
+    for f in found:
+        theta = retuned_within(f, tolerance).tuning
+        left = f.group.residual - f.tuning.jacobian @ theta
+        before += max(0.5 * float(f.group.residual @ f.group.residual) - expected_loss(f.group), 0.0)
+        after += max(0.5 * float(left @ left) - expected_loss(f.group), 0.0)
+    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
 
 
 def _held_out_gaps(

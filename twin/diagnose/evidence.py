@@ -9,7 +9,7 @@ how much each step closes on each axis. With E the mean square of an axis' resid
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from twin.campaign import MeasuredRun
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
-from twin.diagnose.search import EVIDENCE, Found
+from twin.diagnose.search import EVIDENCE, Found, retuned_within
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
 
@@ -33,9 +33,6 @@ BLOCKS_NEED = {
 
 STRETCH_S = 0.5
 """Length of the stretch that is shown where no block was named."""
-
-DESCENTS = 200
-"""Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
 
 MARGIN = 0.15
 """Part of a stretch that is shown before and after it."""
@@ -75,21 +72,6 @@ def waterfall(diagnosis: Diagnosis, document: dict[str, Any]) -> list[tuple[str,
         for label, fit in _accepted(found):
             step(label, found, fit)
     return steps
-
-
-def retuned_within(found: Found, tolerance: float) -> Fit:
-    """Re-tuning alone with every parameter inside +-tolerance: bounded least squares by coordinate descent."""
-    tuning = found.tuning
-    if not tuning.nuisances:
-        return found.retuned
-    bound = tolerance / tuning.spread
-    slope = tuning.jacobian.T @ found.group.residual
-    theta = np.clip(found.retuned.tuning, -bound, bound)
-    for _ in range(DESCENTS):
-        for i in range(len(theta)):
-            step = (slope[i] - tuning.normal[i] @ theta) / tuning.normal[i, i]
-            theta[i] = min(max(theta[i] + step, -bound), bound)
-    return replace(found.retuned, tuning=theta)
 
 
 def retuning_share(steps: Sequence[tuple[str, float]]) -> float:

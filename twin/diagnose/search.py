@@ -29,6 +29,19 @@ RIVALS_WITHIN, BENT_WITHIN = 0.25, 0.08
 """Screened candidates that are fitted in closed loop: those that reach this share of the best one's gain (less for effects
 that are not in proportion to their size, which a start may underrate), at most so many."""
 
+EVIDENCE_IN_SAMPLE = 60.0
+"""The same where no run could be left out."""
+
+LEAST_SHARE = 0.3
+"""Share that an effect must close of what the ones before left above noise: where much is left that no effect closes, small gains
+are of a model that is not right, and stand for nothing."""
+
+NEAR_NOISE = 0.02
+"""Excess over noise up to which a residual counts as noise, and evidence alone decides."""
+
+DESCENTS = 200
+"""Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
+
 PRICE = 2.0
 """Log likelihood that each further free parameter costs."""
 
@@ -87,12 +100,23 @@ def search(
         candidates = _round(found, machine, folds, mapper, progress, quick)
         found.rounds.append(candidates)
         best = next((c for c in candidates if c.plausible), None)
-        if best is None or best.evidence < EVIDENCE:
+        if best is None or best.evidence < (EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE) or not _closes_enough(found, best.fit):
             break
         found.fit = best.fit
         found.inflation = _inflation(group, tuning, best.fit)
     _try_removals(found, machine, folds)
     return found
+
+
+def _closes_enough(found: Found, fit: Fit) -> bool:
+    expected = expected_loss(found.group)
+    left = found.fit.loss - expected
+    return left < NEAR_NOISE * expected or found.fit.loss - fit.loss > LEAST_SHARE * left
+
+
+def expected_loss(group: Group) -> float:
+    """Half the squares that noise alone makes."""
+    return 0.5 * sum(len(c.residual) / c.correlation for c in group.channels)
 
 
 def is_quiet(found: Found) -> bool:
@@ -187,6 +211,21 @@ def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.n
     if key not in found.answers:
         found.answers[key] = found.tuning.remembered(answer(found.group, [setting]).astype(np.float32))
     return found.answers[key]
+
+
+def retuned_within(found: Found, tolerance: float) -> Fit:
+    """Re-tuning alone with every parameter inside +-tolerance: bounded least squares by coordinate descent."""
+    tuning = found.tuning
+    if not tuning.nuisances:
+        return found.retuned
+    bound = tolerance / tuning.spread
+    slope = tuning.jacobian.T @ found.group.residual
+    theta = np.clip(found.retuned.tuning, -bound, bound)
+    for _ in range(DESCENTS):
+        for i in range(len(theta)):
+            step = (slope[i] - tuning.normal[i] @ theta) / tuning.normal[i, i]
+            theta[i] = min(max(theta[i] + step, -bound), bound)
+    return replace(found.retuned, tuning=theta)
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:

@@ -34,9 +34,7 @@ class Nuisance:
         """The machine with this parameter multiplied."""
         if self.quantity == "body":
             bodies = tuple(
-                replace(b, mass_kg=b.mass_kg * factor, inertia_kg_m2=_scaled(b.inertia_kg_m2, factor))
-                if b.name == self.owner
-                else b
+                replace(b, mass_kg=b.mass_kg * factor, inertia_kg_m2=_scaled(b.inertia_kg_m2, factor)) if b.name == self.owner else b
                 for b in machine.bodies
             )
             return replace(machine, bodies=bodies)

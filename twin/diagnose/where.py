@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,16 @@ MOST_RUNS = 0.8
 """The runs named are those that together hold this share of a place's excess."""
 
 
-def places(groups: Sequence[Group], settings: Sequence[Setting], retuned: Sequence[Callable[[Machine], Machine]]) -> list[dict[str, Any]]:
+def places(
+    groups: Sequence[Group],
+    settings: Sequence[Setting],
+    retuned: Sequence[Callable[[Machine], Machine]],
+    weights: Mapping[str, float],
+) -> list[dict[str, Any]]:
     """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
 
-    `retuned` gives each group's machine re-tuned within its tolerance: that is no fault of a block.
+    `retuned` gives each group's machine re-tuned within its tolerance: that is no fault of a block. `weights` is the squared gap
+    above noise of each axis.
 
     A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place.
     """
@@ -40,6 +46,12 @@ def places(groups: Sequence[Group], settings: Sequence[Setting], retuned: Sequen
                     found.append(_place(group, axis, block, parts, excess, level))
     for setting in settings:
         _lead(found, setting, groups)
+    # an axis weighs what its gap weighs; its blocks share that by their excess
+    for axis in {p["axis"] for p in found}:
+        mine = [p for p in found if p["axis"] == axis]
+        total = sum(p["_excess"] for p in mine) or 1.0
+        for place in mine:
+            place["_excess"] *= max(weights.get(axis, 0.0), 1e-6) / total
     total = sum(p["_excess"] for p in found) or 1.0
     for place in found:
         place["share"] = place.pop("_excess") / total
@@ -64,7 +76,7 @@ def _lead(found: list[dict[str, Any]], setting: Setting, groups: Sequence[Group]
     mine = [p for p in found if p["axis"] == axis]
     for name in same:
         for place in mine:
-            if place["block"] == name:
+            if place["block"] == name and "effect" not in place:
                 place["block"] = block
                 place["effect"] = setting.effect.name
                 place["_excess"] += sum(p["_excess"] for p in mine if p is not place)
@@ -153,7 +165,9 @@ def _stretch(part: BlockResidual) -> tuple[int, int]:
     """Samples of the most telling stretch: the 0.5 s (at most a third of the run) with the most excess."""
     n = len(part.residual)
     width = max(10, min(n // 3, 500))
-    energy = np.convolve(part.normed**2, np.ones(width), mode="valid")
+    # what changes tells more than what is merely off by a constant
+    ones = np.ones(width)
+    energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
     at = int(np.argmax(energy)) if len(energy) else 0
     return int(part.index[at]), int(part.index[min(at + width, n) - 1])
 
