@@ -7,7 +7,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "twin"
 
 # a module may import from its own layer and from those above it here; packages count as one
 LAYERS = (
-    ("errors", "colours"),
+    ("errors", "colours", "compiled", "progress"),
     ("units", "moves", "native"),
     ("machine_keys",),
     ("machine", "trace"),
@@ -17,10 +17,11 @@ LAYERS = (
     ("engine", "reduced"),
     ("run",),
     ("campaign", "gap", "summary", "cascade_reference", "toolpath", "surface"),
+    ("report", "replay"),  # how pages and recordings are drawn; what they show is the business of those above
     ("identify", "study"),
     ("diagnose", "exam", "regress"),
-    ("report", "replay"),
     ("demo", "benchmark", "friction_check"),
+    ("commands",),
     ("cli",),
     ("__main__",),
 )

@@ -1,0 +1,63 @@
+"""Figures of the reports: one look, drawn without a display, embedded as SVG or saved as PNG."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
+
+STYLE = {
+    "font.size": 9.5,
+    "font.family": "sans-serif",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e7ec",
+    "grid.linewidth": 0.7,
+    "axes.edgecolor": "#8a94a3",
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "twin",
+}
+INK, SOFT, BLUE, RED, GREEN, AMBER = "#1c2430", "#8a94a3", "#0b5394", "#c0392b", "#2e8b57", "#d08a1d"
+
+
+def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0, **options: Any) -> tuple[MplFigure, Any]:
+    """A figure of rows x columns panels in the reports' look, `height` inches a row; returns (figure, axes (rows, columns))."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height * rows), layout="constrained")
+        FigureCanvasAgg(figure)
+        return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def figure_svg(figure: MplFigure) -> str:
+    """Inline SVG without the XML head; equal figures give equal text."""
+    from matplotlib import rc_context
+
+    out = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> None:
+    """The same figure as a file."""
+    from matplotlib import rc_context
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with rc_context(STYLE):
+        figure.savefig(path, dpi=dots_per_inch)
