@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
-STYLE = {
+STYLE: Any = {
     "font.size": 9.5,
     "font.family": "sans-serif",
     "axes.spines.top": False,
