@@ -71,6 +71,7 @@ def without_drives_and_friction(s):
 
 # --- closed forms ------------------------------------------------------------------------------------
 
+
 def test_z_falls_with_rotor_inertia_and_no_friction():
     s = nominal()
     m, pair = without_drives_and_friction(s)
@@ -84,8 +85,8 @@ def test_z_falls_with_rotor_inertia_and_no_friction():
 def test_a_swings_like_a_pendulum():
     s = nominal()
     m, pair = without_drives_and_friction(s)
-    m[COULOMB, C] = 1e6                                       # C sticks
-    rest = math.atan2(holding_torque(pair, 0.0, 0.0)[0], -holding_torque(pair, math.pi / 2, 0.0)[0])    # gravity asks nothing there
+    m[COULOMB, C] = 1e6  # C sticks
+    rest = math.atan2(holding_torque(pair, 0.0, 0.0)[0], -holding_torque(pair, math.pi / 2, 0.0)[0])  # gravity asks nothing there
     stiffness = (holding_torque(pair, rest + 1e-6, 0.0)[0] - holding_torque(pair, rest - 1e-6, 0.0)[0]) / 2e-6
     if stiffness < 0:
         rest, stiffness = rest + math.pi, -stiffness
@@ -103,15 +104,16 @@ def test_a_swings_like_a_pendulum():
 def test_tilting_pair_keeps_its_energy():
     s = nominal({"name": "table_unbalance", "axis": "A", "mass_kg": 50.0, "radius_m": 0.2, "angle_rad": 1.0, "height_m": 0.15})
     m, pair = without_drives_and_friction(s)
+
     def total(y):
-        return (energy(pair, y[Q, A], y[Q, C], y[V, A], y[V, C])
-                           + 0.5 * (s.motor_mass[A] * y[V, A] ** 2 + s.motor_mass[C] * y[V, C] ** 2))
+        return energy(pair, y[Q, A], y[Q, C], y[V, A], y[V, C]) + 0.5 * (s.motor_mass[A] * y[V, A] ** 2 + s.motor_mass[C] * y[V, C] ** 2)
+
     y = np.zeros((STATES, 5))
     y[Q, [A, C]] = y[QM, [A, C]] = (-0.9, 0.4)
     y[V, [A, C]] = y[VM, [A, C]] = (2.0, 4.0)
     seen = coast(m, pair, y, 2.0, watch=total)
     assert np.ptp(seen) < 1e-8 * 0.5 * 60 * 4
-    assert abs(y[V, C] - 4.0) > 0.05                          # the axes did exchange energy
+    assert abs(y[V, C] - 4.0) > 0.05  # the axes did exchange energy
 
 
 def test_pair_forces_are_those_of_lagrange():
@@ -140,7 +142,7 @@ def test_friction_holds_below_and_slides_at_its_level():
     s = nominal()
     m, pair = mechanics_of(s)
     m[KT] = 0.0
-    m[STEADY_FORCE, X] = -0.9 * s.coulomb[X]                  # pushes to +q
+    m[STEADY_FORCE, X] = -0.9 * s.coulomb[X]  # pushes to +q
     y = np.zeros((STATES, 5))
     coast(m, pair, y, 1.0)
     assert abs(y[Q, X]) < 1e-12
@@ -172,7 +174,7 @@ def test_bristle_step_is_the_exact_solution_of_its_law():
 def test_current_rises_with_its_electrical_time_constant():
     s = nominal()
     m, pair = mechanics_of(s)
-    m[MOTOR_MASS] = 1e15                                      # locked
+    m[MOTOR_MASS] = 1e15  # locked
     y = np.zeros((STATES, 5))
     seen = coast(m, pair, y, 0.03, voltage=np.full(5, 2.0), watch=lambda y: y[CURRENT].copy())
     t = np.arange(30)[:, None] * 1e-3
@@ -204,7 +206,7 @@ def test_slow_reversal_shows_clearance_and_contact():
     trace = run(s, points, noise=False)
     gap = (trace.motor_position - trace.load)[2000:, X]
     m, _ = mechanics_of(s)
-    sliding = np.abs(np.gradient(points[2000:, X])) > 3e-6                                     # at a steady slow speed
+    sliding = np.abs(np.gradient(points[2000:, X])) > 3e-6  # at a steady slow speed
     flanks = [np.median(gap[sliding & (side * np.gradient(points[2000:, X]) > 0)]) for side in (1, -1)]
     drag = s.coulomb[X] + s.viscous[X] * 2e-3 * 2 * math.pi * 0.5 * 0.8
     assert flanks[0] - flanks[1] == pytest.approx(clearance + 2 * drag / m[STIFFNESS, X], abs=0.03e-6)
@@ -214,13 +216,16 @@ def test_measurement_effects_are_their_formulas():
     t = np.arange(600) * 1e-3
     wave = (np.sin(2 * math.pi * 2 * t - math.pi / 2) + 1.0)[:, None]
     points = 0.3 + wave * np.array([0.02, 0.02, 0.02, 0.05, 0.5])
-    effects = ({"name": "thermal_drift", "axis": "Y", "rate": 3e-7}, {"name": "lead_error", "axis": "X", "fraction": 1e-4},
-               {"name": "cyclic_error", "axis": "A", "amplitude": 5e-5, "phase_rad": 0.7},
-               {"name": "encoder_eccentricity", "axis": "C", "amplitude": 6e-5, "phase_rad": 2.0})
+    effects = (
+        {"name": "thermal_drift", "axis": "Y", "rate": 3e-7},
+        {"name": "lead_error", "axis": "X", "fraction": 1e-4},
+        {"name": "cyclic_error", "axis": "A", "amplitude": 5e-5, "phase_rad": 0.7},
+        {"name": "encoder_eccentricity", "axis": "C", "amplitude": 6e-5, "phase_rad": 2.0},
+    )
     s = nominal(*effects)
     trace = run(s, points, started_at_s=50.0, noise=False)
     q, q0 = trace.load, trace.load[0]
-    assert np.allclose(trace.position[0], points[0], rtol=0, atol=6e-8)                 # the scale shows the set point
+    assert np.allclose(trace.position[0], points[0], rtol=0, atol=6e-8)  # the scale shows the set point
     drift = trace.position[:, Y] - q[:, Y]
     assert np.allclose(drift, 3e-7 * (50.0 + t), rtol=0, atol=6e-8)
     assert np.allclose(trace.motor_position[:, X], q0[X] + (q[:, X] - q0[X]) * (1 - 1e-4), rtol=0, atol=6e-9)
@@ -232,13 +237,17 @@ def test_measurement_effects_are_their_formulas():
 
 # --- starting conditions, seeds ----------------------------------------------------------------------
 
+
 def test_a_machine_at_rest_stays_at_rest():
     """Gravity, unbalance and constant force are carried from the first tick, through springs, gaps and a notch."""
-    effects = [{"name": "constant_force", "axis": "X", "force": 500.0}, {"name": "backlash", "axis": "Z", "clearance": 2e-5},
-               {"name": "transmission_compliance", "axis": "A", "stiffness": 2e6, "damping": 2e3},
-               {"name": "notch_filter", "axis": "Z", "frequency_hz": 120.0, "width": 1.0},
-               {"name": "two_stage_lost_motion", "axis": "C", "width": 1e-4, "share": 0.05, "stiffness": 5e6, "damping": 700.0},
-               {"name": "magnetic_saturation", "axis": "Z", "saturation_a": 12.0}]
+    effects = [
+        {"name": "constant_force", "axis": "X", "force": 500.0},
+        {"name": "backlash", "axis": "Z", "clearance": 2e-5},
+        {"name": "transmission_compliance", "axis": "A", "stiffness": 2e6, "damping": 2e3},
+        {"name": "notch_filter", "axis": "Z", "frequency_hz": 120.0, "width": 1.0},
+        {"name": "two_stage_lost_motion", "axis": "C", "width": 1e-4, "share": 0.05, "stiffness": 5e6, "damping": 700.0},
+        {"name": "magnetic_saturation", "axis": "Z", "saturation_a": 12.0},
+    ]
     s = nominal(*effects)
     points = np.tile([0.1, 0.0, 0.05, -0.7, 0.3], (200, 1))
     trace = run(s, points, noise=False)
@@ -259,12 +268,15 @@ def test_same_seed_same_trace():
 
 # --- effects -----------------------------------------------------------------------------------------
 
+
 def lively() -> TestRun:
     """0.9 s in which every axis accelerates, turns round and moves slowly, each with its own rhythm."""
     t = np.arange(900) * 1e-3
     ease = np.minimum(1.0, t / 0.2) ** 2 * (3 - 2 * np.minimum(1.0, t / 0.2))
-    columns = [start + size * ease * np.sin(2 * math.pi * hz * t) for start, size, hz in
-               zip((0.0, 0.05, -0.02, -0.6, 0.2), (0.02, 0.018, 0.016, 0.12, 0.3), (1.7, 2.1, 2.6, 1.3, 1.9))]
+    columns = [
+        start + size * ease * np.sin(2 * math.pi * hz * t)
+        for start, size, hz in zip((0.0, 0.05, -0.02, -0.6, 0.2), (0.02, 0.018, 0.016, 0.12, 0.3), (1.7, 2.1, 2.6, 1.3, 1.9))
+    ]
     return TestRun("lively", "test", "velocity+torque", np.column_stack(columns))
 
 
@@ -274,7 +286,7 @@ BASE = Case(1, "healthy", 1.0, (), unit_factors(), Richness(), noise=False)
 
 def outputs(effects) -> np.ndarray:
     trace = run(settings_for(replace(BASE, effects=effects), MACHINE), LIVELY.set_points, 3, 30.0, substeps=3, noise=False)
-    unit = np.array([1e6] * 3 + [206265.0] * 2)                            # um, arcsec, and A times 10
+    unit = np.array([1e6] * 3 + [206265.0] * 2)  # um, arcsec, and A times 10
     return np.stack([trace.position * unit, trace.motor_position * unit, trace.current * 10.0])
 
 
@@ -287,8 +299,9 @@ def healthy():
 def test_every_effect_acts_and_so_does_each_of_its_parameters(name, healthy):
     effect = EFFECTS[name]
     axis = effect.axes[0]
-    context = DrawContext(np.random.default_rng(1), AXES.index(axis), 1.0, settings_of(MACHINE, BASE.factors),
-                          *peaks_of(MACHINE, BASE.factors, [LIVELY]))
+    context = DrawContext(
+        np.random.default_rng(1), AXES.index(axis), 1.0, settings_of(MACHINE, BASE.factors), *peaks_of(MACHINE, BASE.factors, [LIVELY])
+    )
     drawn = draw_effect(name, axis, context, EFFECTS)
     assert set(effect.parameters) <= set(drawn)
     there = outputs((drawn,))
@@ -335,12 +348,13 @@ def test_kinds_of_cases():
 
 def test_a_state_that_is_no_number_is_reported():
     s = nominal()
-    s.inductance[Y] = 1e-9                                    # far too fast for the step
+    s.inductance[Y] = 1e-9  # far too fast for the step
     with pytest.raises(PlantError, match="axis Y ran away"):
         run(s, LIVELY.set_points)
 
 
 # --- programme and files -----------------------------------------------------------------------------
+
 
 def test_set_points_stay_within_the_machine():
     limits = limits_of(MACHINE)
@@ -351,14 +365,16 @@ def test_set_points_stay_within_the_machine():
             assert within_limits(r.set_points, limits).max() < 1.0, r.name
             assert (r.set_points >= limits.low).all()
             assert (r.set_points <= limits.high).all()
-            assert np.abs(np.diff(r.set_points, axis=0)[[0, -1]]).max() < 2e-6      # starts and ends at rest
+            assert np.abs(np.diff(r.set_points, axis=0)[[0, -1]]).max() < 2e-6  # starts and ends at rest
     assert not np.array_equal(programme(MACHINE, 1)[5].set_points.shape, programme(MACHINE, 2)[5].set_points.shape)
 
 
 @pytest.mark.parametrize("signals", SIGNALS)
 def test_campaign_has_the_contract_form_and_tells_nothing(tmp_path, monkeypatch, signals):
-    short = [TestRun("constant_velocity", "test", "velocity", LIVELY.set_points[:120]),
-             TestRun("other", "test", "off", LIVELY.set_points[:150])]
+    short = [
+        TestRun("constant_velocity", "test", "velocity", LIVELY.set_points[:120]),
+        TestRun("other", "test", "off", LIVELY.set_points[:150]),
+    ]
     monkeypatch.setattr(drawing, "programme", lambda machine, seed: short)
     case = replace(BASE, effects=({"name": "backlash", "axis": "X", "clearance": 2e-5},), noise=True)
     files = write_campaign(case, tmp_path / "c", MACHINE, signals=signals)
@@ -405,8 +421,10 @@ def test_recorded_runs_are_reproduced(campaign, name):
     truth = tomllib.loads((SHARED / campaign / "truth.toml").read_text())
     table = pq.read_table(SHARED / campaign / f"{name}.parquet")
     unit = np.array([1e-3] * 3 + [math.pi / 180] * 2)
+
     def read(signal):
         return np.column_stack([table[next(c for c in table.column_names if c.startswith(f"{a}.{signal} "))].to_numpy() for a in AXES])
+
     case = Case(1, "record", 1.0, tuple(truth.get("effect", ())), truth["parameter"], Richness.off())
     trace = run(settings_for(case, MACHINE, about["feedforward"]), read("setpoint") * unit, 5, about["started_at_s"])
     gap = np.sqrt(np.mean((trace.position - read("position") * unit) ** 2, axis=0))

@@ -33,7 +33,12 @@ def found_on(folder, kind, effect, axis):
 
 @pytest.mark.parametrize(
     ("effect", "parameter", "accuracy"),
-    [("loop_delay", "delay_s", 0.05), ("set_point_filter", "time_constant_s", 0.05), ("coulomb_friction", "factor", 0.1), ("backlash", "clearance", 0.05)],
+    [
+        ("loop_delay", "delay_s", 0.05),
+        ("set_point_filter", "time_constant_s", 0.05),
+        ("coulomb_friction", "factor", 0.1),
+        ("backlash", "clearance", 0.05),
+    ],
 )
 def test_hidden_effect_is_named_with_its_size(tmp_path, effect, parameter, accuracy):
     found, case = found_on(tmp_path, "single", effect, "Y")

@@ -23,23 +23,23 @@ from .parameters import Settings
 class Control(NamedTuple):
     """Arrays [axis]; gains per tick already multiplied out."""
 
-    ratio: np.ndarray            # m/rad, rad/rad
-    kv: np.ndarray               # 1/s
-    velocity_gain: np.ndarray    # a_v / Tp
-    torque_gain: np.ndarray      # a_t J_ff / Tp^2 / r
-    kp: np.ndarray               # Nm s/rad
-    ki: np.ndarray               # Kp Ts / Tn
-    kt: np.ndarray               # Nm/A, the control's own
-    limit: np.ndarray            # A
-    kpi: np.ndarray              # V/A
-    kii: np.ndarray              # Kpi Ts / Tni
-    bus: np.ndarray              # V
+    ratio: np.ndarray  # m/rad, rad/rad
+    kv: np.ndarray  # 1/s
+    velocity_gain: np.ndarray  # a_v / Tp
+    torque_gain: np.ndarray  # a_t J_ff / Tp^2 / r
+    kp: np.ndarray  # Nm s/rad
+    ki: np.ndarray  # Kp Ts / Tn
+    kt: np.ndarray  # Nm/A, the control's own
+    limit: np.ndarray  # A
+    kpi: np.ndarray  # V/A
+    kii: np.ndarray  # Kpi Ts / Tni
+    bus: np.ndarray  # V
     set_point_share: np.ndarray  # 1 - exp(-Tp / tau), 1 = no lag
-    current_share: np.ndarray    # 1 - exp(-Ts / tau)
-    dead_band: np.ndarray        # axis units
-    speed_share: np.ndarray      # 1 - exp(-Ts / tau)
-    speed_clip: np.ndarray       # rad/s, positive direction only
-    notch: np.ndarray            # [axis, 5]: b0 b1 b2 a1 a2
+    current_share: np.ndarray  # 1 - exp(-Ts / tau)
+    dead_band: np.ndarray  # axis units
+    speed_share: np.ndarray  # 1 - exp(-Ts / tau)
+    speed_clip: np.ndarray  # rad/s, positive direction only
+    notch: np.ndarray  # [axis, 5]: b0 b1 b2 a1 a2
 
 
 def control_of(s: Settings) -> Control:
@@ -48,14 +48,30 @@ def control_of(s: Settings) -> Control:
 
     def share(period: float, tau: np.ndarray) -> np.ndarray:
         return np.where(tau > 0.0, 1.0 - np.exp(-period / np.where(tau > 0.0, tau, 1.0)), 1.0)
+
     notch = np.zeros((len(s.kv), 5))
     notch[:, 0] = 1.0
     for k in np.flatnonzero(s.notch_hz):
         notch[k] = _notch(s.notch_hz[k], s.notch_width[k], s.tick)
-    return Control(s.ratio, s.kv, s.velocity_weight / cycle, s.torque_weight * s.inertia_control / cycle**2 / s.ratio,
-                   s.kp, s.kp * s.tick / s.tn, s.kt_control, s.current_limit, s.kpi, s.kpi * s.tick / s.tni, s.bus,
-                   share(cycle, s.set_point_lag), share(s.tick, s.current_lag), s.dead_band, share(s.tick, s.speed_lag),
-                   s.speed_clip / s.ratio, notch)
+    return Control(
+        s.ratio,
+        s.kv,
+        s.velocity_weight / cycle,
+        s.torque_weight * s.inertia_control / cycle**2 / s.ratio,
+        s.kp,
+        s.kp * s.tick / s.tn,
+        s.kt_control,
+        s.current_limit,
+        s.kpi,
+        s.kpi * s.tick / s.tni,
+        s.bus,
+        share(cycle, s.set_point_lag),
+        share(s.tick, s.current_lag),
+        s.dead_band,
+        share(s.tick, s.speed_lag),
+        s.speed_clip / s.ratio,
+        notch,
+    )
 
 
 def _notch(hz: float, width: float, tick: float) -> np.ndarray:
@@ -92,7 +108,7 @@ def current_cycle(c: Control, state: np.ndarray, k: int, speed: float, current: 
     state[k, LAG_W] += (state[k, W_SET] - state[k, LAG_W]) * c.speed_share[k]
     error = state[k, LAG_W] - speed
     torque = c.kp[k] * error + state[k, I_SPEED] + state[k, T_FF]
-    if c.notch[k, 0] != 1.0:                                            # transposed direct form
+    if c.notch[k, 0] != 1.0:  # transposed direct form
         filtered = c.notch[k, 0] * torque + state[k, N1]
         state[k, N1] = c.notch[k, 1] * torque - c.notch[k, 3] * filtered + state[k, N2]
         state[k, N2] = c.notch[k, 2] * torque - c.notch[k, 4] * filtered

@@ -36,16 +36,24 @@ SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in eff
 OUTSIDE_SINGLES = tuple((name, axis) for name, effect in OUTSIDE.items() for axis in effect.axes)
 RICH = Richness()
 RUN_SETS = {"all": ("test",), "program": ("program",), "exam": ("exam",), "test and program": ("test", "program")}
-SIGNALS = {"full": ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current"),
-           "no motor position": ("setpoint", "position", "velocity", "velocity_setpoint", "current"),
-           "no velocity set point": ("setpoint", "position", "motor_position", "velocity", "current"),
-           "scale and current": ("setpoint", "position", "current")}
-_HOMES = (Path(__file__).resolve().parents[1] / "models", Path(__file__).resolve().parents[2] / "models")   # installed, checkout
+SIGNALS = {
+    "full": ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current"),
+    "no motor position": ("setpoint", "position", "velocity", "velocity_setpoint", "current"),
+    "no velocity set point": ("setpoint", "position", "motor_position", "velocity", "current"),
+    "scale and current": ("setpoint", "position", "current"),
+}
+_HOMES = (Path(__file__).resolve().parents[1] / "models", Path(__file__).resolve().parents[2] / "models")  # installed, checkout
 SHIPPED_MACHINE = next((home / "mikron_ucp710.toml" for home in _HOMES if home.is_dir()), _HOMES[1] / "mikron_ucp710.toml")
-PAUSE_S = 5.0                                            # between runs of a campaign
+PAUSE_S = 5.0  # between runs of a campaign
 # decimals of a recorded column in mm, mm/s (or deg, deg/s) and A, as in the campaigns recorded so far
-DECIMALS = {"setpoint": (7, 7), "position": (4, 6), "motor_position": (5, 7), "velocity": (3, 3), "velocity_setpoint": (3, 3),
-            "current": (3, 3)}
+DECIMALS = {
+    "setpoint": (7, 7),
+    "position": (4, 6),
+    "motor_position": (5, 7),
+    "velocity": (3, 3),
+    "velocity_setpoint": (3, 3),
+    "current": (3, 3),
+}
 
 
 @dataclass(frozen=True)
@@ -55,15 +63,25 @@ class Case:
     seed: int
     kind: str
     scale: float
-    effects: tuple[dict, ...]                            # as in a truth.toml, library and outside alike
-    factors: dict                                        # parameter factors, see parameters.unit_factors
+    effects: tuple[dict, ...]  # as in a truth.toml, library and outside alike
+    factors: dict  # parameter factors, see parameters.unit_factors
     richness: Richness = field(default_factory=Richness)
     noise: bool = True
-    noise_seed: int | None = None                        # another recording of the same machine
+    noise_seed: int | None = None  # another recording of the same machine
 
 
-def draw_case(seed: int, kind: str, machine: dict, *, effect: str | None = None, axis: str | None = None, scale: float = 1.0,
-              spread: float | None = None, richness: Richness = RICH, run_set: str = "all") -> Case:
+def draw_case(
+    seed: int,
+    kind: str,
+    machine: dict,
+    *,
+    effect: str | None = None,
+    axis: str | None = None,
+    scale: float = 1.0,
+    spread: float | None = None,
+    richness: Richness = RICH,
+    run_set: str = "all",
+) -> Case:
     """A case from its seed.
 
     effect, axis: fixes them for kinds "single" and "outside" (drawn otherwise). scale: 1 = usual size, 0.2 = a fifth.
@@ -77,13 +95,14 @@ def draw_case(seed: int, kind: str, machine: dict, *, effect: str | None = None,
     for _ in range(20):
         chosen = _choose(kind, of_effects, effect, axis)
         s = settings_of(machine, factors)
-        effects = tuple(draw_effect(name, on, DrawContext(of_effects, AXES.index(on), scale, s, *peaks), EFFECTS)
-                        for name, on in chosen)
+        effects = tuple(draw_effect(name, on, DrawContext(of_effects, AXES.index(on), scale, s, *peaks), EFFECTS) for name, on in chosen)
         case = Case(seed, kind, scale, effects, factors, richness)
         if not effects or behaves(case, machine):
             return case
-    raise PlantError(f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): no draw of 20 leaves the "
-                     "control loops stable; use a smaller scale")
+    raise PlantError(
+        f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): no draw of 20 leaves the "
+        "control loops stable; use a smaller scale"
+    )
 
 
 def _choose(kind: str, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
@@ -130,8 +149,12 @@ def behaves(case: Case, machine: dict) -> bool:
     """Whether the control loops are stable: a short move of all axes does not shake the current and leaves rest behind."""
     limits = limits_of(machine)
     start, reach = np.array([0.0, 0.0, 0.0, -0.6, 0.0]), np.array([0.06, 0.06, 0.06, 0.3, 0.5])
-    columns = [path_of(start[k], [start[k] + reach[k], start[k]], [0.6 * limits.speed[k]] * 2, 0.7 * limits.acceleration[k],
-                       0.97 * limits.jerk[k], 0.1) for k in range(len(AXES))]
+    columns = [
+        path_of(
+            start[k], [start[k] + reach[k], start[k]], [0.6 * limits.speed[k]] * 2, 0.7 * limits.acceleration[k], 0.97 * limits.jerk[k], 0.1
+        )
+        for k in range(len(AXES))
+    ]
     move = TestRun("stability", "test", "velocity+torque", together(columns, tail=0.4))
     try:
         trace = simulate(replace(case, noise=False), machine, move, substeps=4)
@@ -149,7 +172,7 @@ def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndar
     mass, pair = load_of(s) + s.motor_mass, pair_of(machine, factors)
     current, speed = np.zeros(5), np.zeros(5)
     for r in runs:
-        if r.name == "chirp":                           # its fast end lies beyond the loops' bandwidth
+        if r.name == "chirp":  # its fast end lies beyond the loops' bandwidth
             continue
         v = np.gradient(r.set_points, 1e-3, axis=0)
         force = mass * np.gradient(v, 1e-3, axis=0) + s.viscous * v + s.coulomb * np.sign(np.round(v, 7))
@@ -167,8 +190,12 @@ def truth_of(case: Case) -> dict:
     """The sealed answer: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case]."""
     known = [dict(e) for e in case.effects if e["name"] in LIBRARY]
     other = [dict(e, block=OUTSIDE[e["name"]].block) for e in case.effects if e["name"] in OUTSIDE]
-    return {"case": {"seed": case.seed, "kind": case.kind, "scale": case.scale}, "effect": known, "outside": other,
-            "parameter": {name: dict(table) for name, table in case.factors.items()}}
+    return {
+        "case": {"seed": case.seed, "kind": case.kind, "scale": case.scale},
+        "effect": known,
+        "outside": other,
+        "parameter": {name: dict(table) for name, table in case.factors.items()},
+    }
 
 
 def truth_toml(truth: dict) -> str:
@@ -179,6 +206,7 @@ def truth_toml(truth: dict) -> str:
 
     def table(head: str, entries: dict) -> str:
         return "\n".join([head, *(f"{k} = {value(v)}" for k, v in entries.items()), ""])
+
     parts = [table("[case]", truth["case"])]
     parts += [table(f"[[{kind}]]", e) for kind in ("effect", "outside") for e in truth[kind]] or ["# no effect\n"]
     parts += [table(f"[parameter.{name}]", t) for name, t in truth["parameter"].items()]
@@ -197,12 +225,21 @@ def columns_of(trace: Trace, signals: tuple[str, ...]) -> dict[str, np.ndarray]:
     return columns
 
 
-def write_campaign(case: Case, folder: str | Path, machine: dict, *, runs: str = "all", signals: str = "full",
-                   started_at_s: float = 0.0, machine_name: str = "mikron_ucp710") -> list[str]:
+def write_campaign(
+    case: Case,
+    folder: str | Path,
+    machine: dict,
+    *,
+    runs: str = "all",
+    signals: str = "full",
+    started_at_s: float = 0.0,
+    machine_name: str = "mikron_ucp710",
+) -> list[str]:
     """Simulates the runs of a run set and writes them to `folder`; returns their file names. Nothing written tells the truth."""
     if runs not in RUN_SETS or signals not in SIGNALS:
-        raise ValueError(f"runs {runs!r}, signals {signals!r}: runs must be one of {', '.join(RUN_SETS)}, "
-                         f"signals one of {', '.join(SIGNALS)}")
+        raise ValueError(
+            f"runs {runs!r}, signals {signals!r}: runs must be one of {', '.join(RUN_SETS)}, signals one of {', '.join(SIGNALS)}"
+        )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     lines, at, files = [f'machine = "{machine_name}"\n'], started_at_s, []
@@ -211,8 +248,13 @@ def write_campaign(case: Case, folder: str | Path, machine: dict, *, runs: str =
             continue
         trace = simulate(case, machine, test, at)
         file = f"{test.name}.parquet"
-        pq.write_table(pa.table(columns_of(trace, SIGNALS[signals])), folder / file, compression="zstd", use_dictionary=False,
-                       use_byte_stream_split=True)
+        pq.write_table(
+            pa.table(columns_of(trace, SIGNALS[signals])),
+            folder / file,
+            compression="zstd",
+            use_dictionary=False,
+            use_byte_stream_split=True,
+        )
         lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
         at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
         files.append(file)
@@ -238,8 +280,16 @@ def main(arguments: list[str] | None = None) -> int:
         if given.out.resolve() == given.truth.resolve().parent:
             raise ValueError(f"--truth {given.truth} lies in the campaign folder; keep the truth elsewhere")
         machine = tomllib.loads(given.machine.read_text())
-        case = draw_case(given.seed, given.kind, machine, effect=given.effect, axis=given.axis, scale=given.scale, spread=given.spread,
-                         run_set=given.runs)
+        case = draw_case(
+            given.seed,
+            given.kind,
+            machine,
+            effect=given.effect,
+            axis=given.axis,
+            scale=given.scale,
+            spread=given.spread,
+            run_set=given.runs,
+        )
         write_campaign(case, given.out, machine, runs=given.runs, signals=given.signals)
         given.truth.parent.mkdir(parents=True, exist_ok=True)
         given.truth.write_text(truth_toml(truth_of(case)))

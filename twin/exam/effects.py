@@ -17,7 +17,7 @@ import numpy as np
 from .parameters import AXES, LINEAR, Settings, load_of
 
 ARCSEC = math.pi / 180.0 / 3600.0
-SCREW = 0.010 / (2.0 * math.pi)              # m/rad of the screws that the ranges in mm stand for
+SCREW = 0.010 / (2.0 * math.pi)  # m/rad of the screws that the ranges in mm stand for
 
 
 class DrawContext(NamedTuple):
@@ -26,9 +26,9 @@ class DrawContext(NamedTuple):
     rng: np.random.Generator
     k: int
     scale: float
-    s: Settings                              # settings with this machine's spread, no effects
-    peak_current: np.ndarray                 # A, what the programme asks of each axis
-    peak_speed: np.ndarray                   # axis units per s, likewise
+    s: Settings  # settings with this machine's spread, no effects
+    peak_current: np.ndarray  # A, what the programme asks of each axis
+    peak_speed: np.ndarray  # axis units per s, likewise
 
     def within(self, low: float, high: float) -> float:
         return low + (high - low) * self.rng.random()
@@ -62,7 +62,7 @@ class DrawContext(NamedTuple):
 class Effect(NamedTuple):
     block: str
     axes: tuple[str, ...]
-    parameters: tuple[str, ...]              # those that are scored
+    parameters: tuple[str, ...]  # those that are scored
     draw: Callable[[DrawContext], dict]
     apply: Callable[[Settings, int, dict], Any]
 
@@ -70,14 +70,17 @@ class Effect(NamedTuple):
 def _scale(field: str, key: str = "factor") -> Callable:
     def apply(s: Settings, k: int, p: dict) -> None:
         getattr(s, field)[k] *= p[key]
+
     return apply
 
 
 def _add(**fields: str) -> Callable:
     """apply(): field += parameter, for each field=parameter."""
+
     def apply(s: Settings, k: int, p: dict) -> None:
         for field, key in fields.items():
             getattr(s, field)[k] += p[key]
+
     return apply
 
 
@@ -85,6 +88,7 @@ def _factor(low: float, high: float, signs: str = "both") -> Callable:
     def draw(d: DrawContext) -> dict:
         sign = {"both": d.sign, "less": lambda: -1.0}[signs]()
         return {"factor": 1.0 + sign * d.size(low, high)}
+
     return draw
 
 
@@ -126,13 +130,16 @@ def _clamp(s: Settings, k: int, p: dict) -> None:
 def _backlash(d: DrawContext) -> dict:
     reduced = d.load * d.s.motor_mass[d.k] / d.total
     stiffness = (2.0 * math.pi * 450.0) ** 2 * reduced
-    return {"clearance": d.size(6e-6, 25e-6) if d.linear else d.size(15.0, 50.0) * ARCSEC,
-            "contact_stiffness": stiffness, "contact_damping": 0.6 * math.sqrt(stiffness * reduced)}
+    return {
+        "clearance": d.size(6e-6, 25e-6) if d.linear else d.size(15.0, 50.0) * ARCSEC,
+        "contact_stiffness": stiffness,
+        "contact_damping": 0.6 * math.sqrt(stiffness * reduced),
+    }
 
 
 def _set_backlash(s: Settings, k: int, p: dict) -> None:
     s.gap[k] = p["clearance"]
-    s.contact_stiffness[k] = p.get("contact_stiffness", 0.0)       # 0: the default law, once all masses are known
+    s.contact_stiffness[k] = p.get("contact_stiffness", 0.0)  # 0: the default law, once all masses are known
     s.contact_damping[k] = p.get("contact_damping", 0.0)
 
 
@@ -161,8 +168,11 @@ def _set_frame(s: Settings, k: int, p: dict) -> None:
 
 
 def _ripple(d: DrawContext) -> dict:
-    return {"amplitude_nm": d.size(0.08, 0.3) if d.linear else d.size(0.04, 0.15),
-            "periods_per_rev": float(d.rng.integers(4, 13)), "phase_rad": d.phase()}
+    return {
+        "amplitude_nm": d.size(0.08, 0.3) if d.linear else d.size(0.04, 0.15),
+        "periods_per_rev": float(d.rng.integers(4, 13)),
+        "phase_rad": d.phase(),
+    }
 
 
 def _set_ripple(s: Settings, k: int, p: dict) -> None:
@@ -200,49 +210,79 @@ LIBRARY: dict[str, Effect] = {
     "position_gain": Effect("position controller", ALL, ("factor",), _factor(0.06, 0.15), _scale("kv")),
     "velocity_feedforward": Effect("position controller", ALL, ("factor",), _factor(0.015, 0.05), _scale("velocity_weight")),
     "torque_feedforward": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.5), _scale("torque_weight")),
-    "loop_delay": Effect("position controller", ALL, ("delay_s",), lambda d: {"delay_s": d.sign() * d.size(0.25e-3, 0.75e-3)},
-                         _add(position_delay="delay_s")),
+    "loop_delay": Effect(
+        "position controller", ALL, ("delay_s",), lambda d: {"delay_s": d.sign() * d.size(0.25e-3, 0.75e-3)}, _add(position_delay="delay_s")
+    ),
     "speed_gain": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.4), _scale("kp")),
     "speed_integral_time": Effect("speed controller", ALL, ("factor",), _tn_factor, _scale("tn")),
-    "set_point_filter": Effect("position controller", ALL, ("time_constant_s",), lambda d: {"time_constant_s": d.size(1e-3, 4e-3)},
-                               _add(set_point_lag="time_constant_s")),
-    "current_filter": Effect("speed controller", ALL, ("time_constant_s",), lambda d: {"time_constant_s": d.size(0.5e-3, 1.5e-3)},
-                             _add(current_lag="time_constant_s")),
+    "set_point_filter": Effect(
+        "position controller",
+        ALL,
+        ("time_constant_s",),
+        lambda d: {"time_constant_s": d.size(1e-3, 4e-3)},
+        _add(set_point_lag="time_constant_s"),
+    ),
+    "current_filter": Effect(
+        "speed controller",
+        ALL,
+        ("time_constant_s",),
+        lambda d: {"time_constant_s": d.size(0.5e-3, 1.5e-3)},
+        _add(current_lag="time_constant_s"),
+    ),
     "current_limit": Effect("speed controller", ALL, ("limit_a",), _limit, _set_limit),
     "torque_constant": Effect("current loop", ALL, ("factor",), _factor(0.05, 0.12, "less"), _scale("kt")),
     # mechanics
     "inertia": Effect("mechanics", ALL, ("added",), lambda d: {"added": d.size(0.10, 0.35) * d.total}, _add(added_mass="added")),
     "coulomb_friction": Effect("mechanics", ALL, ("factor",), _factor(0.25, 0.5), _scale("coulomb")),
     "viscous_friction": Effect("mechanics", ALL, ("factor",), _factor(0.3, 0.6), _scale("viscous")),
-    "stribeck": Effect("mechanics", ALL, ("excess", "velocity"),
-                       lambda d: {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))},
-                       lambda s, k, p: (_add(stribeck_excess="excess")(s, k, p), s.stribeck_velocity.__setitem__(k, p["velocity"]))),
-    "presliding": Effect("mechanics", ALL, ("stiffness",), _presliding,
-                         lambda s, k, p: (s.presliding_stiffness.__setitem__(k, p["stiffness"]),
-                                          s.presliding_damping.__setitem__(k, p.get("damping", 0.0)))),
-    "viscous_asymmetry": Effect("mechanics", ALL, ("fraction",), lambda d: {"fraction": d.sign() * d.size(0.15, 0.35)},
-                                _add(asymmetry="fraction")),
+    "stribeck": Effect(
+        "mechanics",
+        ALL,
+        ("excess", "velocity"),
+        lambda d: {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))},
+        lambda s, k, p: (_add(stribeck_excess="excess")(s, k, p), s.stribeck_velocity.__setitem__(k, p["velocity"])),
+    ),
+    "presliding": Effect(
+        "mechanics",
+        ALL,
+        ("stiffness",),
+        _presliding,
+        lambda s, k, p: (s.presliding_stiffness.__setitem__(k, p["stiffness"]), s.presliding_damping.__setitem__(k, p.get("damping", 0.0))),
+    ),
+    "viscous_asymmetry": Effect(
+        "mechanics", ALL, ("fraction",), lambda d: {"fraction": d.sign() * d.size(0.15, 0.35)}, _add(asymmetry="fraction")
+    ),
     "position_dependent_friction": Effect("mechanics", ALL, ("fraction", "wavelength"), _position_friction, _set_position_friction),
-    "constant_force": Effect("mechanics", ALL, ("force",), lambda d: {"force": d.sign() * d.size(0.2, 0.5) * d.s.coulomb[d.k]},
-                             _add(constant_force="force")),
+    "constant_force": Effect(
+        "mechanics", ALL, ("force",), lambda d: {"force": d.sign() * d.size(0.2, 0.5) * d.s.coulomb[d.k]}, _add(constant_force="force")
+    ),
     "table_unbalance": Effect("mechanics", ("A",), ("mass_kg", "radius_m", "angle_rad", "height_m"), _unbalance, _clamp),
     "torque_ripple": Effect("mechanics", ALL, ("amplitude_nm", "periods_per_rev"), _ripple, _set_ripple),
     "cross_axis_coupling": Effect("mechanics", LINEAR, ("from_axis", "mass"), _coupling, _set_coupling),
-    "periodic_disturbance": Effect("mechanics", ALL, ("frequency_hz", "force"),
-                                   lambda d: {"frequency_hz": d.within(7.0, 35.0), "force": d.size(0.15, 0.4) * d.s.coulomb[d.k]},
-                                   _set_disturbance),
+    "periodic_disturbance": Effect(
+        "mechanics",
+        ALL,
+        ("frequency_hz", "force"),
+        lambda d: {"frequency_hz": d.within(7.0, 35.0), "force": d.size(0.15, 0.4) * d.s.coulomb[d.k]},
+        _set_disturbance,
+    ),
     # transmission
     "backlash": Effect("transmission", ALL, ("clearance",), _backlash, _set_backlash),
     "transmission_compliance": Effect("transmission", ALL, ("stiffness",), _compliance, _set_compliance),
-    "lead_error": Effect("transmission", LINEAR, ("fraction",), lambda d: {"fraction": d.sign() * d.size(25e-6, 80e-6)},
-                         _add(lead="fraction")),
+    "lead_error": Effect(
+        "transmission", LINEAR, ("fraction",), lambda d: {"fraction": d.sign() * d.size(25e-6, 80e-6)}, _add(lead="fraction")
+    ),
     "cyclic_error": Effect("transmission", ALL, ("amplitude",), _cyclic, _set_cyclic),
     # measurement
     "frame_vibration": Effect("measurement", ALL, ("frequency_hz",), _frame, _set_frame),
-    "encoder_eccentricity": Effect("measurement", ("C",), ("amplitude",),
-                                   lambda d: {"amplitude": d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()}, _set_eccentricity),
-    "thermal_drift": Effect("measurement", LINEAR, ("rate",), lambda d: {"rate": d.sign() * d.size(0.1e-6, 0.4e-6)},
-                            _add(drift="rate")),
+    "encoder_eccentricity": Effect(
+        "measurement",
+        ("C",),
+        ("amplitude",),
+        lambda d: {"amplitude": d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()},
+        _set_eccentricity,
+    ),
+    "thermal_drift": Effect("measurement", LINEAR, ("rate",), lambda d: {"rate": d.sign() * d.size(0.1e-6, 0.4e-6)}, _add(drift="rate")),
 }
 
 

@@ -24,7 +24,7 @@ class Sensors(NamedTuple):
     scale_noise: np.ndarray
     scale_step: np.ndarray
     motor_step: np.ndarray
-    speed_noise: np.ndarray          # axis units per s
+    speed_noise: np.ndarray  # axis units per s
     current_noise: np.ndarray
     drift: np.ndarray
     eccentricity: np.ndarray
@@ -32,8 +32,8 @@ class Sensors(NamedTuple):
     play: np.ndarray
     subperiod: np.ndarray
     subperiod_number: np.ndarray
-    crosstalk: np.ndarray            # [this, from]
-    skew: np.ndarray                 # ticks, int
+    crosstalk: np.ndarray  # [this, from]
+    skew: np.ndarray  # ticks, int
 
 
 def sensors_of(s: Settings) -> Sensors:
@@ -43,11 +43,20 @@ def sensors_of(s: Settings) -> Sensors:
 
     def by_kind(linear: float, rotary: float) -> np.ndarray:
         return np.where(s.linear, linear, rotary)
+
     length = np.where(s.subperiod_length > 0, s.subperiod_length, 1.0)
-    return Sensors(by_kind(t["linear_scale_noise_m"], t["rotary_encoder_noise_deg"] * rad),
-                   by_kind(t["linear_scale_resolution_m"], t["rotary_encoder_resolution_deg"] * rad),
-                   by_kind(t["motor_encoder_resolution_m"], t["motor_encoder_resolution_rad"]),
-                   by_kind(t["speed_noise_m_per_s"], t["speed_noise_deg_per_s"] * rad),
-                   np.full(len(s.linear), t["current_noise_a"]),
-                   s.drift, s.eccentricity, s.eccentricity_phase, s.scale_play, s.subperiod, 2 * math.pi / length, s.crosstalk,
-                   np.round(s.skew_s / s.tick).astype(np.int64))
+    return Sensors(
+        by_kind(t["linear_scale_noise_m"], t["rotary_encoder_noise_deg"] * rad),
+        by_kind(t["linear_scale_resolution_m"], t["rotary_encoder_resolution_deg"] * rad),
+        by_kind(t["motor_encoder_resolution_m"], t["motor_encoder_resolution_rad"]),
+        by_kind(t["speed_noise_m_per_s"], t["speed_noise_deg_per_s"] * rad),
+        np.full(len(s.linear), t["current_noise_a"]),
+        s.drift,
+        s.eccentricity,
+        s.eccentricity_phase,
+        s.scale_play,
+        s.subperiod,
+        2 * math.pi / length,
+        s.crosstalk,
+        np.round(s.skew_s / s.tick).astype(np.int64),
+    )

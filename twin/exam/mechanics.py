@@ -29,16 +29,48 @@ A, C = 3, 4
 
 # Rows of the table of numbers `m` [row, axis], SI at the axis, electrics at the motor. One array, because a compiled call
 # that hands over forty of them costs more than the mechanics.
-(RATIO, KT, SATURATION, DEAD_TIME, KE, RESISTANCE, INDUCTANCE,      # saturation 1/A^2, dead time V against the current
- MOTOR_MASS, LOAD_MASS,                                             # A, C: load mass is what comes on top of the pair's diagonal
- ELASTIC, STIFFNESS, DAMPING, HARDENING, HALF_GAP, SOFT,            # elastic 1: motor and load are two masses; hardening k3
- VISCOUS, ASYMMETRY, WINDAGE,                                       # windage N s2/m2
- COULOMB, WAVE, WAVE_NUMBER, EXCESS, VELOCITY,                      # friction level
- BRISTLE, BRISTLE_DAMPING,                                          # stiffness 0: exact stick-slip
- STEADY_FORCE, DISTURBANCE, DISTURBANCE_W,                          # steady against +q: constant force, weight of Z
- FRAME_W, FRAME_ZETA, FRAME_RATIO,
- RIPPLE, RIPPLE_N, RIPPLE_PHASE, COGGING, COGGING_N, COGGING_PHASE, # Nm at the motor, periods a turn
- LEAD, CYCLIC, CYCLIC_PHASE) = range(40)
+(
+    RATIO,
+    KT,
+    SATURATION,
+    DEAD_TIME,
+    KE,
+    RESISTANCE,
+    INDUCTANCE,  # saturation 1/A^2, dead time V against the current
+    MOTOR_MASS,
+    LOAD_MASS,  # A, C: load mass is what comes on top of the pair's diagonal
+    ELASTIC,
+    STIFFNESS,
+    DAMPING,
+    HARDENING,
+    HALF_GAP,
+    SOFT,  # elastic 1: motor and load are two masses; hardening k3
+    VISCOUS,
+    ASYMMETRY,
+    WINDAGE,  # windage N s2/m2
+    COULOMB,
+    WAVE,
+    WAVE_NUMBER,
+    EXCESS,
+    VELOCITY,  # friction level
+    BRISTLE,
+    BRISTLE_DAMPING,  # stiffness 0: exact stick-slip
+    STEADY_FORCE,
+    DISTURBANCE,
+    DISTURBANCE_W,  # steady against +q: constant force, weight of Z
+    FRAME_W,
+    FRAME_ZETA,
+    FRAME_RATIO,
+    RIPPLE,
+    RIPPLE_N,
+    RIPPLE_PHASE,
+    COGGING,
+    COGGING_N,
+    COGGING_PHASE,  # Nm at the motor, periods a turn
+    LEAD,
+    CYCLIC,
+    CYCLIC_PHASE,
+) = range(40)
 
 
 @compiled(inline=True)
@@ -89,8 +121,18 @@ def motor_torque(m: np.ndarray, k: int, y: np.ndarray, q0: np.ndarray) -> float:
 
 
 @compiled()
-def slopes(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray, dy: np.ndarray, voltage: np.ndarray,
-           friction: np.ndarray, shaking: np.ndarray, other: np.ndarray, q0: np.ndarray) -> tuple[float, float, float]:
+def slopes(
+    m: np.ndarray,
+    pair: np.ndarray,
+    coupling: np.ndarray,
+    y: np.ndarray,
+    dy: np.ndarray,
+    voltage: np.ndarray,
+    friction: np.ndarray,
+    shaking: np.ndarray,
+    other: np.ndarray,
+    q0: np.ndarray,
+) -> tuple[float, float, float]:
     """dy = time derivative of y; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
 
     friction [axis] is the held friction force, shaking [axis] the outer forces of this instant, other [axis] the load
@@ -115,7 +157,7 @@ def slopes(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray,
         for j in range(5):
             if coupling[k, j] != 0.0:
                 force -= coupling[k, j] * other[j]
-        dy[V, k] = force                                                # a force for now
+        dy[V, k] = force  # a force for now
         dy[QM, k], dy[Q, k] = y[VM, k], v
     for k in range(3):
         dy[V, k] /= m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
@@ -136,15 +178,26 @@ def slopes(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray,
 
 
 @compiled()
-def find_friction(m: np.ndarray, y: np.ndarray, dy: np.ndarray, friction: np.ndarray, z: np.ndarray,
-                  warm: np.ndarray, step: float, maa: float, mac: float, mcc: float, free: np.ndarray) -> None:
+def find_friction(
+    m: np.ndarray,
+    y: np.ndarray,
+    dy: np.ndarray,
+    friction: np.ndarray,
+    z: np.ndarray,
+    warm: np.ndarray,
+    step: float,
+    maa: float,
+    mac: float,
+    mcc: float,
+    free: np.ndarray,
+) -> None:
     """Friction forces held over the coming step, from free slopes dy (friction zero); corrects dy to hold them."""
     det = maa * mcc - mac * mac
     for k in range(5):
         free[k] = dy[V, k]
         v = y[V, k]
         level = friction_level(m[COULOMB, k] * warm[k], m[WAVE, k], m[WAVE_NUMBER, k], m[EXCESS, k], m[VELOCITY, k], y[Q, k], v)
-        friction[k] = level                                             # the level for now
+        friction[k] = level  # the level for now
         if m[BRISTLE, k] != 0.0:
             friction[k], z[k] = bristle_force(level, m[BRISTLE, k], m[BRISTLE_DAMPING, k], z[k], v, step)
     for k in range(3):
@@ -176,9 +229,21 @@ def find_friction(m: np.ndarray, y: np.ndarray, dy: np.ndarray, friction: np.nda
 
 
 @compiled()
-def advance(m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, y: np.ndarray, z: np.ndarray, other: np.ndarray,
-            voltage: np.ndarray, warm: np.ndarray, q0: np.ndarray, time: float, step: float, steps: int,
-            work: np.ndarray) -> None:
+def advance(
+    m: np.ndarray,
+    pair: np.ndarray,
+    coupling: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    other: np.ndarray,
+    voltage: np.ndarray,
+    warm: np.ndarray,
+    q0: np.ndarray,
+    time: float,
+    step: float,
+    steps: int,
+    work: np.ndarray,
+) -> None:
     """Moves y, z over `steps` RK4 steps of `step` seconds; work is scratch [8, STATES, axis]."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     friction, shake, none = work[5, 0], work[5, 1], work[5, 2]

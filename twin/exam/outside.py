@@ -34,9 +34,11 @@ from .parameters import AXES, LINEAR, Settings
 
 def _put(**fields: str) -> Callable[[Settings, int, dict], None]:
     """apply(): field = parameter."""
+
     def apply(s: Settings, k: int, p: dict) -> None:
         for field, key in fields.items():
             getattr(s, field)[k] = p[key]
+
     return apply
 
 
@@ -58,8 +60,12 @@ def _hardening(d: DrawContext) -> dict:
 
 def _lost_motion(d: DrawContext) -> dict:
     stiffness = (2.0 * math.pi * d.within(150.0, 250.0)) ** 2 * d.load
-    return {"width": d.motor_like(d.size(15e-6, 40e-6)), "share": d.within(0.03, 0.08), "stiffness": stiffness,
-            "damping": 2.0 * 0.06 * math.sqrt(stiffness * d.load)}
+    return {
+        "width": d.motor_like(d.size(15e-6, 40e-6)),
+        "share": d.within(0.03, 0.08),
+        "stiffness": stiffness,
+        "damping": 2.0 * 0.06 * math.sqrt(stiffness * d.load),
+    }
 
 
 def _crosstalk(d: DrawContext) -> dict:
@@ -68,37 +74,73 @@ def _crosstalk(d: DrawContext) -> dict:
 
 
 OUTSIDE: dict[str, Effect] = {
-    "notch_filter": Effect("speed controller", ALL, ("frequency_hz",),
-                           lambda d: {"frequency_hz": d.within(90.0, 160.0), "width": d.size(0.6, 1.2)},
-                           _put(notch_hz="frequency_hz", notch_width="width")),
-    "position_dead_band": Effect("position controller", ALL, ("band",), lambda d: {"band": _length(d, (3, 10), (5, 15))},
-                                 _put(dead_band="band")),
-    "speed_set_point_smoothing": Effect("position controller", ALL, ("time_constant_s",),
-                                        lambda d: {"time_constant_s": d.size(2e-3, 6e-3)}, _put(speed_lag="time_constant_s")),
-    "one_sided_speed_clip": Effect("position controller", ALL, ("limit",),
-                                   lambda d: {"limit": d.peak_speed[d.k] * (1.0 - d.size(0.03, 0.08))}, _put(speed_clip="limit")),
+    "notch_filter": Effect(
+        "speed controller",
+        ALL,
+        ("frequency_hz",),
+        lambda d: {"frequency_hz": d.within(90.0, 160.0), "width": d.size(0.6, 1.2)},
+        _put(notch_hz="frequency_hz", notch_width="width"),
+    ),
+    "position_dead_band": Effect(
+        "position controller", ALL, ("band",), lambda d: {"band": _length(d, (3, 10), (5, 15))}, _put(dead_band="band")
+    ),
+    "speed_set_point_smoothing": Effect(
+        "position controller",
+        ALL,
+        ("time_constant_s",),
+        lambda d: {"time_constant_s": d.size(2e-3, 6e-3)},
+        _put(speed_lag="time_constant_s"),
+    ),
+    "one_sided_speed_clip": Effect(
+        "position controller",
+        ALL,
+        ("limit",),
+        lambda d: {"limit": d.peak_speed[d.k] * (1.0 - d.size(0.03, 0.08))},
+        _put(speed_clip="limit"),
+    ),
     "magnetic_saturation": Effect("current loop", ALL, ("saturation_a",), _saturation, _put(saturation_a="saturation_a")),
-    "inverter_dead_time": Effect("current loop", ALL, ("voltage_v",), lambda d: {"voltage_v": d.size(8.0, 20.0)},
-                                 _put(dead_time_v="voltage_v")),
-    "windage": Effect("mechanics", ALL, ("drag",),
-                      lambda d: {"drag": d.size(0.4, 1.0) * d.s.coulomb[d.k] / d.peak_speed[d.k] ** 2}, _put(windage="drag")),
-    "warming_friction": Effect("mechanics", ALL, ("share", "time_constant_s"),
-                               lambda d: {"share": d.size(0.3, 0.6) if d.sign() > 0 else -d.size(0.3, 0.5),
-                                          "time_constant_s": d.within(40.0, 120.0)},
-                               _put(warming="share", warming_time="time_constant_s")),
-    "hardening_spring": Effect("transmission", ALL, ("stiffness", "per_m2"), _hardening,
-                               _put(stiffness="stiffness", damping="damping", hardening="per_m2")),
-    "two_stage_lost_motion": Effect("transmission", ALL, ("width", "share"), _lost_motion,
-                                    _put(soft_gap="width", soft_share="share", stiffness="stiffness", damping="damping")),
-    "scale_coupling_play": Effect("measurement", ALL, ("width",), lambda d: {"width": _length(d, (5, 15), (10, 30))},
-                                  _put(scale_play="width")),
-    "scale_interpolation_error": Effect("measurement", ALL, ("amplitude",),
-                                        lambda d: {"amplitude": _length(d, (0.5, 1.5), (2, 5)),
-                                                   "period": 20e-6 if d.linear else 72.0 * ARCSEC},
-                                        _put(subperiod="amplitude", subperiod_length="period")),
-    "tilt_crosstalk": Effect("measurement", LINEAR, ("from_axis", "gain"), _crosstalk,
-                             lambda s, k, p: s.crosstalk.__setitem__((k, AXES.index(p["from_axis"])), p["gain"])),
+    "inverter_dead_time": Effect(
+        "current loop", ALL, ("voltage_v",), lambda d: {"voltage_v": d.size(8.0, 20.0)}, _put(dead_time_v="voltage_v")
+    ),
+    "windage": Effect(
+        "mechanics", ALL, ("drag",), lambda d: {"drag": d.size(0.4, 1.0) * d.s.coulomb[d.k] / d.peak_speed[d.k] ** 2}, _put(windage="drag")
+    ),
+    "warming_friction": Effect(
+        "mechanics",
+        ALL,
+        ("share", "time_constant_s"),
+        lambda d: {"share": d.size(0.3, 0.6) if d.sign() > 0 else -d.size(0.3, 0.5), "time_constant_s": d.within(40.0, 120.0)},
+        _put(warming="share", warming_time="time_constant_s"),
+    ),
+    "hardening_spring": Effect(
+        "transmission", ALL, ("stiffness", "per_m2"), _hardening, _put(stiffness="stiffness", damping="damping", hardening="per_m2")
+    ),
+    "two_stage_lost_motion": Effect(
+        "transmission",
+        ALL,
+        ("width", "share"),
+        _lost_motion,
+        _put(soft_gap="width", soft_share="share", stiffness="stiffness", damping="damping"),
+    ),
+    "scale_coupling_play": Effect(
+        "measurement", ALL, ("width",), lambda d: {"width": _length(d, (5, 15), (10, 30))}, _put(scale_play="width")
+    ),
+    "scale_interpolation_error": Effect(
+        "measurement",
+        ALL,
+        ("amplitude",),
+        lambda d: {"amplitude": _length(d, (0.5, 1.5), (2, 5)), "period": 20e-6 if d.linear else 72.0 * ARCSEC},
+        _put(subperiod="amplitude", subperiod_length="period"),
+    ),
+    "tilt_crosstalk": Effect(
+        "measurement",
+        LINEAR,
+        ("from_axis", "gain"),
+        _crosstalk,
+        lambda s, k, p: s.crosstalk.__setitem__((k, AXES.index(p["from_axis"])), p["gain"]),
+    ),
     "current_recorded_late": Effect("measurement", ALL, ("skew_s",), lambda d: {"skew_s": d.size(2e-3, 6e-3)}, _put(skew_s="skew_s")),
-    "scale_sampling_jitter": Effect("measurement", ALL, ("deviation_s",), lambda d: {"deviation_s": d.size(20e-6, 60e-6)},
-                                    _put(jitter_s="deviation_s")),
+    "scale_sampling_jitter": Effect(
+        "measurement", ALL, ("deviation_s",), lambda d: {"deviation_s": d.size(20e-6, 60e-6)}, _put(jitter_s="deviation_s")
+    ),
 }

@@ -22,7 +22,7 @@ LINEAR = ("X", "Y", "Z")
 ROTARY = ("A", "C")
 SPREAD_KEYS = ("torque_constant", "resistance", "inductance", "rotor_inertia", "coulomb_friction", "viscous_friction")
 BODIES = ("cradle", "table", "workpiece")
-FREE = 1e30                     # "no limit" for clips; finite, so that products with it stay numbers
+FREE = 1e30  # "no limit" for clips; finite, so that products with it stay numbers
 
 
 @dataclass(frozen=True)
@@ -82,19 +82,38 @@ def pair_of(machine: dict, factors: dict, clamped: Sequence[tuple[float, float, 
     _, y0, z0 = body["cradle"]["centre_of_mass_m"]
     y0, z0 = y0 + oy, z0 + oz
     i0 = body["cradle"]["inertia_kg_m2"][0] * f["cradle_mass"]
-    parts = [(body[b]["mass_kg"] * f[b + "_mass"], *body[b]["centre_of_mass_m"],
-              *(i * f[b + "_mass"] for i in body[b]["inertia_kg_m2"])) for b in ("table", "workpiece")]
+    parts = [
+        (body[b]["mass_kg"] * f[b + "_mass"], *body[b]["centre_of_mass_m"], *(i * f[b + "_mass"] for i in body[b]["inertia_kg_m2"]))
+        for b in ("table", "workpiece")
+    ]
     parts += [(*c, 0.0, 0.0, 0.0) for c in clamped]
     m, x, y, z, i1, i2, i3 = (np.array(column) for column in zip(*parts))
     zeta = z + oz
-    return np.array([
-        machine["gravity_m_per_s2"], i0 + m0 * (y0**2 + z0**2), m0 * y0, m0 * z0,          # cradle
-        m.sum(), (m * x).sum(), (m * y).sum(), (m * zeta).sum(), oy,                        # first moments
-        (m * x * x).sum(), (m * y * y).sum(), (m * x * y).sum(), (m * zeta * zeta).sum(),   # second moments
-        (m * zeta * x).sum(), (m * zeta * y).sum(), i1.sum(), i2.sum(), i3.sum()])
+    return np.array(
+        [
+            machine["gravity_m_per_s2"],
+            i0 + m0 * (y0**2 + z0**2),
+            m0 * y0,
+            m0 * z0,  # cradle
+            m.sum(),
+            (m * x).sum(),
+            (m * y).sum(),
+            (m * zeta).sum(),
+            oy,  # first moments
+            (m * x * x).sum(),
+            (m * y * y).sum(),
+            (m * x * y).sum(),
+            (m * zeta * zeta).sum(),  # second moments
+            (m * zeta * x).sum(),
+            (m * zeta * y).sum(),
+            i1.sum(),
+            i2.sum(),
+            i3.sum(),
+        ]
+    )
 
 
-Settings = Any                  # a SimpleNamespace of arrays [axis], made by settings_of
+Settings = Any  # a SimpleNamespace of arrays [axis], made by settings_of
 
 
 def settings_of(machine: dict, factors: dict) -> Settings:
@@ -111,8 +130,9 @@ def settings_of(machine: dict, factors: dict) -> Settings:
 
     s = SimpleNamespace(linear=linear)
     s.ratio = np.array([ratio_of(a) for a in axis])
-    rotor_nominal = np.array([a["rotor_and_screw_inertia_kg_m2" if a["kind"] == "linear" else "rotor_and_gear_inertia_kg_m2"]
-                              for a in axis])
+    rotor_nominal = np.array(
+        [a["rotor_and_screw_inertia_kg_m2" if a["kind"] == "linear" else "rotor_and_gear_inertia_kg_m2"] for a in axis]
+    )
     mass_nominal = np.array([a.get("moving_mass_kg", 0.0) for a in axis])
 
     # Control: nominal numbers only
@@ -146,19 +166,64 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     # What a nominal machine has not: neutral values
     def zeros() -> np.ndarray:
         return np.zeros(len(AXES))
-    for key in ("set_point_lag", "current_lag", "stribeck_excess", "presliding_stiffness", "presliding_damping", "asymmetry",
-                "friction_wave", "friction_wave_number", "constant_force", "added_mass", "gap", "contact_stiffness", "contact_damping",
-                "stiffness", "damping", "hardening", "frame_w", "frame_zeta", "frame_ratio", "ripple", "ripple_n", "ripple_phase",
-                "cogging", "cogging_n", "cogging_phase", "lead", "cyclic", "cyclic_phase", "eccentricity", "eccentricity_phase",
-                "drift", "disturbance", "disturbance_w",
-                # outside the library
-                "dead_band", "speed_lag", "notch_hz", "notch_width", "saturation_a", "dead_time_v", "windage", "warming",
-                "warming_time", "soft_gap", "soft_share", "scale_play", "subperiod", "subperiod_length", "skew_s", "jitter_s"):
+
+    for key in (
+        "set_point_lag",
+        "current_lag",
+        "stribeck_excess",
+        "presliding_stiffness",
+        "presliding_damping",
+        "asymmetry",
+        "friction_wave",
+        "friction_wave_number",
+        "constant_force",
+        "added_mass",
+        "gap",
+        "contact_stiffness",
+        "contact_damping",
+        "stiffness",
+        "damping",
+        "hardening",
+        "frame_w",
+        "frame_zeta",
+        "frame_ratio",
+        "ripple",
+        "ripple_n",
+        "ripple_phase",
+        "cogging",
+        "cogging_n",
+        "cogging_phase",
+        "lead",
+        "cyclic",
+        "cyclic_phase",
+        "eccentricity",
+        "eccentricity_phase",
+        "drift",
+        "disturbance",
+        "disturbance_w",
+        # outside the library
+        "dead_band",
+        "speed_lag",
+        "notch_hz",
+        "notch_width",
+        "saturation_a",
+        "dead_time_v",
+        "windage",
+        "warming",
+        "warming_time",
+        "soft_gap",
+        "soft_share",
+        "scale_play",
+        "subperiod",
+        "subperiod_length",
+        "skew_s",
+        "jitter_s",
+    ):
         setattr(s, key, zeros())
     s.stribeck_velocity = np.full(len(AXES), 1e-3)
     s.speed_clip = np.full(len(AXES), FREE)
-    s.coupling = np.zeros((len(AXES), len(AXES)))        # [this, from]: mass
-    s.crosstalk = np.zeros((len(AXES), len(AXES)))       # [this, from]: axis units per axis unit, outside the library
+    s.coupling = np.zeros((len(AXES), len(AXES)))  # [this, from]: mass
+    s.crosstalk = np.zeros((len(AXES), len(AXES)))  # [this, from]: axis units per axis unit, outside the library
     return s
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from .parameters import AXES
 
-PERIOD = 1e-3                  # s, of recorded set points
-MARGIN = 0.97                  # of every limit: set points stay inside after rounding
+PERIOD = 1e-3  # s, of recorded set points
+MARGIN = 0.97  # of every limit: set points stay inside after rounding
 DEG = math.pi / 180.0
 
 
@@ -40,8 +40,15 @@ def limits_of(machine: dict) -> Limits:
         else:
             turn = 2 * math.pi
             low, high = (-1e3, 1e3) if a["travel_deg"] == "endless" else (x * DEG for x in a["travel_deg"])
-            rows.append((low, high, a["max_velocity_rev_per_min"] * turn / 60, a["max_acceleration_rev_per_s2"] * turn,
-                         a["max_jerk_rev_per_s3"] * turn))
+            rows.append(
+                (
+                    low,
+                    high,
+                    a["max_velocity_rev_per_min"] * turn / 60,
+                    a["max_acceleration_rev_per_s2"] * turn,
+                    a["max_jerk_rev_per_s3"] * turn,
+                )
+            )
     return Limits(*(np.array(column) for column in zip(*rows)))
 
 
@@ -68,8 +75,9 @@ def hold(seconds: float) -> int:
     return round(seconds / PERIOD)
 
 
-def path_of(start: float, targets: list[float], speeds: list[float], acceleration: float, jerk: float, dwell: float,
-            lead_in: float = 0.1) -> np.ndarray:
+def path_of(
+    start: float, targets: list[float], speeds: list[float], acceleration: float, jerk: float, dwell: float, lead_in: float = 0.1
+) -> np.ndarray:
     """Rest-to-rest moves of one axis with dwells between."""
     parts, at = [np.full(hold(lead_in), start)], start
     for target, speed in zip(targets, speeds):

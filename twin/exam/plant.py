@@ -42,8 +42,8 @@ from .mechanics import (
 from .parameters import AXES, Settings, load_of, pair_of
 from .tilting_pair import holding_torque
 
-SUBSTEPS = 8                  # RK4 steps per 125 us tick: 450 Hz contact and 250 Hz modes to far below a nanometre
-CONTACT_HZ, CONTACT_DAMPING_RATIO = 450.0, 0.3     # effects.md, default of backlash
+SUBSTEPS = 8  # RK4 steps per 125 us tick: 450 Hz contact and 250 Hz modes to far below a nanometre
+CONTACT_HZ, CONTACT_DAMPING_RATIO = 450.0, 0.3  # effects.md, default of backlash
 
 
 class PlantError(RuntimeError):
@@ -84,21 +84,80 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
     steady = s.constant_force.copy()
     steady[2] += load_mass[2] * s.gravity
     saturation = np.where(s.saturation_a > 0, 1 / np.where(s.saturation_a > 0, s.saturation_a, 1.0) ** 2, 0.0)
-    return np.array([
-        s.ratio, s.kt, saturation, s.dead_time_v, s.ke, s.resistance, s.inductance, s.motor_mass, load_mass,
-        (stiffness > 0).astype(float), stiffness, damping, s.hardening * stiffness, (s.gap + s.soft_gap) / 2,
-        np.where(s.soft_gap > 0, s.soft_share, 0.0), s.viscous, s.asymmetry, s.windage, s.coulomb, s.friction_wave,
-        s.friction_wave_number, s.stribeck_excess, s.stribeck_velocity, s.presliding_stiffness, s.presliding_damping, steady,
-        s.disturbance, s.disturbance_w, s.frame_w, s.frame_zeta, s.frame_ratio, s.ripple, s.ripple_n, s.ripple_phase,
-        s.cogging, s.cogging_n, s.cogging_phase, s.lead, s.cyclic, s.cyclic_phase], dtype=float), pair
+    return np.array(
+        [
+            s.ratio,
+            s.kt,
+            saturation,
+            s.dead_time_v,
+            s.ke,
+            s.resistance,
+            s.inductance,
+            s.motor_mass,
+            load_mass,
+            (stiffness > 0).astype(float),
+            stiffness,
+            damping,
+            s.hardening * stiffness,
+            (s.gap + s.soft_gap) / 2,
+            np.where(s.soft_gap > 0, s.soft_share, 0.0),
+            s.viscous,
+            s.asymmetry,
+            s.windage,
+            s.coulomb,
+            s.friction_wave,
+            s.friction_wave_number,
+            s.stribeck_excess,
+            s.stribeck_velocity,
+            s.presliding_stiffness,
+            s.presliding_damping,
+            steady,
+            s.disturbance,
+            s.disturbance_w,
+            s.frame_w,
+            s.frame_zeta,
+            s.frame_ratio,
+            s.ripple,
+            s.ripple_n,
+            s.ripple_phase,
+            s.cogging,
+            s.cogging_n,
+            s.cogging_phase,
+            s.lead,
+            s.cyclic,
+            s.cyclic_phase,
+        ],
+        dtype=float,
+    ), pair
 
 
 @compiled()
-def _simulate(c: Control, m: np.ndarray, pair: np.ndarray, coupling: np.ndarray, sensors: Sensors, state: np.ndarray,
-              y: np.ndarray, z: np.ndarray, play: np.ndarray, q0: np.ndarray, s_position: np.ndarray,
-              s_feedforward: np.ndarray, noise_x: np.ndarray, noise_w: np.ndarray, noise_i: np.ndarray,
-              jitter: np.ndarray, started_at: float, tick: float, cycle_ticks: int, sample_ticks: int, substeps: int,
-              warming: np.ndarray, warming_time: np.ndarray, out: np.ndarray) -> int:
+def _simulate(
+    c: Control,
+    m: np.ndarray,
+    pair: np.ndarray,
+    coupling: np.ndarray,
+    sensors: Sensors,
+    state: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    play: np.ndarray,
+    q0: np.ndarray,
+    s_position: np.ndarray,
+    s_feedforward: np.ndarray,
+    noise_x: np.ndarray,
+    noise_w: np.ndarray,
+    noise_i: np.ndarray,
+    jitter: np.ndarray,
+    started_at: float,
+    tick: float,
+    cycle_ticks: int,
+    sample_ticks: int,
+    substeps: int,
+    warming: np.ndarray,
+    warming_time: np.ndarray,
+    out: np.ndarray,
+) -> int:
     """The loop. out [signal, sample, axis]: position, motor position, speed, speed set point, current, load, true current.
 
     Returns 0, or 1 + the axis whose state ran away."""
@@ -119,11 +178,11 @@ def _simulate(c: Control, m: np.ndarray, pair: np.ndarray, coupling: np.ndarray,
                     q = play[k]
                 x = q + y[F, k] + sensors.drift[k] * (started_at + t) + y[V, k] * jitter[row, k]
                 if sensors.eccentricity[k] != 0.0:
-                    x += sensors.eccentricity[k] * (math.sin(q + sensors.eccentricity_phase[k])
-                                                    - math.sin(q0[k] + sensors.eccentricity_phase[k]))
+                    x += sensors.eccentricity[k] * (
+                        math.sin(q + sensors.eccentricity_phase[k]) - math.sin(q0[k] + sensors.eccentricity_phase[k])
+                    )
                 if sensors.subperiod[k] != 0.0:
-                    x += sensors.subperiod[k] * (math.sin(sensors.subperiod_number[k] * q)
-                                                 - math.sin(sensors.subperiod_number[k] * q0[k]))
+                    x += sensors.subperiod[k] * (math.sin(sensors.subperiod_number[k] * q) - math.sin(sensors.subperiod_number[k] * q0[k]))
                 for j in range(5):
                     if sensors.crosstalk[k, j] != 0.0:
                         x += sensors.crosstalk[k, j] * (y[Q, j] - q0[j])
@@ -154,8 +213,14 @@ def _simulate(c: Control, m: np.ndarray, pair: np.ndarray, coupling: np.ndarray,
     return 0
 
 
-def run(s: Settings, set_points: np.ndarray, seed: int | np.random.SeedSequence = 0, started_at_s: float = 0.0, substeps: int = SUBSTEPS,
-        noise: bool = True) -> Trace:
+def run(
+    s: Settings,
+    set_points: np.ndarray,
+    seed: int | np.random.SeedSequence = 0,
+    started_at_s: float = 0.0,
+    substeps: int = SUBSTEPS,
+    noise: bool = True,
+) -> Trace:
     """Simulates one run on settings `s` over set points [sample, axis] (SI, at the sample period) and returns its Trace.
 
     A run of a campaign starts `started_at_s` after the first (thermal drift, warming). Equal seeds give equal traces."""
@@ -166,8 +231,10 @@ def run(s: Settings, set_points: np.ndarray, seed: int | np.random.SeedSequence 
     period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
     grid = np.arange(samples) * period
     cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
-    s_position, s_feedforward = (np.column_stack([_delayed(grid, s_points[:, k], cycles - delay[k]) for k in range(5)])
-                                 for delay in (s.position_delay, s.feedforward_delay))
+    s_position, s_feedforward = (
+        np.column_stack([_delayed(grid, s_points[:, k], cycles - delay[k]) for k in range(5)])
+        for delay in (s.position_delay, s.feedforward_delay)
+    )
     # Noise
     rng = np.random.default_rng(seed)
     ticks = (samples - 1) * s.sample_ticks + 1
@@ -186,12 +253,37 @@ def run(s: Settings, set_points: np.ndarray, seed: int | np.random.SeedSequence 
     y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
     state = control_at_rest(c, s_points[0], y[CURRENT], s.resistance)
     out = np.zeros((7, samples, 5))
-    status = _simulate(c, m, pair, s.coupling, sensors, state, y, np.zeros(5), q0.copy(), q0, s_position, s_feedforward,
-                       noise_x, noise_w, noise_i, jitter, started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps, s.warming,
-                       np.where(s.warming_time > 0, s.warming_time, 1.0), out)
+    status = _simulate(
+        c,
+        m,
+        pair,
+        s.coupling,
+        sensors,
+        state,
+        y,
+        np.zeros(5),
+        q0.copy(),
+        q0,
+        s_position,
+        s_feedforward,
+        noise_x,
+        noise_w,
+        noise_i,
+        jitter,
+        started_at_s,
+        s.tick,
+        s.cycle_ticks,
+        s.sample_ticks,
+        substeps,
+        s.warming,
+        np.where(s.warming_time > 0, s.warming_time, 1.0),
+        out,
+    )
     if status:
-        raise PlantError(f"axis {AXES[status - 1]} ran away (over 1000 m/s or rad/s, or not a number): "
-                         "an effect makes its control loop unstable; choose a smaller size")
+        raise PlantError(
+            f"axis {AXES[status - 1]} ran away (over 1000 m/s or rad/s, or not a number): "
+            "an effect makes its control loop unstable; choose a smaller size"
+        )
     return Trace(grid, s_points, *out)
 
 
@@ -212,6 +304,6 @@ def _deflection(m: np.ndarray, k: int, force: float) -> float:
     if load <= 0.0 and m[SOFT, k] > 0.0:
         return force / (m[SOFT, k] * m[STIFFNESS, k])
     e = load / m[STIFFNESS, k]
-    for _ in range(30):                                   # Newton on k e + k3 e^3 = load, convex for e > 0
+    for _ in range(30):  # Newton on k e + k3 e^3 = load, convex for e > 0
         e -= (m[STIFFNESS, k] * e + m[HARDENING, k] * e**3 - load) / (m[STIFFNESS, k] + 3 * m[HARDENING, k] * e**2)
     return math.copysign(m[HALF_GAP, k] + e, force)

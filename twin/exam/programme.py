@@ -21,7 +21,7 @@ from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of,
 class TestRun:
     """name, kind ("test", "program", "exam"), feedforward (off | velocity | velocity+torque), set points [sample, axis] SI."""
 
-    __test__ = False           # not a pytest class
+    __test__ = False  # not a pytest class
 
     name: str
     kind: str
@@ -62,8 +62,16 @@ def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
         far = _vary(rng, 0.10, 0.15) if k < 3 else _vary(rng, 25.0 if k == 3 else 45.0, 0.15) * DEG
         fast = _vary(rng, 0.25, 0.15) if k < 3 else _vary(rng, 70.0 if k == 3 else 100.0, 0.12) * DEG
         fast = min(fast, MARGIN * lim.speed[k])
-        columns.append(path_of(home[k], [home[k] + far, home[k] - far, home[k] + far, home[k] - far, home[k]],
-                               [fast, fast, 0.6 * fast, 0.6 * fast, fast], acc[k], jerk[k], 0.15))
+        columns.append(
+            path_of(
+                home[k],
+                [home[k] + far, home[k] - far, home[k] + far, home[k] - far, home[k]],
+                [fast, fast, 0.6 * fast, 0.6 * fast, fast],
+                acc[k],
+                jerk[k],
+                0.15,
+            )
+        )
     both = together(columns)
     runs += [TestRun("acceleration_ff_off", "test", "off", both), TestRun("acceleration", "test", "velocity+torque", both)]
 
@@ -127,8 +135,10 @@ def exam_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     """Runs for the held-out gap: five-axis contour, YZ circle, random point to point of all axes."""
     lim = limits_of(machine)
     home = np.array([0.02, -0.03, 0.01, -40.0 * DEG, 20.0 * DEG])
-    runs = [("exam_five_axis", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)),
-            ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim, rng))]
+    runs = [
+        ("exam_five_axis", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)),
+        ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim, rng)),
+    ]
     columns = []
     for k in range(5):
         low, high = (-0.12, 0.12) if k < 3 else ((-70 * DEG, 10 * DEG) if k == 3 else (-60 * DEG, 60 * DEG))
@@ -154,6 +164,7 @@ def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim
         angle = 2 * math.pi * turns * u
         points[:, first], points[:, second] = radius * (np.cos(angle) - 1.0), radius * np.sin(angle)
         return points
+
     points = contour(curve, 2 * math.pi * radius * turns / feed + 0.6, lim)
     return np.vstack([points, still(points[-1], hold(0.05))])
 
@@ -167,6 +178,7 @@ def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: 
     def curve(u: np.ndarray) -> np.ndarray:
         angle = 2 * math.pi * u[:, None] * np.array(cycles)
         return home + amplitude * np.where(even, 0.5 - 0.5 * np.cos(angle), np.sin(angle))
+
     return contour(curve, _vary(rng, 7.0, 0.15), lim, ramp=1.0)
 
 
@@ -181,17 +193,22 @@ def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) ->
         length = float(np.linalg.norm(delta))
         moving = np.abs(delta) > 1e-12
         share = np.abs(delta[moving]) / length
-        shape = move(length, min(feed, (lim.speed[:3][moving] / share).min()), (acc[:3][moving] / share).min(),
-                     (MARGIN * lim.jerk[:3][moving] / share).min())
+        shape = move(
+            length,
+            min(feed, (lim.speed[:3][moving] / share).min()),
+            (acc[:3][moving] / share).min(),
+            (MARGIN * lim.jerk[:3][moving] / share).min(),
+        )
         step = np.zeros((len(shape), 5))
         step[:, :3] = shape[:, None] / length * delta
         old = points[-1]
         n = min(overlap, len(old) - 1, len(step) - 1)
-        if n:                                            # the new move begins while the last one still ends
+        if n:  # the new move begins while the last one still ends
             points[-1] = np.vstack([old[:-n], old[-n:] + step[:n]])
             step = step[n:]
         at = at + np.concatenate([delta, [0.0, 0.0]])
         points.append(step + (at - np.concatenate([delta, [0.0, 0.0]])))
+
     for target in ((side, 0, 0), (side, side, 0), (0, side, 0), (0, 0, 0)):
         go(target, hold(0.06))
     points.append(still(at, hold(0.3)))

@@ -21,8 +21,9 @@ def apply_richness(s: Settings, richness: Richness, rng: np.random.Generator) ->
 
     def span(pair: tuple[float, float], u: np.ndarray) -> np.ndarray:
         return pair[0] + (pair[1] - pair[0]) * u
+
     load = load_of(s)
-    at_axis = np.where(s.linear, 1.0, s.ratio / SCREW)               # metres at a screw to axis units at equal motor angle
+    at_axis = np.where(s.linear, 1.0, s.ratio / SCREW)  # metres at a screw to axis units at equal motor angle
 
     if richness.presliding:
         stiffness = s.coulomb / (span(richness.presliding, draw["presliding"][0]) * at_axis)

@@ -30,9 +30,8 @@ def pair_terms(pair: np.ndarray, a: float, c: float, va: float, vc: float) -> tu
     sxx, syy, sxy, szz, szx, szy = pair[9], pair[10], pair[11], pair[12], pair[13], pair[14]
     i1, i2, i3 = pair[15], pair[16], pair[17]
     sc, cc, sa, ca = math.sin(c), math.cos(c), math.sin(a), math.cos(a)
-    dx, dy = mx * cc - my * sc, mx * sc + my * cc                      # sums of m d_x, m d_y
-    maa = (cradle_i + oy * oy * m + 2.0 * oy * dy + sxx * sc * sc + 2.0 * sxy * sc * cc + syy * cc * cc + szz
-           + i1 * cc * cc + i2 * sc * sc)
+    dx, dy = mx * cc - my * sc, mx * sc + my * cc  # sums of m d_x, m d_y
+    maa = cradle_i + oy * oy * m + 2.0 * oy * dy + sxx * sc * sc + 2.0 * sxy * sc * cc + syy * cc * cc + szz + i1 * cc * cc + i2 * sc * sc
     mac = -(szx * cc - szy * sc)
     mcc = sxx + syy + i3
     dmaa = 2.0 * (oy * dx + (sxx - syy + i2 - i1) * sc * cc + sxy * (cc * cc - sc * sc))
