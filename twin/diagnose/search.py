@@ -42,6 +42,9 @@ NEAR_NOISE = 0.02
 DESCENTS = 200
 """Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
 
+QUIET = 1.2
+"""Mean square over noise up to which a quick look leaves a channel alone."""
+
 PRICE = 2.0
 """Log likelihood that each further free parameter costs."""
 
@@ -94,9 +97,7 @@ def search(
     tuning = tuning_of(group, machine, mapper)
     retuned = no_effect(group, tuning)
     found = Found(group, tuning, retuned, retuned, _inflation(group, tuning, retuned))
-    if quick and is_quiet(found):
-        return found
-    while len(found.fit.settings) < MOST_EFFECTS:
+    while len(found.fit.settings) < MOST_EFFECTS and not (quick and is_quiet(found)):
         candidates = _round(found, machine, folds, mapper, progress, quick)
         found.rounds.append(candidates)
         best = next((c for c in candidates if c.plausible), None)
@@ -123,7 +124,8 @@ def is_quiet(found: Found) -> bool:
     """Does re-tuning alone leave nothing but noise in every channel?"""
     group = found.group
     left = (group.residual - found.fit.response - found.tuning.jacobian @ found.fit.tuning) / group.weights
-    return all(replace(c, residual=left[c.rows]).is_clean for c in group.channels)
+    channels = [replace(c, residual=left[c.rows]) for c in group.channels]
+    return all(c.is_clean if c.name == "controller" else float(np.mean((c.residual / c.sigma) ** 2)) < QUIET for c in channels)
 
 
 def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]
