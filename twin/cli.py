@@ -49,6 +49,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
     from twin.replay import add_replay_arguments, replay_command
     from twin.surface.command import add_cut_arguments, cut_command
 
@@ -93,6 +94,12 @@ def build_parser() -> argparse.ArgumentParser:
     gap.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
     _machine_arguments(gap)
     gap.add_argument("--json", metavar="FILE", help="write the result as JSON")
+
+    identify = add("identify", identify_command, "identify a machine's parameters, with intervals, from its own traces")
+    add_identify_arguments(identify)
+
+    plan = add("plan", plan_command, "propose a measuring campaign that identifies each parameter to a wanted precision")
+    add_plan_arguments(plan)
 
     diagnose = add(
         "diagnose", "diagnose_command", "say where a measured campaign differs from the twin, which effect causes it, how far it shrinks"

@@ -1,0 +1,189 @@
+"""One axis in one run, brought to the grid of the position cycles: what the regressions read.
+
+The trace is sampled once or several times a position cycle Tp. A cycle n begins at t_n; positions at the starts of cycles are free
+of the saw-tooth within a cycle, so speed and acceleration in its middle come from them alone (cubic spline), and the current is
+the mean of the cycle's samples (`between_samples` adds what these miss). Regressions filter both sides alike, without phase:
+fourth-order Butterworth, forwards and backwards, so that noise in the regressors is too small to bias (1e-4 of the acceleration).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import functools
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+from twin.campaign import MeasuredRun
+from twin.errors import InputError
+from twin.identify.between_samples import measured_ripple
+from twin.machine import Axis, Machine
+
+BAND_HZ = 20.0
+"""Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
+
+SLIDING_RAD_PER_S = 5.0
+"""Motor speed from which friction is on its line: 8 mm/s at a 10 mm screw, where Stribeck's excess has gone (it has at 4 mm/s)."""
+
+STROKE_S = 0.5
+"""A stroke longer than this counts as several clusters."""
+
+
+@dataclass(frozen=True)
+class AxisRun:
+    """Signals of one axis on the position cycles (cycle,), at the motor in SI unless said otherwise."""
+
+    run: str
+    feedforward: str | None
+    cycle: float
+    samples_per_cycle: int
+    start: np.ndarray  # times t_n [s]
+    middle: np.ndarray  # t_n + Tp / 2
+    setpoint: CubicSpline  # of the time, axis units
+    end: float  # last time of the set points
+    position: np.ndarray | None  # scale at t_n, axis units
+    angle: np.ndarray  # motor angle at t_n and at the end of the last cycle (cycle + 1,) [rad]
+    axis_position: np.ndarray  # at the middle, axis units
+    speed: np.ndarray  # at the middle [rad/s]
+    acceleration: np.ndarray  # [rad/s2]
+    speed_setpoint: np.ndarray | None  # held in the cycle [rad/s]
+    current: np.ndarray | None  # mean of the cycle's samples [A]
+    current_ripple: np.ndarray | None
+    speed_ripple: np.ndarray | None
+    torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
+    deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
+    limited: np.ndarray  # current at its limit or clipped
+
+    def filtered(self, values: np.ndarray, band_hz: float = BAND_HZ) -> np.ndarray:
+        """Zero-phase low-pass of (cycle,) values."""
+        return low_passed(values, self.cycle, band_hz)
+
+    def setpoint_at(self, times: np.ndarray) -> np.ndarray:
+        """Set point at any times; constant outside the run."""
+        return self.setpoint(np.clip(times, 0.0, self.end))
+
+    @property
+    def strokes(self) -> np.ndarray:
+        """(cycle,) number of the stroke: new at each reversal, and every STROKE_S."""
+        turned = np.diff(np.sign(self.filtered(self.speed)), prepend=0.0) != 0
+        since = np.arange(len(self.speed)) * self.cycle // STROKE_S
+        return np.cumsum(turned | (np.diff(since, prepend=0.0) > 0))
+
+    @property
+    def sliding(self) -> np.ndarray:
+        """(cycle,) True where the axis slides so fast, and has for so long, that the filtered friction is on its line."""
+        reach = int(np.ceil(1.2 / BAND_HZ / self.cycle))
+        slow = (np.abs(self.speed) < SLIDING_RAD_PER_S) | self.limited
+        near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
+        near[:reach] = near[-reach:] = True
+        return ~near
+
+
+def low_passed(values: np.ndarray, period: float, band_hz: float = BAND_HZ) -> np.ndarray:
+    """Fourth-order Butterworth, forwards and backwards; short records are left as they are."""
+    return sosfiltfilt(_butterworth(band_hz, period), values) if len(values) > 40 else values
+
+
+@functools.lru_cache(maxsize=16)
+def _butterworth(band_hz: float, period: float) -> np.ndarray:
+    return butter(4, band_hz, fs=1.0 / period, output="sos")
+
+
+def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
+    """The axis in this run, or None where it has no measured motion.
+
+    `lateness` [s] by signal: how much later than the scale a channel was recorded; it is taken back.
+    """
+    trace = run.trace
+    has = {s: trace.has(axis.name, s) for s in ("position", "motor_position", "velocity", "velocity_setpoint", "current")}
+    if not (has["position"] or has["motor_position"]):
+        return None
+    cycle = machine.position_cycle
+    per = cycle / trace.period
+    if per < 1.0 - 1e-6 or abs(per - round(per)) > 1e-3:
+        raise InputError(
+            f"run {run.name}: sampled every {trace.period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
+            "record with a whole number of samples in a position cycle (1 ms here)"
+        )
+    n = round(per)
+    time = trace.time - trace.time[0]
+
+    def signal(name: str) -> np.ndarray:
+        values = trace.get(axis.name, name)
+        late = (lateness or {}).get(name, 0.0)
+        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1])) if late else values
+
+    first = _phase(trace.get(axis.name, "velocity_setpoint"), n) if has["velocity_setpoint"] else 0
+    cycles = (len(time) - 1 - first) // n
+    at = first + n * np.arange(cycles + 1)
+    start = time[at[:-1]]
+    middle = start + cycle / 2.0
+    setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
+    motor = signal("motor_position") if has["motor_position"] else signal("position")
+    angle = motor[at] / axis.ratio
+    spline = CubicSpline(time[at], angle)
+    window = slice(first, first + n * cycles)
+    samples = signal("current")[window] if has["current"] else None
+    current = samples.reshape(cycles, n).mean(axis=1) if samples is not None else None
+    speed_setpoint = trace.get(axis.name, "velocity_setpoint")[at[:-1]] / axis.ratio if has["velocity_setpoint"] else None
+    two = n >= 2
+
+    def ripple(values: np.ndarray | None) -> np.ndarray | None:
+        return measured_ripple(values, n, cycles) if two and values is not None else None
+
+    s = [setpoint(np.clip(start - k * cycle, 0.0, time[-1])) for k in range(3)]
+    weight = axis.commissioned_inertia or 0.0
+    torque = weight * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
+    if run.feedforward in ("off", "velocity"):
+        torque = np.zeros(cycles)
+    limited = np.zeros(cycles, bool)
+    if samples is not None:
+        limited = (np.abs(samples.reshape(cycles, n)) > 0.97 * axis.motor.peak_current_a).any(axis=1)
+        limited |= _clipped(samples).reshape(cycles, n).any(axis=1)
+    return AxisRun(
+        run=run.name,
+        feedforward=run.feedforward,
+        cycle=cycle,
+        samples_per_cycle=n,
+        start=start,
+        middle=middle,
+        setpoint=setpoint,
+        end=float(time[-1]),
+        position=signal("position")[at[:-1]] if has["position"] else None,
+        angle=angle,
+        axis_position=spline(middle) * axis.ratio,
+        speed=spline(middle, 1),
+        acceleration=spline(middle, 2),
+        speed_setpoint=speed_setpoint,
+        current=current,
+        current_ripple=ripple(samples),
+        speed_ripple=ripple(signal("velocity")[window] / axis.ratio if has["velocity"] else None),
+        torque_feedforward=torque,
+        deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
+        if has["motor_position"] and has["position"]
+        else None,
+        limited=limited,
+    )
+
+
+def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:
+    """The sample within a cycle at which the speed set point changes; the first where that is not plain."""
+    changes = [np.count_nonzero(np.diff(speed_setpoint)[k::samples_per_cycle]) for k in range(samples_per_cycle)]
+    most = int(np.argmax(changes))
+    return (most + 1) % samples_per_cycle if changes[most] > 2 * sorted(changes)[-2:][0] and samples_per_cycle > 1 else 0
+
+
+CLIPPED_SAMPLES = 5
+"""So many equal samples in a row at a channel's largest value are a limit, not noise."""
+
+
+def _clipped(values: np.ndarray) -> np.ndarray:
+    """(sample,) True where a noisy channel stays on its largest or smallest value."""
+    out = np.zeros(len(values), bool)
+    for extreme in (values.max(), values.min()):
+        at = values == extreme
+        if extreme != 0.0 and at.sum() >= CLIPPED_SAMPLES:
+            runs = np.convolve(at, np.ones(CLIPPED_SAMPLES), "same") >= CLIPPED_SAMPLES
+            out |= np.convolve(runs, np.ones(CLIPPED_SAMPLES), "same") > 0
+    return out

@@ -1,0 +1,294 @@
+"""What the control does between two samples of a trace: the mean current of a position cycle from the recorded samples.
+
+The speed set point is a staircase with steps of one position cycle Tp (16 ticks). Each step kicks the current, which then
+decays: a saw-tooth at 1/Tp that a trace of one or two samples a cycle shows at fixed phases only. While the axis accelerates,
+the mean of those samples lies below the mean current, here by 9 % of the inertia's share. The mean is what moves the mass.
+
+The saw-tooth is linear in the steps that the trace holds, so the missing part is a convolution with them:
+
+    mean_n(i) - mean of samples in cycle n = sum_m g_m dw*_{n-m} + sum_m f_m dT_ff,{n-m}
+
+g and f follow from the cascade, the winding and a drive train of two masses (motor, load, spring). What they hang on - the
+inductance, damping - is read off the saw-tooth itself: the difference of samples within a cycle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from twin.machine import Axis, Machine
+
+SETTLED_CYCLES = 48
+"""Length of the convolution: the speed loop's integral has decayed by then (96 ms, some ten integral times)."""
+
+RIGID_RAD_PER_S = 2.0 * math.pi * 1500.0
+"""A drive train stiffer than this is rigid to a control of some hundred hertz."""
+
+DAMPING_RATIO = 0.05
+"""Damping of a drive train's mode to start from; ball screws lie between 0.02 and 0.1."""
+
+
+@dataclass(frozen=True)
+class FastLoop:
+    """What shapes the current within a cycle, at the motor: gains of the control, winding, and the two masses.
+
+    `inertia` is all that the motor moves, `load` the part behind the spring [kg m2]; `mode` [rad/s] = sqrt(stiffness / load).
+    """
+
+    speed_gain: float
+    integral_time: float
+    control_torque_constant: float
+    torque_constant: float
+    current_gain: float
+    current_integral_time: float
+    back_emf: float
+    resistance: float
+    inductance: float
+    inertia: float
+    load: float
+    mode: float
+    damping: float
+    tick: float
+    cycle_ticks: int
+
+
+def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
+    """The machine file's values; `inertia` [kg m2] at the motor."""
+    return FastLoop(
+        speed_gain=axis.loops.speed_gain_nm_s_per_rad,
+        integral_time=axis.loops.speed_integral_time_s,
+        control_torque_constant=axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a,
+        torque_constant=axis.motor.torque_constant_nm_per_a,
+        current_gain=axis.loops.current_gain_v_per_a,
+        current_integral_time=axis.loops.current_integral_time_s,
+        back_emf=axis.motor.back_emf_v_s_per_rad,
+        resistance=axis.motor.resistance_ohm,
+        inductance=axis.motor.inductance_h,
+        inertia=inertia,
+        load=0.0,
+        mode=math.inf,
+        damping=DAMPING_RATIO,
+        tick=machine.base_tick,
+        cycle_ticks=round(machine.position_cycle / machine.base_tick),
+    )
+
+
+def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Current [A] and motor speed [rad/s], each (cycle, tick), after a unit step of the speed set point [rad/s] and of the torque
+    feedforward [Nm].
+
+    The law is that of twin.cascade without its limits; between ticks the winding and the two masses are solved exactly.
+    """
+    h = loop.tick
+    load = min(loop.load, 0.95 * loop.inertia)
+    rigid = load <= 0.02 * loop.inertia or loop.mode > RIGID_RAD_PER_S
+    # motor speed, load speed, deflection under torque
+    if rigid:
+        a, b = np.zeros((3, 3)), np.array([1.0 / loop.inertia, 0.0, 0.0])
+    else:
+        k, d = load * loop.mode**2, 2.0 * loop.damping * load * loop.mode
+        m = loop.inertia - load
+        a = np.array([[-d / m, d / m, -k / m], [d / load, -d / load, k / load], [1.0, -1.0, 0.0]])
+        b = np.array([1.0 / m, 0.0, 0.0])
+    exact = _exponential(np.block([[a, b[:, None]], [np.zeros((1, 4))]]) * h)
+    decay = math.exp(-loop.resistance * h / loop.inductance)
+    mean_decay = (1.0 - decay) * loop.inductance / (loop.resistance * h)
+    # one tick is linear in z = (masses 3, speed integral, current integral, current) and the two inputs: advance by matrices
+    n = 6
+    e = -np.eye(1, n, 0)[0]
+    wanted = loop.speed_gain * e + np.eye(1, n, 3)[0]
+    wanted_input = np.array([loop.speed_gain, 1.0])
+    error = wanted / loop.control_torque_constant - np.eye(1, n, 5)[0]
+    error_input = wanted_input / loop.control_torque_constant
+    volt = loop.current_gain * error + np.eye(1, n, 4)[0]
+    volt_input = loop.current_gain * error_input
+    final, final_input = (volt - loop.back_emf * np.eye(1, n, 0)[0]) / loop.resistance, volt_input / loop.resistance
+    mean = final * (1.0 - mean_decay) + mean_decay * np.eye(1, n, 5)[0]
+    matrix, inputs = np.zeros((n, n)), np.zeros((n, 2))
+    matrix[:3, :3] = exact[:3, :3]
+    matrix[:3] += np.outer(exact[:3, 3] * loop.torque_constant, mean)
+    inputs[:3] = np.outer(exact[:3, 3] * loop.torque_constant, final_input * (1.0 - mean_decay))
+    matrix[3] = np.eye(1, n, 3)[0] + loop.speed_gain * h / loop.integral_time * e
+    inputs[3, 0] = loop.speed_gain * h / loop.integral_time
+    matrix[4] = np.eye(1, n, 4)[0] + loop.current_gain * h / loop.current_integral_time * error
+    inputs[4] = loop.current_gain * h / loop.current_integral_time * error_input
+    matrix[5] = final * (1.0 - decay) + decay * np.eye(1, n, 5)[0]
+    inputs[5] = final_input * (1.0 - decay)
+    # the state at the ticks of one cycle from that at its start, then from cycle to cycle
+    ticks = loop.cycle_ticks
+    free, forced = np.empty((ticks + 1, n, n)), np.zeros((ticks + 1, n, 2))
+    free[0] = np.eye(n)
+    for k in range(ticks):
+        free[k + 1] = matrix @ free[k]
+        forced[k + 1] = matrix @ forced[k] + inputs
+    starts = np.zeros((cycles, n, 2))
+    for c in range(cycles - 1):
+        starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
+    seen = np.einsum("tij,cjk->kict", free[:ticks, [0, 5]], starts) + forced[:ticks, [0, 5]].transpose(2, 1, 0)[:, :, None]
+    return [(seen[k, 1], seen[k, 0]) for k in range(2)]
+
+
+def _exponential(x: np.ndarray) -> np.ndarray:
+    """Matrix exponential of a small matrix by its series; a mode turns by less than 1.2 rad a tick, so 18 terms hold 1e-13."""
+    out = term = np.eye(len(x))
+    for k in range(1, 19):
+        term = term @ x / k
+        out = out + term
+    return out
+
+
+def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """sum_m kernel_m steps_{n-m} for (cycle,) steps."""
+    return np.convolve(steps, kernel)[: len(steps)]
+
+
+def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np.ndarray]:
+    """(g, f): mean current of a cycle minus the mean of its samples, per unit step of speed and of torque set point."""
+    every = loop.cycle_ticks // samples_per_cycle
+    kernels = []
+    for current, _ in step_responses(loop):
+        # the current runs linearly between ticks as far as the mean over a cycle is concerned
+        following = np.append(current[1:, 0], current[-1, 0])
+        mean = (current.sum(axis=1) + 0.5 * (following - current[:, 0])) / loop.cycle_ticks
+        kernels.append(mean - current[:, ::every].mean(axis=1))
+    return kernels[0], kernels[1]
+
+
+def ripples(loop: FastLoop, samples_per_cycle: int) -> list[list[np.ndarray]]:
+    """Sample in the middle of a cycle minus the mean of those at its ends: [current, speed][speed step, torque step]."""
+    every = loop.cycle_ticks // samples_per_cycle
+    out: list[list[np.ndarray]] = [[], []]
+    for responses in step_responses(loop):
+        for quantity, response in enumerate(responses):
+            r = response[:, ::every]
+            out[quantity].append(r[:, samples_per_cycle // 2] - 0.5 * (r[:, 0] + np.append(r[1:, 0], r[-1, 0])))
+    return out
+
+
+def measured_ripple(values: np.ndarray, samples_per_cycle: int, cycles: int) -> np.ndarray:
+    """The same of a recorded signal (sample,), phase 0 at its first sample: (cycle,)."""
+    start = values[: cycles * samples_per_cycle : samples_per_cycle]
+    middle = values[samples_per_cycle // 2 : cycles * samples_per_cycle : samples_per_cycle]
+    return middle - 0.5 * (start + np.append(start[1:], start[-1]))
+
+
+@dataclass(frozen=True)
+class Sawtooth:
+    """What the ripple of current and speed says, in a form that does not grow with the recording.
+
+    The misfit |D k - seen|^2 of lag matrix D (cycle, lag) and kernel k is |R k - z|^2 + rest with R'R = D'D, per quantity.
+    """
+
+    root: tuple[np.ndarray, np.ndarray]
+    target: tuple[np.ndarray, np.ndarray]
+    rest: tuple[float, float]
+    count: int
+
+
+def sawtooth_of(
+    steps: list[tuple[np.ndarray, np.ndarray]],
+    current: list[np.ndarray],
+    speed: list[np.ndarray],
+    use: list[np.ndarray],
+    noise: tuple[float, float],
+) -> Sawtooth:
+    """Per run: `steps` (speed, torque set point steps, (cycle,)), ripple (cycle,) of current [A] and motor speed [rad/s], and the
+    cycles to `use` (cycle,) bool: a load that sticks shakes otherwise.
+
+    `noise`: standard deviations of one sample of either; a ripple is a sample minus half of two others.
+    """
+    gram = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES))
+    cross, square, count = np.zeros((2, 2 * SETTLED_CYCLES)), np.zeros(2), 0
+    for (w, t), i, v, rows in zip(steps, current, speed, use):
+        lags = np.column_stack([_lagged(w), _lagged(t)])[rows]
+        seen = (i[rows], v[rows])
+        gram += lags.T @ lags
+        for quantity in (0, 1):
+            cross[quantity] += lags.T @ seen[quantity]
+            square[quantity] += seen[quantity] @ seen[quantity]
+        count += int(rows.sum())
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-10 * values.max()
+    values, vectors = values[keep], vectors[:, keep]
+    roots, targets, rest = [], [], []
+    for quantity, deviation in enumerate(noise):
+        weight = 1.0 / (deviation * math.sqrt(1.5))
+        roots.append(weight * np.sqrt(values)[:, None] * vectors.T)
+        targets.append(weight * (vectors.T @ cross[quantity]) / np.sqrt(values))
+        rest.append(max(weight**2 * square[quantity] - float(targets[-1] @ targets[-1]), 0.0))
+    return Sawtooth((roots[0], roots[1]), (targets[0], targets[1]), (rest[0], rest[1]), count)
+
+
+def _lagged(steps: np.ndarray) -> np.ndarray:
+    """(cycle, SETTLED_CYCLES) steps of this and the earlier cycles."""
+    padded = np.concatenate([np.zeros(SETTLED_CYCLES - 1), steps])
+    return np.lib.stride_tricks.sliding_window_view(padded, SETTLED_CYCLES)[:, ::-1]
+
+
+@dataclass(frozen=True)
+class FastFit:
+    """The fitted loop, its misfit in units of noise, and the standard deviation of sum_m g_m [A s/rad] that the fit leaves."""
+
+    loop: FastLoop
+    misfit: float
+    mean_deviation: float
+
+
+COLOURED = 2.0
+"""The loop colours the noise and neighbouring ripples share a sample: so many times fewer independent samples, as a deviation."""
+
+PRIOR = np.array([0.2, 0.2, 0.03, 0.01, 0.3])
+"""How far inductance, resistance, load, mode and damping may lie off their start (standard deviation of the logarithm). Motor minus
+scale has told load and mode before, within 1 % and 0.3 %."""
+
+
+def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, reference: FastLoop) -> FastFit:
+    """Inductance, resistance, load, mode and damping from the saw-tooth; priors lie around `reference`, the search starts at `loop`.
+
+    A rigid drive train (mode above RIGID_RAD_PER_S) has the first two only.
+    """
+    elastic = reference.mode < RIGID_RAD_PER_S
+    free = 5 if elastic else 2
+    # what no kernel explains is noise that the loop has passed on: more than a sensor's, and another share in each signal
+    scatter = [COLOURED * math.sqrt(max(rest / seen.count, 1.0)) for rest in seen.rest]
+
+    def changed(x: np.ndarray) -> FastLoop:
+        values = {
+            "inductance": reference.inductance * math.exp(x[0]),
+            "resistance": reference.resistance * math.exp(x[1]),
+            "inertia": loop.inertia,
+        }
+        if elastic:
+            values["load"] = reference.load * math.exp(x[2])
+            values["mode"] = reference.mode * math.exp(x[3])
+            values["damping"] = reference.damping * math.exp(x[4])
+        return replace(reference, **values)  # type: ignore[arg-type]
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        kernels = ripples(changed(x), samples_per_cycle)
+        parts = [(root @ np.concatenate(k) - z) / s for root, z, k, s in zip(seen.root, seen.target, kernels, scatter)]
+        return np.concatenate([*parts, x / PRIOR[:free]])
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        return np.column_stack([(residual(x + 1e-3 * e) - residual(x - 1e-3 * e)) / 2e-3 for e in np.eye(free)])
+
+    bound = np.log([3.0, 3.0, 1.2, 1.1, 4.0][:free])
+    at = [math.log(loop.inductance / reference.inductance), math.log(loop.resistance / reference.resistance)]
+    if elastic:
+        at += [math.log(getattr(loop, n) / getattr(reference, n)) for n in ("load", "mode", "damping")]
+    start = np.clip(at, -0.99 * bound, 0.99 * bound)
+    found = least_squares(residual, start, jac=slopes, bounds=(-bound, bound), xtol=1e-6, max_nfev=40)
+    explained = sum(rest / s**2 for rest, s in zip(seen.rest, scatter))
+    misfit = COLOURED * math.sqrt((2.0 * found.cost + explained) / (2.0 * seen.count))
+
+    # what is left unknown of the missing mean, to first order
+    def total(x: np.ndarray) -> float:
+        return float(missing_mean(changed(x), samples_per_cycle)[0].sum())
+
+    gradient = np.array([(total(found.x + 1e-3 * e) - total(found.x - 1e-3 * e)) / 2e-3 for e in np.eye(free)])
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(misfit, 1.0) ** 2
+    return FastFit(changed(found.x), misfit, float(np.sqrt(gradient @ covariance @ gradient)))

@@ -1,0 +1,134 @@
+"""The direct route: regression on the measured signals, block by block, for all axes of some runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+import math
+
+import numpy as np
+
+from twin.identify import tilting_pair
+from twin.identify.axis_run import AxisRun
+from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
+from twin.identify.drive_balance import NAMES as LINEAR_NAMES
+from twin.identify.least_squares import Fit
+from twin.identify.position_control import PositionControl, fit_position_control
+from twin.identify.speed_control import SpeedControl, fit_speed_control
+from twin.machine import Axis, Machine
+
+Runs = Mapping[str, Sequence[AxisRun | None]]
+"""Axis -> its runs in the order of the campaign, None where the axis has no measured motion."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Torque balance of an axis or of the tilting pair: names of the values, fit, and the rows of each motor."""
+
+    names: tuple[str, ...]
+    fit: Fit
+    rows: dict[str, Rows]
+
+
+@dataclass(frozen=True)
+class Direct:
+    """What regression finds; axes without the signals for a block are missing from its table."""
+
+    position: dict[str, PositionControl] = field(default_factory=dict)
+    speed: dict[str, SpeedControl] = field(default_factory=dict)
+    balance: dict[str, Balance] = field(default_factory=dict)  # 'X', 'Y', 'Z', and 'A C' for the pair
+    current: dict[str, MeanCurrent] = field(default_factory=dict)
+
+
+def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None) -> Direct:
+    """Regress all blocks; `simulated` holds the same runs of a noise-free simulation, the instruments of the speed controller."""
+    out = Direct()
+    moving = {name: [r for r in axis_runs if r is not None] for name, axis_runs in runs.items()}
+    for axis in machine.axes:
+        here = moving.get(axis.name, [])
+        if not here:
+            continue
+        found = fit_position_control(axis, here)
+        if found is not None:
+            out.position[axis.name] = found
+        if any(r.current is not None for r in here):
+            start = axis.commissioned_inertia or axis.rotor_inertia_kg_m2
+            out.current[axis.name] = MeanCurrent.start(machine, axis, here, start, _partners(machine, axis, runs))  # type: ignore[arg-type]
+    _balances(machine, runs, out, ITERATIONS)
+    if progress:
+        progress("torque balance")
+    for last in (False, True):
+        for axis in machine.axes:
+            if axis.name in out.current:
+                _speed_controller(machine, axis, runs, simulated, out)
+        if progress:
+            progress("speed controller")
+        # the saw-tooth hangs on the speed controller: once more with what was found of it
+        if not last:
+            for axis in machine.axes:
+                found = out.speed.get(axis.name)  # type: ignore[assignment]
+                if found is not None:
+                    weight = found.values["torque_feedforward"] if math.isfinite(found.deviations["torque_feedforward"]) else 1.0
+                    inertia = out.current[axis.name].fit.loop.inertia
+                    out.current[axis.name] = MeanCurrent.start(  # type: ignore[call-arg]
+                        machine,
+                        axis,
+                        moving[axis.name],
+                        inertia,
+                        _partners(machine, axis, runs),
+                        weight,  # type: ignore[arg-type]
+                    )
+            _balances(machine, runs, out, ITERATIONS)
+            if progress:
+                progress("torque balance, with the control's own weights")
+    return out
+
+
+def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
+    """The same runs of the other axis of a tilting pair; none for an axis by itself."""
+    other = {"A": "C", "C": "A"}.get(axis.name)
+    if other is None or other not in runs or not tilting_pair.has_pair(machine):
+        return []
+    return [b for a, b in zip(runs[axis.name], runs[other]) if a is not None]
+
+
+def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> None:
+    """Torque balances of all axes, mean current and inertia in turn."""
+    paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
+    for _ in range(iterations):
+        for axis in machine.axes:
+            if axis.name not in out.current or (paired and axis.name in ("A", "C")):
+                continue
+            result = fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])
+            if result is not None:
+                fit, rows = result
+                names = LINEAR_NAMES if axis.kind == "linear" else (*LINEAR_NAMES, "gravity_cos", "gravity_sin")
+                out.balance[axis.name] = Balance(names, fit, {axis.name: rows})
+                _update(out, axis.name, fit.values[0], fit.seen[0])
+        if paired:
+            both = [(a, c) for a, c in zip(runs["A"], runs["C"]) if a is not None and c is not None]
+            result_pair = tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))
+            if result_pair is not None:
+                fit, (rows_a, rows_c) = result_pair
+                out.balance["A C"] = Balance(tilting_pair.NAMES, fit, {"A": rows_a, "C": rows_c})
+                for k, name in enumerate(("A", "C")):
+                    _update(out, name, fit.values[k] * machine.axis(name).ratio ** 2, fit.seen[k])
+
+
+def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Direct) -> None:
+    """The speed controller of one axis; what the mean current leaves unknown of an acceleration is in its torque weight, too."""
+    here = [r for r in runs[axis.name] if r is not None]
+    twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
+    delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
+    mean = out.current[axis.name]
+    found = fit_speed_control(axis, here, [mean.of(r) for r in here], machine.speed_cycle, delay, twins)
+    if found is not None:
+        doubt = mean.inertia_deviation / (axis.commissioned_inertia or np.inf)
+        deviations = {**found.deviations, "torque_feedforward": float(np.hypot(found.deviations["torque_feedforward"], doubt))}
+        out.speed[axis.name] = replace(found, deviations=deviations)
+
+
+def _update(out: Direct, name: str, inertia: float, seen: bool) -> None:
+    """Bring the mean current of an axis up to the inertia just found."""
+    if seen and np.isfinite(inertia) and inertia > 0.2 * out.current[name].reference.inertia:
+        out.current[name].update(float(inertia))

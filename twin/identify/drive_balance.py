@@ -1,0 +1,210 @@
+"""Balance of torques at the motor of a linear axis: inertia, Coulomb and viscous friction, gravity.
+
+    Kt i = J dw/dt + Fc sign(w) + Fv w + G      where the axis slides
+
+i is the mean current of a position cycle (`between_samples`). The torque constant is the machine file's: J, Fc, Fv, G come as products
+with it, and `products` says what fixes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.between_samples import (
+    RIGID_RAD_PER_S,
+    FastFit,
+    FastLoop,
+    Sawtooth,
+    convolved,
+    fast_loop_of,
+    fit_fast_loop,
+    missing_mean,
+    sawtooth_of,
+)
+from twin.identify.least_squares import Fit, regress
+from twin.machine import Axis, Machine
+
+NAMES = ("inertia", "coulomb", "viscous", "gravity")
+EVERY = 4
+"""Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart hold all."""
+
+ITERATIONS = 4
+
+LAW_DOUBT = 0.01
+"""How well the law of the saw-tooth (two masses, fixed damping) holds the missing mean, as a standard deviation (docs/identify.md)."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a regression: columns (row, k), y (row,) [Nm], cluster, speed [rad/s], acceleration [rad/s2], run (row,)."""
+
+    columns: np.ndarray
+    y: np.ndarray
+    clusters: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    position: np.ndarray
+    run: np.ndarray
+
+
+def stacked(parts: Sequence[Rows]) -> Rows:
+    """Rows of several runs in one; clusters of different runs stay apart."""
+    clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
+    fields = ("columns", "y", "speed", "acceleration", "position", "run")
+    joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
+    return Rows(clusters=np.concatenate(clusters), **joined)
+
+
+def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray) -> Rows:
+    """Rows of one run where the axis slides, filtered alike on both sides; a lone rotary axis has gravity by its angle, too."""
+    f = run.filtered
+    sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * SLIDING_RAD_PER_S)
+    turning = [] if axis.kind == "linear" else [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))]
+    columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), *turning])
+    return _kept(run, columns, f(mean_current * axis.motor.torque_constant_nm_per_a))
+
+
+def _kept(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
+    index = np.arange(0, len(y), EVERY)
+    index = index[run.sliding[index]]
+    f = run.filtered
+    names = np.full(len(index), run.run, dtype=object)
+    return Rows(
+        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names
+    )
+
+
+@dataclass(frozen=True)
+class DriveTrain:
+    """Spring between motor and load: mode = sqrt(stiffness / load) [rad/s], load's inertia at the motor [kg m2]; rigid: inf, 0."""
+
+    mode: float = math.inf
+    load: float = 0.0
+
+
+def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun | None] = ()) -> DriveTrain:
+    """The spring from motor minus scale, d, in two regressions below the band where the axis slides:
+
+        d = a / mode^2 + what friction and gravity press          -> mode
+        d = (Kt i / r - Jm a) / k                                  -> stiffness k, from friction and gravity, whatever the samples of i miss
+
+    load = k / mode^2. `partners` are the same runs of the other axis of a tilting pair, which presses with its position and acceleration.
+    """
+    by_motion, by_torque = [], []
+    for run, other in zip(runs, partners or [None] * len(runs)):
+        if run.deflection is None or run.current is None:
+            return DriveTrain()
+        f = run.filtered
+        n = len(run.speed)
+        pressed = [np.sign(run.speed), run.speed * axis.ratio, np.ones(n)]
+        if axis.kind == "rotary":
+            turning = [np.cos(run.axis_position), np.sin(run.axis_position)]
+            pressed += turning
+            if partners:
+                there, its_acceleration = (
+                    np.interp(run.middle, other.middle, x) if other is not None else np.zeros(n)  # type: ignore[arg-type]
+                    for x in ((other.axis_position, other.acceleration) if other is not None else (None, None))
+                )
+                pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
+                pressed.append(its_acceleration)
+        acceleration = f(run.acceleration * axis.ratio)
+        torque = f(run.current * axis.motor.torque_constant_nm_per_a / axis.ratio)
+        by_motion.append(_kept(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
+        by_torque.append(_kept(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
+    motion, torques = stacked(by_motion), stacked(by_torque)
+    if len(motion.y) < 50:
+        return DriveTrain()
+    slow, soft = (regress(r.columns, r.y, r.clusters) for r in (motion, torques))
+    a, k = slow.values[0], soft.values[0]
+    if not (slow.seen[0] and soft.seen[0]) or a < max(4.0 * slow.deviations[0], RIGID_RAD_PER_S**-2) or k < 4.0 * soft.deviations[0]:
+        return DriveTrain()
+    return DriveTrain(float(a**-0.5), float(a / k * axis.ratio**2))
+
+
+@dataclass
+class MeanCurrent:
+    """Mean currents of the runs of one axis, kept up with what is known of its loop."""
+
+    machine: Machine
+    axis: Axis
+    reference: FastLoop
+    sawtooth: Sawtooth | None
+    samples_per_cycle: int
+    fit: FastFit
+    torque_weight: float = 1.0
+
+    @classmethod
+    def start(
+        cls,
+        machine: Machine,
+        axis: Axis,
+        runs: Sequence[AxisRun],
+        inertia: float,
+        partners: Sequence[AxisRun | None] = (),
+        torque_weight: float = 1.0,
+    ) -> MeanCurrent:
+        """With the machine file's gains and winding; the drive train from motor and scale (`partners`: see drive_train).
+
+        `torque_weight` multiplies the torque feedforward of the runs that have it on.
+        """
+        train = drive_train(axis, runs, partners)
+        loop = replace(fast_loop_of(machine, axis, inertia), mode=train.mode, load=train.load)
+        usable = [r for r in runs if r.speed_setpoint is not None and r.current_ripple is not None and r.speed_ripple is not None]
+        noise = machine.noise(axis)
+        sawtooth = None
+        if any(r.sliding.any() for r in usable):
+            sawtooth = sawtooth_of(
+                [_steps(r, torque_weight) for r in usable],
+                [r.current_ripple for r in usable if r.current_ripple is not None],
+                [r.speed_ripple for r in usable if r.speed_ripple is not None],
+                [r.sliding for r in usable],
+                (max(noise.current, 1e-3), max(noise.speed / axis.ratio, 1e-4)),
+            )
+        return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop, math.nan, 0.0), torque_weight)
+
+    def update(self, inertia: float) -> None:
+        """Fit the fast loop again, with a new inertia at the motor."""
+        loop = self.fit.loop
+        loop = replace(loop, inertia=inertia)
+        if self.sawtooth is None:
+            self.fit = FastFit(loop, math.nan, 0.0)
+        else:
+            self.fit = fit_fast_loop(loop, self.samples_per_cycle, self.sawtooth, self.reference)
+
+    def of(self, run: AxisRun) -> np.ndarray | None:
+        """Mean current (cycle,) of a run [A]; None without current."""
+        if run.current is None:
+            return None
+        g, f = missing_mean(self.fit.loop, run.samples_per_cycle)
+        speed, torque = _steps(run, self.torque_weight)
+        return run.current + convolved(g, speed) + convolved(f, torque)
+
+    @property
+    def inertia_deviation(self) -> float:
+        """What the fast loop leaves unknown of the inertia [kg m2]: Kt Tp times that of the missing mean per step."""
+        missing = float(missing_mean(self.fit.loop, self.samples_per_cycle)[0].sum())
+        doubt = np.hypot(self.fit.mean_deviation, LAW_DOUBT * missing)
+        return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
+
+
+def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of speed set point and torque feedforward at the start of each cycle; without a record, of the motor's speed."""
+    speed = run.speed_setpoint if run.speed_setpoint is not None else np.diff(run.angle) / run.cycle
+    return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward, prepend=0.0)
+
+
+def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
+    """The four NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows."""
+    parts = [linear_rows(axis, run, i) for run in runs if (i := current.of(run)) is not None]
+    if not parts or sum(len(p.y) for p in parts) < 20:
+        return None
+    rows = stacked(parts)
+    fit = regress(rows.columns, rows.y, rows.clusters)
+    covariance = fit.covariance.copy()
+    covariance[0, 0] += current.inertia_deviation**2
+    return replace(fit, covariance=covariance), rows

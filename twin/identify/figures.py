@@ -1,0 +1,222 @@
+"""The pictures of an identification: friction law, inertia, table gravity, residuals and their whiteness."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from twin.colours import axis_colour, hexadecimal
+from twin.identify.axis_run import SLIDING_RAD_PER_S
+from twin.identify.direct import Balance
+from twin.identify.drive_balance import Rows
+from twin.identify.least_squares import whiteness
+from twin.identify.result import Identification
+from twin.machine import Machine
+from twin.report import new_figure
+from twin.report.figure import INK, SOFT
+from twin.units import deg_from_rad
+
+STEADY = 0.02
+"""A row counts as constant speed where its acceleration takes less than this share of the largest."""
+
+
+def balance_of(result: Identification, axis: str) -> Balance | None:
+    """The balance that holds this axis."""
+    return next((b for name, b in result.direct.balance.items() if axis in name.split()), None)
+
+
+def _parts(machine: Machine, balance: Balance, axis: str) -> tuple[Rows, dict[str, np.ndarray], np.ndarray]:
+    """Rows of an axis' motor, its measured torque split into inertia, friction and rest [Nm at the motor], and the residual."""
+    rows = balance.rows[axis]
+    scale = machine.axis(axis).ratio if len(balance.rows) > 1 else 1.0
+    share = rows.columns * balance.fit.values * scale
+    names = list(balance.names)
+    suffix = f"_{axis}" if len(balance.rows) > 1 else ""
+    friction = [names.index(f"coulomb{suffix}"), names.index(f"viscous{suffix}")]
+    inertia = [names.index(f"inertia{suffix}")]
+    rest = [i for i in range(len(names)) if i not in friction + inertia]
+    parts = {k: share[:, i].sum(axis=1) for k, i in (("inertia", inertia), ("friction", friction), ("rest", rest))}
+    return rows, parts, rows.y * scale - share.sum(axis=1)
+
+
+def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 14) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Speed [rad/s], friction torque [Nm] and its deviation at constant speeds: rows of equal speed in one, both directions."""
+    rows, parts, residual = _parts(machine, balance, axis)
+    friction = parts["friction"] + residual
+    steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
+    speed, torque = rows.speed[steady], friction[steady]
+    points = []
+    for sign in (-1.0, 1.0):
+        here = np.sign(speed) == sign
+        if here.sum() < 5:
+            continue
+        edges = np.geomspace(SLIDING_RAD_PER_S, max(np.abs(speed[here]).max() * 1.001, SLIDING_RAD_PER_S * 1.1), count + 1)
+        for low, high in itertools.pairwise(edges):
+            inside = here & (np.abs(speed) >= low) & (np.abs(speed) < high)
+            if inside.sum() >= 5:
+                points.append((speed[inside].mean(), torque[inside].mean(), torque[inside].std() / np.sqrt(inside.sum() / 5.0)))
+    return tuple(np.array(c) for c in zip(*points)) if points else (np.zeros(0),) * 3  # type: ignore[return-value]
+
+
+def friction_figure(result: Identification) -> Any:
+    """Friction against speed for every axis: points of constant speed, the law and its 95 % band, the law before."""
+    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    columns = min(3, max(len(axes), 1))
+    figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.9)
+    for panel, axis in zip(panels.ravel(), axes):
+        balance = balance_of(result, axis.name)
+        assert balance is not None
+        colour = hexadecimal(axis_colour(axis.name))
+        speed, torque, deviation = friction_points(result.before, balance, axis.name)
+        coulomb, viscous = result.parameter(axis.name, "coulomb_friction"), result.parameter(axis.name, "viscous_friction")
+        top = max(float(np.abs(speed).max()) if len(speed) else 1.0, SLIDING_RAD_PER_S)
+        unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", deg_from_rad(axis.ratio))
+        for sign in (-1.0, 1.0):
+            w = sign * np.linspace(0.0, 1.08 * top, 50)
+            law = sign * coulomb.estimate.value + viscous.estimate.value * w
+            half = 0.5 * (coulomb.estimate.high - coulomb.estimate.low) + 0.5 * (viscous.estimate.high - viscous.estimate.low) * np.abs(w)
+            panel.fill_between(w * factor, law - half, law + half, color=colour, alpha=0.25, lw=0)
+            panel.plot(w * factor, law, color=colour, lw=1.6, label="identified law, 95 % band" if sign > 0 else None)
+            before = sign * coulomb.before + viscous.before * w
+            panel.plot(w * factor, before, color=SOFT, lw=1.0, ls="--", label="machine file before" if sign > 0 else None)
+        panel.errorbar(speed * factor, torque, 1.96 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
+        panel.axhline(0.0, color=SOFT, lw=0.6)
+        panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3f} Nm + {1e3 * viscous.estimate.value:.2f} mNm s/rad")
+        panel.set_xlabel(unit)
+        panel.set_ylabel("friction at the motor [Nm]")
+    for panel in panels.ravel()[len(axes) :]:
+        panel.axis("off")
+    panels.ravel()[0].legend(loc="lower right", frameon=False, fontsize=8)
+    return figure
+
+
+def inertia_figure(result: Identification) -> Any:
+    """Torque less friction and gravity against acceleration: the slope is the inertia."""
+    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    columns = min(3, max(len(axes), 1))
+    figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.8)
+    for panel, axis in zip(panels.ravel(), axes):
+        balance = balance_of(result, axis.name)
+        assert balance is not None
+        rows, parts, residual = _parts(result.before, balance, axis.name)
+        torque = parts["inertia"] + residual
+        step = max(1, len(torque) // 1500)
+        p = result.parameter(axis.name, "inertia")
+        panel.plot(rows.acceleration[::step], torque[::step], ".", ms=2.2, color=hexadecimal(axis_colour(axis.name)), alpha=0.6)
+        ends = np.array([rows.acceleration.min(), rows.acceleration.max()])
+        panel.plot(ends, p.estimate.value * ends, color=INK, lw=1.1, label="identified")
+        panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
+        half = 50.0 * (p.estimate.high - p.estimate.low) / p.estimate.value
+        panel.set_title(f"{axis.name}: {1e3 * p.estimate.value:.4f} g m² ± {half:.2f} %")
+        panel.set_xlabel("acceleration of the motor [rad/s²]")
+        panel.set_ylabel("torque for it [Nm]")
+    for panel in panels.ravel()[len(axes) :]:
+        panel.axis("off")
+    panels.ravel()[0].legend(loc="upper left", frameon=False, fontsize=8)
+    return figure
+
+
+def gravity_figure(result: Identification) -> Any | None:
+    """Gravity torque of the tilting table over its angle, for two positions of C; None without a table."""
+    balance = result.direct.balance.get("A C")
+    if balance is None:
+        return None
+    machine = result.before
+    rows = balance.rows["A"]
+    names = list(balance.names)
+    index = [names.index(n) for n in ("moment_y", "moment_z", "table_x", "table_y")]
+    gravity = rows.columns[:, index] @ balance.fit.values[index]
+    residual = rows.y - rows.columns @ balance.fit.values
+    figure, panels = new_figure(1, 2, height=3.2)
+    colour = hexadecimal(axis_colour("A"))
+    low, high = machine.axis("A").travel
+    angle = np.linspace(low, high, 120)
+    v = balance.fit.values
+    left = panels[0, 0]
+    step = max(1, len(gravity) // 1500)
+    left.plot(
+        deg_from_rad(1.0) * rows.position[::step],
+        (gravity + residual)[::step],
+        ".",
+        ms=2.2,
+        color=colour,
+        alpha=0.5,
+        label="measured, all C",
+    )
+    g = machine.gravity
+    for c, style in ((0.0, "-"), (np.pi, "--")):
+        y = v[index[0]] + v[index[2]] * np.sin(c) + v[index[3]] * np.cos(c)
+        left.plot(
+            deg_from_rad(1.0) * angle,
+            g * (y * np.cos(angle) - v[index[1]] * np.sin(angle)),
+            color=INK,
+            lw=1.2,
+            ls=style,
+            label=f"law, C = {deg_from_rad(c):.0f}°",
+        )
+    left.set_xlabel("angle of A [deg]")
+    left.set_ylabel("gravity torque on A [Nm]")
+    left.set_title("Gravity of the tilting table over its angle")
+    left.legend(frameon=False, fontsize=8)
+    right = panels[0, 1]
+    shown = [p for n in ("moment_y", "moment_z", "table_x", "table_y") if (p := result.parameter("A", n)).before]
+    for k, p in enumerate(shown):
+        off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, 0.5 * (p.estimate.high - p.estimate.low)))
+        right.errorbar(k, off, half, fmt="o", ms=5, color=colour, capsize=4)
+        right.annotate(f"{p.estimate.value:.4g} kg m", (k, off), xytext=(8, 4), textcoords="offset points", fontsize=8.5)
+    right.axhline(0.0, color=SOFT, lw=1.0, ls="--")
+    right.set_xlim(-0.5, len(shown) - 0.2)
+    right.set_xticks(range(len(shown)), [p.name.replace("_", " ") for p in shown])
+    right.set_ylabel("off the machine file [%]")
+    right.set_title("First moments with 95 % interval")
+    return figure
+
+
+def residual_figure(result: Identification) -> Any:
+    """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
+    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
+    for (trace, white), axis in zip(panels, axes):
+        balance = balance_of(result, axis.name)
+        assert balance is not None
+        rows, _, residual = _parts(result.before, balance, axis.name)
+        colour = hexadecimal(axis_colour(axis.name))
+        trace.plot(1e3 * residual, lw=0.5, color=colour)
+        edges = np.flatnonzero(rows.run[1:] != rows.run[:-1]) + 1
+        for e in edges:
+            trace.axvline(e, color=SOFT, lw=0.5)
+        for start, name in zip([0, *edges], rows.run[[0, *edges]]):
+            trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)
+        trace.set_ylabel(f"{axis.name} [mNm]")
+        correlation, outside = whiteness(residual)
+        white.axhspan(-1.96 / np.sqrt(len(residual)), 1.96 / np.sqrt(len(residual)), color=SOFT, alpha=0.3, lw=0)
+        white.vlines(np.arange(len(correlation)) * 8.0, 0.0, correlation, color=colour, lw=1.2)
+        white.set_title(f"{100 * outside:.0f} % of lags outside the white band", fontsize=8.5)
+    panels[-1, 0].set_xlabel("rows where the axis slides, 8 ms apart")
+    panels[-1, 1].set_xlabel("lag [ms of sliding]")
+    return figure
+
+
+def gap_figure(result: Identification) -> Any | None:
+    """Gap over noise on runs left out, before and after, by axis and signal."""
+    if not result.gaps:
+        return None
+    stages = list(result.gaps)
+    keys = [(a, s) for a, signals in result.gaps[stages[0]].items() for s in signals]
+    figure, panels = new_figure(1, 1, height=3.0)
+    panel = panels[0, 0]
+    looks = {"before": (SOFT, "machine file before"), "regression": ("#0b5394", "regression"), "refined": ("#2e8b57", "refined")}
+    for k, stage in enumerate(stages):
+        ratio = [result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys]
+        panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratio, 0.25, color=looks[stage][0], label=looks[stage][1])
+    panel.axhline(1.0, color=INK, lw=0.8)
+    panel.set_yscale("log")
+    panel.set_xticks(
+        np.arange(len(keys)), [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in keys], fontsize=7.5
+    )
+    panel.set_ylabel("gap / noise")
+    panel.set_title("Gap on the runs left out; 1 is what measuring noise alone makes")
+    panel.legend(ncols=3, frameon=False)
+    return figure

@@ -1,0 +1,247 @@
+"""What is wrong with, or missing from, a recording: said before any number is believed.
+
+Flags of the feedforward are checked against the signals, late channels are timed, limits and clipping found, and what a campaign
+cannot tell is named with the run that would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.campaign import MeasuredRun
+from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.drive_balance import MeanCurrent
+from twin.identify.least_squares import regress
+from twin.identify.position_control import _linearised
+from twin.machine import Axis, Machine
+
+SIGNALS = {
+    "position": "position gain and delays",
+    "velocity_setpoint": "feedforward weight, delays and position gain by regression",
+    "current": "inertia, friction and gravity",
+    "velocity": "the current between samples, which inertia hangs on",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark: the run and axis it is about ('' for all), and the text with what to do."""
+
+    run: str
+    axis: str
+    text: str
+
+    def __str__(self) -> str:
+        where = " ".join(w for w in (f"run {self.run}" if self.run else "", f"axis {self.axis}" if self.axis else "") if w)
+        return f"{where}: {self.text}" if where else self.text
+
+
+def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Finding]:
+    """Signals that no run holds, and what they cost."""
+    out = []
+    for axis in machine.axes:
+        recorded = [r for r in runs if axis.name in r.trace.axes]
+        if not recorded:
+            out.append(Finding("", axis.name, "no run holds this axis; its values stay the machine file's. Record it"))
+            continue
+        for signal, cost in SIGNALS.items():
+            if not any(r.trace.has(axis.name, signal) for r in recorded):
+                out.append(Finding("", axis.name, f"no {signal} in any run: cannot tell {cost}; record {axis.name}.{signal}"))
+    return out
+
+
+def checked_flags(
+    machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]
+) -> tuple[list[str | None], list[Finding]]:
+    """The feedforward of each run as the signals show it, and a finding where `campaign.toml` says otherwise.
+
+    Velocity: what the machine file's position controller leaves of v*, over the feedforward's own; torque: what its speed
+    controller leaves of the current. Each must lie nearer to on than to off on most axes.
+    """
+    flags: list[str | None] = []
+    out = []
+    for i, run in enumerate(runs):
+        velocity, torque = [], []
+        for axis in machine.axes:
+            r = axis_runs[axis.name][i]
+            if r is None:
+                continue
+            weight = _velocity_weight(axis, r)
+            if weight is not None:
+                velocity.append(weight)
+            weight = _torque_weight(axis, r, machine.speed_cycle)
+            if weight is not None:
+                torque.append(weight)
+        told = run.feedforward
+        seen_velocity = float(np.median(velocity)) if velocity else None
+        seen_torque = float(np.median(torque)) if torque else None
+        has_velocity = "velocity" in (told or "velocity") if seen_velocity is None else seen_velocity > 0.5
+        has_torque = "torque" in (told or "velocity+torque") if seen_torque is None else seen_torque > 0.5
+        seen = ("velocity+torque" if has_torque else "velocity") if has_velocity else "off"
+        if seen_velocity is None and seen_torque is None:
+            seen = told  # type: ignore[assignment]
+        if told is not None and seen != told:
+            shown = ", ".join(f"{n} {w:.2f}" for n, w in (("velocity", seen_velocity), ("torque", seen_torque)) if w is not None)
+            out.append(
+                Finding(
+                    run.name,
+                    "",
+                    f"campaign.toml says feedforward '{told}', the signals show '{seen}' (weights: {shown}); taken as '{seen}', correct the file",
+                )
+            )
+        flags.append(seen)
+    return flags, out
+
+
+def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
+    """Velocity feedforward of one run with the machine file's gain and delays; None where the axis hardly moves."""
+    if run.speed_setpoint is None or run.position is None:
+        return None
+    loops = axis.loops
+    x = np.array([loops.position_gain_per_s, 0.0, loops.position_delay_s, loops.feedforward_delay_s])
+    columns, residual = _linearised(run, axis, x, 1.0)
+    slope = columns[:, 1]
+    power = float(slope @ slope)
+    return float(slope @ residual) / power if power > 1e-4 * len(slope) * axis.max_velocity**2 else None
+
+
+def _torque_weight(axis: Axis, run: AxisRun, tick: float) -> float | None:
+    """Torque feedforward of one run: what the machine file's PI law leaves of the current, on the feedforward's own shape."""
+    if run.speed_setpoint is None or run.current is None or axis.commissioned_inertia is None:
+        return None
+    from twin.identify.speed_control import _columns
+
+    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    columns, y = _columns(axis, run, run.current, kt, axis.loops.feedforward_delay_s, tick)
+    kp = axis.loops.speed_gain_nm_s_per_rad
+    left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
+    t = columns[:, 2]
+    power = float(t @ t)
+    return float(t @ left) / power if np.sqrt(power / len(t)) > 0.2 * kt else None
+
+
+@dataclass(frozen=True)
+class Late:
+    """How much later than the scale (current: than the motion) a channel was recorded [s], with its standard deviation."""
+
+    axis: str
+    signal: str
+    seconds: float
+    deviation: float
+
+
+LATE_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
+"""Skew [s] below this is not corrected: an elastic drive train and a current loop off the file make as much (0.1 ms of the current)."""
+
+
+def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[Late]:
+    """Skew of motor position, speed, speed set point and current in one run, where the axis moves enough."""
+    if seen is None or np.ptp(seen.axis_position) < 1e-3 * (axis.max_velocity / 0.5) or seen.sliding.sum() < 100:
+        return []
+    out = []
+    rows = seen.sliding
+    groups = seen.strokes[rows]
+    f = seen.filtered
+
+    def late(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
+        fit = regress(np.column_stack(columns), y, groups)
+        if fit.seen[0] and (per is None or fit.seen[1]):
+            scale = -1.0 if per is None else -1.0 / fit.values[1]
+            out.append(Late(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
+
+    speed, acceleration = f(seen.speed)[rows], f(seen.acceleration)[rows]
+    ones, sign = np.ones(len(speed)), np.sign(speed)
+    if seen.deflection is not None:
+        late("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
+    if run.trace.has(axis.name, "velocity"):
+        velocity = run.trace.get(axis.name, "velocity") / axis.ratio
+        n = seen.samples_per_cycle
+        first = round(seen.start[0] / run.trace.period)
+        mean = velocity[first : first + n * len(seen.start)].reshape(-1, n).mean(axis=1)
+        # the mean of a cycle's samples lies before its middle by half a sample
+        ahead = 0.5 * seen.cycle / n
+        late("velocity", [acceleration, speed, ones], (f(mean) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
+    if seen.current is not None:
+        # the mean current of a cycle, with the machine file's saw-tooth, goes with the acceleration in its middle
+        mean_current = MeanCurrent.start(machine, axis, [seen], axis.commissioned_inertia or axis.rotor_inertia_kg_m2).of(seen)
+        assert mean_current is not None
+        jerk = np.gradient(f(seen.acceleration), seen.cycle)[rows]
+        turning = [f(np.cos(seen.axis_position))[rows], f(np.sin(seen.axis_position))[rows]] if axis.kind == "rotary" else []
+        late("current", [jerk, acceleration, sign, speed, ones, *turning], f(mean_current)[rows], per=1.0)
+    return out
+
+
+def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
+    """Whole samples [s] by which the speed set point lies late against set point and scale (0: where it belongs).
+
+    The position controller's law leaves least where the channels belong together.
+    """
+    if seen.speed_setpoint is None or seen.position is None:
+        return 0.0
+    loops = axis.loops
+    on = 0.0 if seen.feedforward == "off" else 1.0
+    x = np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
+    rms = {}
+    for cycles in range(-4, 5):
+        moved = replace(seen, speed_setpoint=np.roll(seen.speed_setpoint, -cycles))
+        _, residual = _linearised(moved, axis, x, on)
+        rms[cycles] = float(np.sqrt(np.mean(residual[8:-8] ** 2)))
+    best = min(rms, key=lambda c: rms[c])
+    return best * seen.cycle if rms[best] < SHARPER * rms[0] else 0.0
+
+
+SHARPER = 0.2
+"""A shift counts where it leaves less than this fraction of the law's residual: gains and delays off the file leave more."""
+
+
+def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
+    """What the runs of one axis do not excite, and which run would."""
+    name = axis.name
+    if not runs or max(np.ptp(r.angle) for r in runs) < 1.0:
+        return [
+            Finding(
+                "", name, "never moves: friction, inertia and delays cannot be told; run it there and back at three speeds ('twin plan')"
+            )
+        ]
+    sliding = np.concatenate([r.speed[r.sliding] for r in runs])
+    if len(sliding) == 0:
+        return [
+            Finding(
+                "",
+                name,
+                f"never slides faster than {SLIDING_RAD_PER_S:g} rad/s at the motor: no friction law; add constant speeds ('twin plan')",
+            )
+        ]
+    out = []
+    share = float(np.mean(sliding > 0))
+    if share < 0.02 or share > 0.98:
+        out.append(Finding("", name, "moves in one direction only: Coulomb friction and constant force are one number; add the way back"))
+    speeds = np.abs(sliding)
+    if np.percentile(speeds, 97) < 2.5 * np.percentile(speeds, 10):
+        out.append(
+            Finding("", name, "too few speeds: viscous friction hangs on a short lever; add constant speeds up to rapid ('twin plan')")
+        )
+    accelerations = np.concatenate([r.filtered(r.acceleration)[r.sliding] for r in runs])
+    if np.percentile(np.abs(accelerations), 99) < 0.05 * axis.max_acceleration / axis.ratio:
+        out.append(Finding("", name, "hardly accelerates: inertia cannot be told; add accelerated moves ('twin plan')"))
+    limited = sum(float(r.limited.sum() * r.cycle) for r in runs)
+    if limited > 0.0:
+        out.append(Finding("", name, f"current at its limit or clipped for {limited * 1e3:.0f} ms: those parts are left out"))
+    return out
+
+
+def stuck_channels(machine: Machine, run: MeasuredRun) -> list[Finding]:
+    """Channels that never change while the axis' set point does."""
+    out = []
+    for axis in machine.axes:
+        if axis.name not in run.trace.axes or np.ptp(run.trace.get(axis.name, "setpoint")) < 1e-5:
+            continue
+        for signal in ("position", "motor_position", "velocity", "velocity_setpoint", "current"):
+            if run.trace.has(axis.name, signal) and np.ptp(run.trace.get(axis.name, signal)) == 0.0:
+                out.append(
+                    Finding(run.name, axis.name, f"{signal} never changes while the set point moves; check the recording of this channel")
+                )
+    return out

@@ -1,0 +1,76 @@
+"""Measuring noise per signal, from the parts of a campaign in which all axes stand still.
+
+At rest the control answers its own noise: the current swings by more than its sensor. What an ideal sensor would leave is therefore not
+zero, and the twin at rest with the machine file's noise says how much of a standstill's scatter each sensor makes:
+    noise = file's noise x measured scatter / simulated scatter         scatter: of differences from sample to sample
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.campaign import MeasuredRun
+from twin.machine import Axis, Machine
+from twin.run import simulate
+from twin.setpoints import Setpoints
+from twin.trace import Trace
+
+REST_S = 0.08
+"""Standstill shorter than this is not used."""
+
+SETTLE_S = 0.05
+"""The first part of each standstill is left out: the loop still settles."""
+
+KEYS = {
+    ("linear", "position"): "linear_scale_noise_m",
+    ("rotary", "position"): "rotary_encoder_noise_deg",
+    ("linear", "velocity"): "speed_noise_m_per_s",
+    ("rotary", "velocity"): "speed_noise_deg_per_s",
+}
+
+
+def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
+    """Values of the keys of [measurement], file units; keys without standstill or signal are left out."""
+    spread: dict[tuple[str, str], list[float]] = {}
+    weight: dict[tuple[str, str], list[int]] = {}
+    reference = _rest_of_the_twin(machine, runs[0].trace.period)
+    if reference is None:
+        return {}
+    for run in runs:
+        for axis in machine.axes:
+            for part in rests(run.trace, axis):
+                for signal in ("position", "velocity", "current"):
+                    if run.trace.has(axis.name, signal):
+                        ratio = _scatter(run.trace.get(axis.name, signal)[part]) / max(_scatter(reference.get(axis.name, signal)), 1e-15)
+                        key = ("all" if signal == "current" else axis.kind, signal)
+                        spread.setdefault(key, []).append(ratio**2)
+                        weight.setdefault(key, []).append(part.stop - part.start)
+    out = {}
+    table = machine.document.get("measurement", {})
+    for key, ratios in spread.items():
+        name = "current_noise_a" if key[1] == "current" else KEYS[key]
+        if table.get(name):
+            out[name] = float(f"{table[name] * np.sqrt(np.average(ratios, weights=weight[key])):.4g}")
+    return out
+
+
+def rests(trace: Trace, axis: Axis) -> list[slice]:
+    """Stretches in which the set point of the axis stands still, without their first part."""
+    if axis.name not in trace.axes:
+        return []
+    still = np.diff(trace.get(axis.name, "setpoint"), prepend=np.nan) == 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    skip, least = round(SETTLE_S / trace.period), round(REST_S / trace.period)
+    return [slice(a + skip, b) for a, b in zip(edges[::2], edges[1::2]) if b - a - skip >= least]
+
+
+def _scatter(values: np.ndarray) -> float:
+    return float(np.std(np.diff(values))) if len(values) > 2 else 0.0
+
+
+def _rest_of_the_twin(machine: Machine, period: float) -> Trace | None:
+    start = np.array([np.clip(0.0, *axis.travel) for axis in machine.axes])
+    setpoints = Setpoints(np.tile(start, (round(1.0 / period), 1)), period)
+    return simulate(machine, setpoints, sample_period=period, noise_seed=0).trace

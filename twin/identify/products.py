@@ -1,0 +1,190 @@
+"""From products with the torque constant to values: what fixes a torque constant, and how far.
+
+Current and motion tell J/Kt, Fc/Kt, Fv/Kt, m g/Kt: one factor is common to all numbers of a motor, whatever the recording. Only something
+known breaks the tie: a mass on a scale, a torque wrench, the motor's test sheet, or the machine file's tolerance: each parameter lies
+within it of its nominal value, so a factor that all products share is more likely the torque constant's than everyone's. Values are the
+most probable ones under those tolerances and the regression,
+
+    min  sum_i ((p_i - p_i(x)) / d_i)^2 + sum_j (x_j / t_j)^2,     x: logarithms of factors on the machine file
+
+Where the products contradict the tolerance, the torque constant of the file is kept and all others follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+
+import mujoco
+import numpy as np
+from scipy.optimize import least_squares
+
+from twin.identify import tilting_pair
+from twin.identify.direct import Direct
+from twin.machine import Machine
+from twin.plant import build_plant
+
+FLOOR = 2e-4
+"""Relative deviation below which no product is believed: laws hold no better."""
+
+CONTRADICTS = 3.0
+"""A parameter so many standard deviations off its nominal value says that the tolerance does not hold."""
+
+WIDE = 0.3
+"""Standard deviation of the factors on the machine file where its tolerance does not hold."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Factors on machine-file values (log, deviation) by path, for one motor or the pair, and whether the tolerance held."""
+
+    factors: dict[str, tuple[float, float]]
+    tolerance_holds: bool
+
+
+def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: float | None = None) -> dict[str, Split]:
+    """Most probable factors by path for every balance that was found; tolerances are relative half widths."""
+    out = {}
+    for name, balance in direct.balance.items():
+        paths = _paths(machine, name)
+        values, deviations = balance.fit.values, balance.fit.deviations
+        predicted = _predictor(machine, name, list(paths))
+        k = len(predicted(np.zeros(len(paths))))
+        use = balance.fit.seen[:k] & np.isfinite(deviations[:k])
+        nominal = predicted(np.zeros(len(paths)))
+        use &= np.abs(nominal) > 0.0
+        scale = np.hypot(deviations[:k], FLOOR * np.abs(values[:k]))
+        kt_sd = (machine.parameter_tolerance if torque_constant_tolerance is None else torque_constant_tolerance) / math.sqrt(3.0)
+        own = max(machine.parameter_tolerance, 1e-6) / math.sqrt(3.0)
+        prior = np.array([max(kt_sd, 1e-6) if "torque_constant" in p else own * _share(machine, p) for p in paths])
+        x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
+        misfit = np.abs((predicted(x) - values[:k]) / scale)[use]
+        holds = bool(np.all(np.abs(x) < CONTRADICTS * prior)) and bool(np.sqrt(np.mean(misfit**2)) < 2.0 * CONTRADICTS)
+        if not holds:
+            prior = np.array([min(max(kt_sd, 1e-6), 1e-2) if "torque_constant" in p else WIDE for p in paths])
+            x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
+        deviation = np.sqrt(np.diag(covariance))
+        out[name] = Split({p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}, holds)
+    return out
+
+
+def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
+    """The machine file with the factors on its values."""
+    return machine.with_values({p: v for split in splits.values() for p, v in _scaled(machine, split.factors).items()})
+
+
+def _paths(machine: Machine, name: str) -> tuple[str, ...]:
+    """Paths of the machine-file values that the products of a motor hold."""
+    out = []
+    for axis in name.split():
+        rotor = "rotor_and_screw_inertia_kg_m2" if machine.axis(axis).kind == "linear" else "rotor_and_gear_inertia_kg_m2"
+        keys = ["motor.torque_constant_nm_per_a", rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
+        # a weight tells the mass; elsewhere the inertia is one number, and the rotor stands for it
+        if is_vertical(machine, axis):
+            keys.append("moving_mass_kg")
+        out += [f"axis.{axis}.{key}" for key in keys]
+    if name == "A C":
+        out += [f"body.{b}.mass_kg" for b in ("cradle", "table", "workpiece")]
+    return tuple(out)
+
+
+def _share(machine: Machine, path: str) -> float:
+    """How much more than the tolerance a rotor may be off where it stands for the load's mass, too."""
+    if not path.endswith("rotor_and_screw_inertia_kg_m2"):
+        return 1.0
+    axis = machine.axis(path.split(".")[1])
+    if is_vertical(machine, axis.name):
+        return 1.0
+    return math.hypot(1.0, (axis.moving_mass_kg or 0.0) * axis.ratio**2 / axis.rotor_inertia_kg_m2)
+
+
+def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.ndarray], np.ndarray]:
+    """Products at the file's torque constants as a function of log factors, in the order of the balance's names."""
+    index = {p: i for i, p in enumerate(paths)}
+    if name == "A C":
+        a, c = machine.axis("A"), machine.axis("C")
+        parts = {b.name: _pair_part(machine, b.name) for b in machine.bodies if b.name in ("cradle", "table", "workpiece")}
+
+        def pair(x: np.ndarray) -> np.ndarray:
+            def f(path: str) -> float:
+                return math.exp(x[index[path]])
+
+            numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
+            for k, axis in enumerate((a, c)):
+                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * f(f"axis.{axis.name}.rotor_and_gear_inertia_kg_m2")
+            kt = [f(f"axis.{axis.name}.motor.torque_constant_nm_per_a") for axis in (a, c)]
+            numbers = numbers / np.where(np.arange(10) == 1, kt[1], kt[0])
+            friction = []
+            for axis, k in zip((a, c), kt):  # type: ignore[assignment]
+                friction += [
+                    axis.coulomb_friction * f(f"axis.{axis.name}.coulomb_friction_nm") / k,
+                    axis.viscous_friction * f(f"axis.{axis.name}.viscous_friction_nm_s_per_rad") / k,
+                ]
+            return np.concatenate([numbers, friction])
+
+        return pair
+    axis = machine.axis(name)
+    kt, rotor, coulomb, viscous = (index[p] for p in paths[:4])
+    mass = index.get(f"axis.{name}.moving_mass_kg")
+    load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
+    if axis.moving_mass_kg is None:
+        load = max((axis.commissioned_inertia or 0.0) - axis.rotor_inertia_kg_m2, 0.0)
+    vertical = is_vertical(machine, name)
+
+    def single(x: np.ndarray) -> np.ndarray:
+        f = np.exp(x)
+        m = f[mass] if mass is not None else 1.0
+        weight = m * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio if vertical else 0.0
+        products = [
+            axis.rotor_inertia_kg_m2 * f[rotor] + load * m,
+            axis.coulomb_friction_nm * f[coulomb],
+            axis.viscous_friction_nm_s_per_rad * f[viscous],
+            weight,
+        ]
+        return np.array(products) / f[kt]  # a horizontal axis has no product with weight: what is constant there is no mass
+
+    return single
+
+
+def _pair_part(machine: Machine, body: str) -> np.ndarray:
+    """Share of one body in the ten numbers of the pair: they are linear in its mass and inertia together."""
+    table = machine.document["body"][body]
+    doubled = {f"body.{body}.mass_kg": 2.0 * table["mass_kg"], f"body.{body}.inertia_kg_m2": [2.0 * i for i in table["inertia_kg_m2"]]}
+    return tilting_pair.pair_numbers(machine.with_values(doubled)) - tilting_pair.pair_numbers(machine)
+
+
+def is_vertical(machine: Machine, name: str) -> bool:
+    """Does the weight of a linear axis hang on its drive?"""
+    if machine.axis(name).kind != "linear":
+        return False
+    plant = build_plant(machine)
+    plant.data.qpos[:] = 0.0
+    mujoco.mj_forward(plant.model, plant.data)
+    held = plant.data.qfrc_bias[plant.load_dof[machine.axis_names.index(name)]]
+    return bool(abs(held) > 0.5 * (machine.axis(name).moving_mass_kg or 0.0) * machine.gravity)
+
+
+def _most_probable(
+    predicted: Callable[[np.ndarray], np.ndarray], values: np.ndarray, scale: np.ndarray, use: np.ndarray, prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([((predicted(x) - values) / scale)[use], x / prior])
+
+    found = least_squares(residual, np.zeros(len(prior)), x_scale=prior)
+    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+
+
+def _scaled(machine: Machine, factors: Mapping[str, tuple[float, float]]) -> dict[str, object]:
+    """Values by path; a body's inertia goes with its mass."""
+    out: dict[str, object] = {}
+    for path, (log_factor, _) in factors.items():
+        table: object = machine.document
+        for key in path.split("."):
+            table = table[key]  # type: ignore[index]
+        factor = math.exp(log_factor)
+        out[path] = float(table) * factor  # type: ignore[arg-type]
+        if path.startswith("body."):
+            body = path.split(".")[1]
+            out[f"body.{body}.inertia_kg_m2"] = [factor * v for v in machine.document["body"][body]["inertia_kg_m2"]]
+    return out

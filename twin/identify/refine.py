@@ -1,0 +1,309 @@
+"""The second route: Gauss-Newton on the closed-loop gap, every evaluation a simulation of the training runs in MuJoCo.
+
+    min sum over axis, signal, sample of ((measured - simulated) / d)^2,     d: noise of the sensor, and a floor
+
+X, Y, Z and the pair A, C do not feel each other, so one simulation perturbs one parameter of every axis at once: a dozen simulations a
+step, whatever the number of axes. The simulations are free of noise: with noise in their loop the differences would answer the noise,
+too, and bias what they estimate. Samples follow each other in strokes, so the intervals come from clusters of CLUSTER_S, as in the
+regression. It starts at the regression's machine, and the regression's own doubts weigh against what it finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+import math
+import os
+
+import numpy as np
+
+from twin.campaign import MeasuredRun
+from twin.errors import SimulationError
+from twin.gap import COMPARED, is_moving, sensor_noise
+from twin.identify.least_squares import RELATED
+from twin.machine import Machine
+from twin.run import simulate
+from twin.setpoints import setpoints_of
+from twin.trace import Trace
+
+EVERY = 4
+"""Each so many samples count: the signals' noise is white, their misfit is not."""
+
+CLUSTER_S = 0.5
+STEPS = 2
+"""Gauss-Newton steps; a start from the regression lies within the linear range."""
+
+FLOOR = {"position": 2e-8, "motor_position": 2e-8, "velocity": 1e-6, "current": 5e-3}
+"""Deviation that no law undercuts, added to the sensors' noise [m or rad at 180 and 120 : 1 less, SI]."""
+
+# field of the axis, its motor or loops, and the step of the difference quotient: relative, delays in seconds
+FIELDS = {
+    "rotor_inertia_kg_m2": 0.02,
+    "coulomb_friction_nm": 0.01,
+    "viscous_friction_nm_s_per_rad": 0.03,
+    "position_gain_per_s": 0.005,
+    "velocity_feedforward": 0.002,
+    "position_delay_s": 2e-5,
+    "torque_feedforward": 0.01,
+    "speed_gain_nm_s_per_rad": 0.02,
+    "speed_integral_time_s": 0.02,
+}
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One parameter: of an axis' field ('axis', field), of its moving mass, or of a body's mass; `felt_by` names the axes that answer."""
+
+    axis: str
+    field: str
+    step: float
+    felt_by: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The refined machine, standard deviations by 'axis.quantity', and the misfit (RMS in units of d) before and after."""
+
+    machine: Machine
+    deviations: dict[str, float]
+    misfit: tuple[float, float]
+
+
+def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
+    """Slots of knobs that one simulation may turn together: no two in a slot are felt by the same axis."""
+    on = {w for r in runs for w in (r.feedforward or "").split("+")}
+    moving = [a for a in machine.axes if any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)]
+    slots = []
+    for field, step in FIELDS.items():
+        if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):
+            continue
+        slots.append([Knob(a.name, field, step, (a.name,)) for a in moving])
+    names = [a.name for a in moving]
+    weights = [Knob(a.name, "moving_mass_kg", 0.01, (a.name,)) for a in moving if a.moving_mass_kg is not None and _weighs(machine, a.name)]
+    pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "workpiece"}
+    first = weights + ([Knob("A", "body.cradle", 0.01, ("A",))] if pair else [])
+    if first:
+        slots.append(first)
+    if pair:
+        slots.append([Knob("A", "body.workpiece", 0.01, ("A", "C"))])
+    return slots
+
+
+def _weighs(machine: Machine, axis: str) -> bool:
+    from twin.identify.products import is_vertical
+
+    return is_vertical(machine, axis)
+
+
+def turned(machine: Machine, knob: Knob, amount: float) -> Machine:
+    """The machine with one knob turned by `amount` (relative; delays in seconds)."""
+    if knob.field.startswith("body."):
+        name = knob.field[5:]
+        bodies = [
+            replace(b, mass_kg=b.mass_kg * (1 + amount), inertia_kg_m2=tuple(i * (1 + amount) for i in b.inertia_kg_m2))  # type: ignore[arg-type]
+            if b.name == name
+            else b
+            for b in machine.bodies
+        ]
+        return replace(machine, bodies=tuple(bodies))
+    axis = machine.axis(knob.axis)
+    value = float(next(getattr(part, knob.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, knob.field)))
+    changed = max(value + amount, 0.0) if knob.field.endswith("delay_s") else value * (1.0 + amount)
+    # the mass of the vertical axis keeps its inertia with the rotor: weight and inertia are two knobs
+    change = {knob.field: changed}
+    if knob.field == "moving_mass_kg":
+        change["rotor_inertia_kg_m2"] = axis.rotor_inertia_kg_m2 - (changed - value) * axis.ratio**2
+    return machine.with_axis(knob.axis, **change)
+
+
+def refined_machine(
+    machine: Machine, runs: Sequence[MeasuredRun], prior: dict[tuple[str, str], float], say: Callable[[str], None] | None = None
+) -> Refined:
+    """Refine from `machine` on the training runs.
+
+    `prior`: the regression's standard deviation of each knob by (axis, field), relative (delays in seconds); what it does not know is free.
+    """
+    slots = knobs_of(machine, runs)
+    names = machine.axis_names
+    groups = [[n] for n in names if n not in ("A", "C")] + [[n for n in names if n in ("A", "C")]]
+    groups = [g for g in groups if g and any(k.felt_by[0] in g for slot in slots for k in slot)]
+    now, misfits, deviations = machine, [], {}
+    so_far: dict[Knob, float] = {}
+    for step in range(STEPS + 1):
+        last = step == STEPS
+        variants = [now] if last else [now, *(_turn_all(now, slot) for slot in slots)]
+        residuals = _residuals(variants, runs)
+        if residuals[0] is None:
+            raise SimulationError(
+                "refinement: the identified machine diverges on its own set points; give --no-refine and look at the report"
+            )
+        base = residuals[0]
+        misfits.append(float(np.sqrt(np.mean(np.concatenate([v for axis in base.values() for v in axis]) ** 2))))
+        if last:
+            break
+        turns: list[tuple[Knob, float]] = []
+        for group in groups:
+            knobs = [(i, k) for i, slot in enumerate(slots) for k in slot if set(k.felt_by) & set(group) and residuals[i + 1] is not None]
+            rows = np.concatenate([v for n in group if n in base for v in base[n]])
+            columns = np.zeros((len(rows), len(knobs)))
+            for j, (i, k) in enumerate(knobs):
+                other = residuals[i + 1]
+                assert other is not None
+                parts = [
+                    (o - b) / k.step if n in k.felt_by else np.zeros_like(b) for n in group if n in base for o, b in zip(other[n], base[n])
+                ]
+                columns[:, j] = np.concatenate(parts)
+            clusters = np.concatenate(
+                [np.full(len(v), 1000 * names.index(n) + c) for n in group if n in base for c, v in enumerate(base[n])]
+            )
+            turned_by = np.array([so_far.get(k, 0.0) for _, k in knobs])
+            doubt = np.array([prior.get((k.axis, k.field), math.inf) for _, k in knobs])
+            change, spread = _gauss_newton(columns, rows, clusters, turned_by, doubt)
+            turns += [(k, float(change[j])) for j, (_, k) in enumerate(knobs)]
+            deviations.update(_spread_of(now, [k for _, k in knobs], spread))
+        for knob, amount in turns:
+            limit = 2e-4 if knob.field.endswith("delay_s") else 0.1
+            kept = float(np.clip(amount, -limit, limit))
+            now = turned(now, knob, kept)
+            so_far[knob] = so_far.get(knob, 0.0) + kept
+        if say:
+            say(f"refinement step {step + 1}: misfit {misfits[-1]:.3f}")
+    return Refined(_documented(machine, now), deviations, (misfits[0], misfits[-1]))
+
+
+def _turn_all(machine: Machine, slot: Sequence[Knob]) -> Machine:
+    for knob in slot:
+        machine = turned(machine, knob, knob.step)
+    return machine
+
+
+def _residuals(machines: Sequence[Machine], runs: Sequence[MeasuredRun]) -> list[dict[str, list[np.ndarray]] | None]:
+    """Per machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None where it diverges."""
+    tasks = [(m, r) for m in machines for r in runs]
+
+    def one(task: tuple[Machine, MeasuredRun]) -> dict[str, list[np.ndarray]] | None:
+        machine, run = task
+        try:
+            trace = simulate(
+                machine.with_feedforward(run.feedforward), setpoints_of(run.trace, machine), sample_period=run.trace.period,
+                started_at=run.started_at,
+            ).trace  # fmt: skip
+        except SimulationError:
+            return None
+        return _pieces(machines[0], run, trace)
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        done = list(pool.map(one, tasks))
+    out: list[dict[str, list[np.ndarray]] | None] = []
+    for i in range(len(machines)):
+        parts = done[i * len(runs) : (i + 1) * len(runs)]
+        if any(p is None for p in parts):
+            out.append(None)
+            continue
+        joined: dict[str, list[np.ndarray]] = {}
+        for part in parts:
+            for axis, pieces in (part or {}).items():
+                joined.setdefault(axis, []).extend(pieces)
+        out.append(joined)
+    return out
+
+
+def _pieces(reference: Machine, run: MeasuredRun, trace: Trace) -> dict[str, list[np.ndarray]]:
+    """Weighted residuals of one run where each axis moves; weights from the reference machine, so that all variants share them."""
+    out: dict[str, list[np.ndarray]] = {}
+    n = min(len(trace.time), len(run.trace.time))
+    piece = max(1, round(CLUSTER_S / (EVERY * run.trace.period)))
+    for axis in reference.axes:
+        if axis.name not in run.trace.axes:
+            continue
+        use = np.flatnonzero(is_moving(run.trace, axis)[:n])[::EVERY]
+        if len(use) < piece:
+            continue
+        columns = []
+        for signal in COMPARED:
+            if run.trace.has(axis.name, signal):
+                scale = 1.0 if axis.kind == "linear" or signal == "current" else 6.0
+                d = math.hypot(sensor_noise(reference, axis, signal), FLOOR[signal] * scale)
+                columns.append((run.trace.get(axis.name, signal)[:n] - trace.get(axis.name, signal)[:n])[use] / d)
+        if columns:
+            stack = np.column_stack(columns)
+            out[axis.name] = [stack[i : i + piece].ravel() for i in range(0, len(use), piece)]
+    return out
+
+
+def _gauss_newton(
+    columns: np.ndarray, rows: np.ndarray, clusters: np.ndarray, so_far: np.ndarray, prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Change of the knobs that takes the residual rows (model minus it) down, and standard deviations, both joined with the regression.
+
+    `so_far` is what the knobs have been turned from the regression's machine, `prior` the regression's deviations (infinite: unknown).
+    Covariance of the data alone from clusters; the two estimates are weighed by their covariances. Huber's weights keep single
+    pieces (an axis about to stick) from steering.
+    """
+    length = np.linalg.norm(columns, axis=0)
+    seen = length > 0.0
+    change, spread = np.zeros(columns.shape[1]), prior.copy()
+    if not seen.any():
+        return change, spread
+    scale = max(float(np.median(np.abs(rows))) * 1.48, 1e-9)
+    weight = np.minimum(1.0, 3.0 * scale / np.maximum(np.abs(rows), 1e-12))
+    x = columns[:, seen] / length[seen]
+    bread = np.linalg.inv((x * weight[:, None]).T @ x + 1e-10 * np.eye(int(seen.sum())))
+    found = -bread @ (x * weight[:, None]).T @ rows
+    left = rows + x @ found
+    _, group = np.unique(clusters, return_inverse=True)
+    scores = np.zeros((int(group.max()) + 1, int(seen.sum())))
+    np.add.at(scores, group, x * (weight * left)[:, None])
+    covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread / np.outer(length[seen], length[seen])
+    information = np.linalg.pinv(covariance, hermitian=True)
+    known = np.where(np.isfinite(prior[seen]), prior[seen], np.inf) ** -2.0
+    joined = np.linalg.inv(information + np.diag(known) + 1e-30 * np.eye(len(known)))
+    change[seen] = joined @ (information @ (found / length[seen]) - known * so_far[seen])
+    spread[seen] = np.sqrt(np.diag(joined))
+    return change, spread
+
+
+def _spread_of(machine: Machine, knobs: Sequence[Knob], spread: np.ndarray) -> dict[str, float]:
+    """Standard deviations in the names and units of the parameters."""
+    out: dict[str, float] = {}
+    for knob, d in zip(knobs, spread):
+        axis = machine.axis(knob.axis)
+        if knob.field == "rotor_inertia_kg_m2":
+            out[f"{knob.axis}.inertia"] = float(d) * axis.rotor_inertia_kg_m2
+        elif knob.field == "coulomb_friction_nm":
+            out[f"{knob.axis}.coulomb_friction"] = float(d) * axis.coulomb_friction_nm
+        elif knob.field == "viscous_friction_nm_s_per_rad":
+            out[f"{knob.axis}.viscous_friction"] = float(d) * axis.viscous_friction_nm_s_per_rad
+        elif knob.field == "moving_mass_kg":
+            out[f"{knob.axis}.gravity_torque"] = float(d) * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio
+        elif knob.field.startswith("body."):
+            body = next(b for b in machine.bodies if b.name == knob.field[5:])
+            x, y, z = body.centre_of_mass_m
+            moments = {"moment_y": y, "moment_z": z} if body.name == "cradle" else {"table_x": x, "table_y": y, "moment_z": z}
+            for name, arm in moments.items():
+                key = f"A.{name}"
+                out[key] = math.hypot(out.get(key, 0.0), float(d) * body.mass_kg * arm)
+        else:
+            scale = 1.0 if knob.field.endswith("delay_s") else getattr(axis.loops, knob.field)
+            out[f"{knob.axis}.loops.{knob.field}"] = float(d) * scale
+    return out
+
+
+def _documented(start: Machine, now: Machine) -> Machine:
+    """The refined numbers as a machine file's values, so that the machine can be written."""
+    values: dict[str, object] = {}
+    for axis in now.axes:
+        rotor = "rotor_and_screw_inertia_kg_m2" if axis.kind == "linear" else "rotor_and_gear_inertia_kg_m2"
+        values[f"axis.{axis.name}.{rotor}"] = axis.rotor_inertia_kg_m2
+        values[f"axis.{axis.name}.coulomb_friction_nm"] = max(axis.coulomb_friction_nm, 0.0)
+        values[f"axis.{axis.name}.viscous_friction_nm_s_per_rad"] = max(axis.viscous_friction_nm_s_per_rad, 0.0)
+        if axis.moving_mass_kg is not None:
+            values[f"axis.{axis.name}.moving_mass_kg"] = axis.moving_mass_kg
+        for field in FIELDS:
+            if hasattr(axis.loops, field):
+                values[f"axis.{axis.name}.loops.{field}"] = getattr(axis.loops, field)
+    for body in now.bodies:
+        values[f"body.{body.name}.mass_kg"] = body.mass_kg
+        values[f"body.{body.name}.inertia_kg_m2"] = list(body.inertia_kg_m2)
+    return start.with_values(values)

@@ -1,0 +1,162 @@
+"""The report of an identification: HTML with everything inside, and its pictures as PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from twin.identify import figures
+from twin.identify.result import Identification, Parameter, Range
+from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
+
+CAPTIONS = {
+    "friction": "Friction against speed, both directions. Points: parts of constant speed, the measured torque less inertia and gravity; line and band: the "
+    "law Fc sign(v) + Fv v with its 95 % interval.",
+    "inertia": "Torque less friction and gravity against acceleration, below 20 Hz. The current is the mean over a position cycle, not the sample.",
+    "gravity": "Gravity torque of the table, and its first moments.",
+    "residuals": "What the torque balance leaves, run after run, and its autocorrelation. A coloured residual is why intervals come from whole strokes.",
+    "gap": "Simulated against measured on runs that no fit has seen.",
+}
+
+
+def write_report(result: Identification, path: str | Path) -> list[Path]:
+    """Write the page and, beside it, each picture as PNG; returns all files."""
+    path = Path(path)
+    drawn = {
+        "friction": figures.friction_figure(result) if result.direct.balance else None,
+        "inertia": figures.inertia_figure(result) if result.direct.balance else None,
+        "gravity": figures.gravity_figure(result),
+        "residuals": figures.residual_figure(result) if result.direct.balance else None,
+        "gap": figures.gap_figure(result),
+    }
+    files = [path]
+    pictures = {}
+    for name, figure in drawn.items():
+        if figure is not None:
+            png = path.with_name(f"{path.stem}_{name}.png")
+            save_png(figure, png)
+            files.append(png)
+            pictures[name] = Figure(figure_svg(figure), CAPTIONS[name])
+    sections = [_summary(result)]
+    for title, names in (
+        ("Friction", ("friction",)),
+        ("Inertia", ("inertia",)),
+        ("Tilting table", ("gravity",)),
+        ("What is left", ("residuals",)),
+    ):
+        shown = [pictures[n] for n in names if n in pictures]
+        if shown:
+            sections.append(Section(title, figures=shown))
+    sections.append(_parameters(result))
+    sections.append(_gap(result, pictures.get("gap")))
+    sections.append(_signals(result))
+    axes = ", ".join(a.name for a in result.before.axes)
+    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}."
+    write_page(path, "Identified from its own traces", lead, sections)
+    return files
+
+
+def _summary(result: Identification) -> Section:
+    times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
+    lines = [
+        f"The machine file that was written holds the values of the {'re-simulation' if result.chosen == 'refined' else 'regression'}: "
+        "the route that leaves the smaller gap on the runs left out.",
+        "Current and motion tell inertia, friction and gravity only as products with each motor's torque constant. "
+        + (
+            "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
+            if result.tolerance_holds and all(result.tolerance_holds.values())
+            else "They contradict the machine file's parameter_tolerance, so its torque constants were kept and everything else follows. "
+            "A known mass, a torque wrench or the motor's test sheet would fix them."
+        ),
+        f"Time: {times}.",
+    ]
+    findings = [str(f) for f in result.findings] or ["Nothing was found wrong with the recording."]
+    return Section("In short", lines, items=findings)
+
+
+def _parameters(result: Identification) -> Section:
+    heading = [
+        "axis",
+        "parameter",
+        "unit",
+        "before",
+        "value",
+        "95 %",
+        "product",
+        "95 %",
+        "re-simulated",
+        "95 %",
+        "on runs left out",
+        "condition",
+        "at bound",
+    ]
+    rows, marked = [], set()  # type: ignore[var-annotated]
+    for p in result.parameters:
+        off = p.left_out is not None and (p.left_out.low > p.estimate.high or p.left_out.high < p.estimate.low)
+        if off or p.at_bound:
+            marked.add(len(rows))
+        rows.append(
+            [
+                p.axis,
+                p.name.replace("_", " "),
+                p.unit,
+                f"{p.before:.6g}",
+                f"{p.value.value:.6g}",
+                _half(p.value),
+                f"{p.estimate.value:.6g}" if p.product else "",
+                _half(p.estimate) if p.product else "",
+                f"{p.refined.value:.6g}" if p.refined else "",
+                _half(p.refined),
+                _aside(p),
+                f"{p.condition:.0f}",
+                "yes" if p.at_bound else "",
+            ]
+        )
+    note = (
+        "Product: the number at the machine file's torque constant, all that current and motion tell. Value: after the split. Marked rows: the runs left out "
+        "disagree beyond both intervals, or the value lies at its bound. Condition: of the scaled regressors."
+    )
+    return Section("Parameters before and after", [note], tables=[Table(heading, rows, left=3, marked=frozenset(marked))])
+
+
+def _half(r: Range | None) -> str:
+    if r is None:
+        return ""
+    half = 0.5 * (r.high - r.low)
+    return f"± {100 * half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * half else f"± {half:.2g}"
+
+
+def _aside(p: Parameter) -> str:
+    return f"{p.left_out.value:.6g} {_half(p.left_out)}" if p.left_out else ""
+
+
+def _gap(result: Identification, picture: Figure | None) -> Section:
+    rows = []
+    if result.gaps:
+        stages = list(result.gaps)
+        for axis, signals in result.gaps[stages[0]].items():
+            for signal, g in signals.items():
+                rows.append(
+                    [
+                        axis,
+                        signal,
+                        str(g["unit"]),
+                        *(f"{result.gaps[s][axis][signal]['rms']:.4g}" for s in stages),
+                        f"{result.gaps[stages[-1]][axis][signal]['noise']:.4g}",
+                    ]
+                )
+        table = [Table(["axis", "signal", "unit", *stages, "noise alone"], rows, left=3)]
+        return Section("Gap before and after", figures=[picture] if picture else [], tables=table)
+    return Section("Gap before and after", ["Not simulated."])
+
+
+def _signals(result: Identification) -> Section:
+    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.late]
+    before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
+    noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k]
+    return Section(
+        "Recording",
+        [
+            "Skew of each channel against the scale, the current against the acceleration; below 0.4 ms a current's skew is not told from the current loop."
+        ],
+        tables=[Table(["axis", "channel", "late [us]", "95 %"], rows, left=2), Table(["measuring noise", "file", "measured"], noise)],
+    )

@@ -1,0 +1,68 @@
+"""What an identification hands on: parameters with their doubts, findings, the machine, gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from twin.identify.direct import Direct
+from twin.identify.findings import Finding, Late
+from twin.machine import Machine
+
+
+@dataclass(frozen=True)
+class Range:
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Does the interval hold this value?"""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified number.
+
+    `estimate` is what the regression found; with `product` it stands for value x (file's Kt / true Kt). `value` is what the machine file
+    gets after products are split; `left_out` the same regression on the runs left out; `refined` the re-simulated one.
+    """
+
+    axis: str
+    name: str
+    unit: str
+    before: float
+    estimate: Range
+    value: Range
+    product: bool
+    condition: float
+    at_bound: bool
+    path: str = ""
+    left_out: Range | None = None
+    refined: Range | None = None
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything about one campaign: the machine before and after, parameters, direct fits of training runs, and gaps on runs left out."""
+
+    before: Machine
+    machine: Machine
+    parameters: tuple[Parameter, ...]
+    findings: tuple[Finding, ...]
+    late: tuple[Late, ...]
+    direct: Direct
+    training: tuple[str, ...]
+    left_out: tuple[str, ...]
+    campaign: str
+    tolerance_holds: dict[str, bool]
+    gaps: dict[str, Any] = field(default_factory=dict)  # 'before', 'regression', 'refined' -> axis -> signal -> {rms, noise, unit}
+    seconds: dict[str, float] = field(default_factory=dict)
+    chosen: str = "regression"
+
+    def parameter(self, axis: str, name: str) -> Parameter:
+        """The parameter of that axis and name."""
+        return next(p for p in self.parameters if (p.axis, p.name) == (axis, name))

@@ -1,0 +1,132 @@
+"""The speed controller, read from speed set point, motor angle and current: gain, integral time, torque feedforward.
+
+    Kt_c i* = Kp e + Kp/Tn E + a_t T_ff,    e = w* - w,  E = integral of e
+    i* - i  = T_i di/dt + Tni/Kpi Ke dw/dt / (1 + Tni s)
+
+all taken as means over a position cycle, which the angles at its ends give exactly (mean w = difference of angles over Tp). T_i stands
+for delay and lag of the current loop; the second part is what its integrator lags behind a growing back EMF. The integrator also sums the speed noise of ticks that no trace holds: a slow random walk that a
+high-pass takes off both sides. The loop feeds the unseen noise back into e and i, so e is not free of the residual: the regression
+takes the same signals of a noise-free simulation as instruments (they follow the set points, not the noise).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from twin.identify.axis_run import AxisRun
+from twin.identify.least_squares import regress
+from twin.machine import Axis
+
+NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
+PASS_HZ = (1.0, 25.0)
+
+LAW_DOUBT = 0.006
+"""How well a first-order lag stands for the current loop here: a relative standard deviation of gain and integral time (docs/identify.md)."""
+
+
+@dataclass(frozen=True)
+class SpeedControl:
+    """Values of NAMES, their standard deviations, the current loop's equivalent time [s], and the torque weight of each run."""
+
+    values: dict[str, float]
+    deviations: dict[str, float]
+    quantile: float
+    condition: float
+    current_loop_s: float
+    residual_rms: float  # A
+    weight_by_run: dict[str, float]
+
+
+def fit_speed_control(
+    axis: Axis,
+    runs: Sequence[AxisRun],
+    mean_current: Sequence[np.ndarray | None],
+    tick: float,
+    delay: float = 0.0,
+    simulated: Sequence[AxisRun | None] = (),
+) -> SpeedControl | None:
+    """`mean_current` (cycle,) [A] of each run; `tick` of the speed loop, `delay` of the feedforward [s];
+    `simulated` the same runs without noise (empty: no instruments). None where speed set point or current lack."""
+    twins = simulated or [None] * len(runs)
+    kept = [
+        (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
+    ]
+    if not kept or axis.commissioned_inertia is None:
+        return None
+    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    rows, y, clusters, instruments = [], [], [], []
+    for k, (run, current, twin) in enumerate(kept):
+        columns, values = _columns(axis, run, current, kt, delay, tick)
+        free = columns
+        if twin is not None and twin.current is not None:
+            free, _ = _columns(axis, twin, twin.current, kt, delay, tick)
+            free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
+        if run.feedforward in ("off", "velocity"):
+            columns[:, 2], free[:, 2] = 0.0, 0.0
+        use = ~(np.convolve(run.limited, np.ones(101), "same") > 0)
+        rows.append(columns[use])
+        y.append(values[use])
+        clusters.append((run.strokes + 100_000 * k)[use])
+        instruments.append(free[use])
+    fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
+    kp, ki, a_t, lag = fit.values
+    if kp <= 0.0 or ki <= 0.0:
+        return None
+    d = fit.deviations
+    tn = kp / ki
+    spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
+    weights = {}
+    for run, current, _ in kept:
+        columns, values = _columns(axis, run, current, kt, delay, tick)
+        left = values - columns[:, [0, 1, 3]] @ np.array([kp, ki, lag])
+        power = float(columns[:, 2] @ columns[:, 2])
+        weights[run.run] = float(columns[:, 2] @ left / power) if np.sqrt(power / len(left)) > 0.05 * kt else float("nan")
+    return SpeedControl(
+        dict(zip(NAMES, (float(kp), float(tn), float(a_t)))),
+        dict(
+            zip(
+                NAMES,
+                (
+                    float(np.hypot(d[0], LAW_DOUBT * kp)),
+                    float(np.hypot(spread, LAW_DOUBT * tn)),
+                    float(d[2]) if fit.seen[2] else float("inf"),
+                ),
+            )
+        ),
+        fit.quantile,
+        fit.condition,
+        float(lag),
+        float(np.sqrt(np.mean(fit.residual**2))) / kt,
+        weights,
+    )
+
+
+def _columns(axis: Axis, run: AxisRun, current: np.ndarray, kt: float, delay: float, tick: float) -> tuple[np.ndarray, np.ndarray]:
+    """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
+    tp = run.cycle
+    assert run.speed_setpoint is not None
+    turned = np.diff(run.angle)
+    # the control sums speeds at its ticks: each stands for the tick after it, half a tick early while the axis accelerates
+    early = 0.5 * tick
+    error = run.speed_setpoint - turned / tp + early * np.gradient(turned / tp, tp)
+    # integral of w* - w from the start of the run to the middle of a cycle on average: staircase exact, angle by the cycle's ends
+    before = np.concatenate([[0.0], np.cumsum(run.speed_setpoint * tp)[:-1]])
+    mean_angle = 0.5 * (run.angle[1:] + run.angle[:-1]) - np.gradient(turned / tp, tp) * tp**2 / 12.0 - run.angle[0]
+    integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
+    s = [run.setpoint_at(run.start - delay - k * tp) for k in range(3)]
+    feedforward = (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
+    slope = -kt * np.gradient(current, tp)
+    tni = axis.loops.current_integral_time_s
+    share = -np.expm1(-tp / tni)
+    lagging = lfilter([share], [1.0, share - 1.0], run.acceleration)
+    behind = tni / axis.loops.current_gain_v_per_a * axis.motor.back_emf_v_s_per_rad * lagging
+    sos = butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
+
+    def f(values: np.ndarray) -> np.ndarray:
+        return sosfiltfilt(sos, values - values[0])
+
+    return np.column_stack([f(error), f(integral), f(feedforward), f(slope)]), f(kt * (current + behind))

@@ -1,0 +1,132 @@
+"""Balance of torques of the tilting pair A, C: inertias, first moments, friction, as the data alone tell them.
+
+With A about x, C about the table's normal z, moments of all that turns with C taken in the table frame about the point where C meets A:
+
+    A: Maa A" + Mac C" + Maa' A' C' + Mac' C'^2 + g (cos A (gy + mx sin C + my cos C) - sin A gz) + friction = Kt i / r
+    C: Mcc C" + Mac A" - 1/2 Maa' A'^2 + g sin A (mx cos C - my sin C) + friction = Kt i / r
+    Maa = Maa0 + b (cos 2C - 1) + s sin 2C,   Mac = -zx cos C + zy sin C,   ' = d/dC
+
+(the derivation stands in twin.exam.tilting_pair; the twin itself takes all this from the bodies). Everything is linear in the ten
+inertial numbers PAIR and the four of friction; one regression on the rows of both motors finds them, each row in units of its scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
+from twin.identify.least_squares import Fit, regress
+from twin.machine import Axis, Body, Machine
+
+PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
+FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
+NAMES = (*PAIR, *FRICTION)
+"""inertia: of all at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of what does not
+turn about C's normal [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis."""
+
+
+def has_pair(machine: Machine) -> bool:
+    """Is this a tilting table of cradle, table and workpiece on axes A and C?"""
+    return {"A", "C"} <= set(machine.axis_names) and {"cradle", "table", "workpiece"} <= {b.name for b in machine.bodies}
+
+
+def pair_numbers(machine: Machine) -> np.ndarray:
+    """The ten PAIR numbers of a machine file (10,): closed form from its bodies and rotors."""
+    bodies = {b.name: b for b in machine.bodies}
+    oy, oz = (float(machine.geometry.get(f"a_axis_to_c_axis_{k}_m", 0.0)) for k in "yz")
+
+    def about_c(b: Body) -> np.ndarray:
+        x, y, z = b.centre_of_mass_m
+        z += oz
+        m, (i1, i2, i3) = b.mass_kg, b.inertia_kg_m2
+        maa = m * ((y + oy) ** 2 + z**2) + i1
+        mcc = m * (x * x + y * y) + i3
+        return np.array([maa, mcc, m * oy, m * z, m * x, m * y, 0.5 * (m * (y * y - x * x) + i1 - i2), m * x * y, m * z * x, m * z * y])
+
+    cradle = bodies["cradle"]
+    _, y, z = cradle.centre_of_mass_m
+    y, z, m = y + oy, z + oz, cradle.mass_kg
+    own = np.array([m * (y * y + z * z) + cradle.inertia_kg_m2[0], 0.0, m * y, m * z, *np.zeros(6)])
+    rotors = np.array([machine.axis("A").reflected_inertia, machine.axis("C").reflected_inertia, *np.zeros(8)])
+    return own + about_c(bodies["table"]) + about_c(bodies["workpiece"]) + rotors
+
+
+def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarray, np.ndarray]) -> tuple[Rows, Rows]:
+    """Rows of both motors of one run, where the axis of the row slides; torques at the axes [Nm]."""
+    g = machine.gravity
+    oy = float(machine.geometry.get("a_axis_to_c_axis_y_m", 0.0))
+    axes = (machine.axis("A"), machine.axis("C"))
+    n = min(len(a.speed), len(c.speed))
+    (va, aa), (vc, ac) = ((r.speed[:n] * x.ratio, r.acceleration[:n] * x.ratio) for r, x in zip((a, c), axes))
+    sa, ca = np.sin(a.axis_position[:n]), np.cos(a.axis_position[:n])
+    sc, cc = np.sin(c.axis_position[:n]), np.cos(c.axis_position[:n])
+    s2, c2 = 2.0 * sc * cc, cc * cc - sc * sc
+    zero = np.zeros(n)
+    on_a = [
+        aa, zero, g * ca, -g * sa,
+        g * ca * sc + 2.0 * oy * (sc * aa + cc * va * vc),
+        g * ca * cc + 2.0 * oy * ((cc - 1.0) * aa - sc * va * vc),
+        (c2 - 1.0) * aa - 2.0 * s2 * va * vc, s2 * aa + 2.0 * c2 * va * vc,
+        -cc * ac + sc * vc * vc, sc * ac + cc * vc * vc,
+    ]  # fmt: skip
+    on_c = [
+        zero, ac, zero, zero,
+        g * sa * cc - oy * cc * va * va, -g * sa * sc + oy * sc * va * va,
+        s2 * va * va, -c2 * va * va, -cc * aa, sc * aa,
+    ]  # fmt: skip
+    out = []
+    for k, (run, axis, columns) in enumerate(zip((a, c), axes, (on_a, on_c))):
+        sign = np.sign(run.speed[:n]) * (np.abs(run.speed[:n]) > 0.1 * SLIDING_RAD_PER_S)
+        friction = [zero] * 4
+        friction[2 * k], friction[2 * k + 1] = sign, (va, vc)[k]
+        f = run.filtered
+        torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
+        out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *friction)]), f(torque)))
+    return out[0], out[1]
+
+
+def fit_pair(
+    machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]
+) -> tuple[Fit, tuple[Rows, Rows]] | None:
+    """All NAMES from the rows of both motors; scatter of each motor's rows weighs them. None without usable rows."""
+    parts_a, parts_c = [], []
+    for a, c in runs:
+        currents = current[0].of(a), current[1].of(c)
+        if currents[0] is not None and currents[1] is not None:
+            on_a, on_c = pair_rows(machine, a, c, (currents[0], currents[1]))
+            parts_a.append(on_a)
+            parts_c.append(on_c)
+    if not parts_a or sum(len(p.y) for p in (*parts_a, *parts_c)) < 50:
+        return None
+    rows = stacked(parts_a), stacked(parts_c)
+    # both motors weigh by their scatter, found from each alone
+    weight = []
+    for one in rows:
+        alone = regress(one.columns, one.y, one.clusters) if len(one.y) > 30 else None
+        weight.append(1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0)
+    fit = regress(
+        np.vstack([r.columns * w for r, w in zip(rows, weight)]),
+        np.concatenate([r.y * w for r, w in zip(rows, weight)]),
+        np.concatenate([rows[0].clusters, rows[1].clusters + 10_000_000]),
+    )
+    covariance = fit.covariance.copy()
+    for k, (name, m) in enumerate(zip(("A", "C"), current)):
+        covariance[k, k] += (m.inertia_deviation / machine.axis(name).ratio ** 2) ** 2
+    return replace(fit, covariance=covariance), rows
+
+
+def _cut(run: AxisRun, n: int) -> AxisRun:
+    """The first n cycles of a run."""
+    if n == len(run.speed):
+        return run
+    names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
+    return replace(run, **{k: getattr(run, k)[:n] for k in names})
+
+
+def friction_axis(axis: Axis, coulomb: float, viscous: float) -> tuple[float, float]:
+    """Friction at the axis [Nm, Nm s/rad] to friction at the motor."""
+    return coulomb * axis.ratio, viscous * axis.ratio**2

@@ -1,0 +1,103 @@
+"""The identified machine as a machine file, and the whole result as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from twin.identify.result import Identification, Parameter, Range
+from twin.machine import Machine, write_machine
+
+
+def machine_comments(result: Identification) -> dict[str, str]:
+    """Comment behind each identified value: grade, interval, campaign."""
+    name = Path(result.campaign).name
+    out = {}
+    for p in result.parameters:
+        if p.path and not p.path.startswith("measurement"):
+            r = _final(p, result)
+            bound = ", at its bound" if p.at_bound else ""
+            out[p.path] = f"identified  95 % {r.low:.6g} .. {r.high:.6g}{bound}, campaign {name}"
+    changed = _changed(result.before, result.machine)
+    for path in changed:
+        if path in out:
+            continue
+        if path.startswith("measurement."):
+            out[path] = f"identified  from standstill, campaign {name}"
+        elif "torque_constant" in path or "rotor" in path or "moving_mass" in path or path.startswith("body."):
+            out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"
+        else:
+            out[path] = f"identified  campaign {name}"
+    return out
+
+
+def _final(p: Parameter, result: Identification) -> Range:
+    return p.refined if result.chosen == "refined" and p.refined is not None else p.value
+
+
+def _changed(before: Machine, after: Machine) -> list[str]:
+    """Paths of values that differ."""
+    out: list[str] = []
+
+    def walk(a: Any, b: Any, path: str) -> None:
+        for key, value in b.items():
+            here = f"{path}.{key}" if path else key
+            if isinstance(value, dict):
+                walk(a.get(key, {}), value, here)
+            elif value != a.get(key):
+                out.append(here)
+
+    walk(before.document, after.document, "")
+    return out
+
+
+def write_identified(result: Identification, path: str | Path) -> None:
+    """Write the machine file: rounded to what the interval carries, each value with its grade, the table [identified] with the source."""
+    values = {}
+    for where in _changed(result.before, result.machine):
+        value: Any = result.machine.document
+        for key in where.split("."):
+            value = value[key]
+        values[where] = [float(f"{v:.7g}") for v in value] if isinstance(value, list) else float(f"{value:.7g}")
+    machine = result.before.with_values(values)
+    table = {
+        "campaign": Path(result.campaign).name,
+        "route": result.chosen,
+        "fitted_runs": list(result.training),
+        "left_out_runs": list(result.left_out),
+        "torque_constants": "only products are known from current and motion; split within parameter_tolerance"
+        if all(result.tolerance_holds.values())
+        else "only products are known from current and motion; the file's torque constants were kept where the tolerance is contradicted",
+    }
+    machine = replace(machine, document={**machine.document, "identified": table})
+    write_machine(machine, path, machine_comments(result))
+
+
+def as_json(result: Identification) -> dict[str, Any]:
+    """Machine-readable result: parameters, findings, skew, gaps, times."""
+
+    def told(r: Range | None) -> dict[str, float] | None:
+        return None if r is None else {"value": r.value, "low": r.low, "high": r.high}
+
+    return {
+        "campaign": result.campaign,
+        "route": result.chosen,
+        "fitted_runs": list(result.training),
+        "left_out_runs": list(result.left_out),
+        "parameters": [
+            {
+                "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
+                **(told(_final(p, result)) or {}),
+                "product_at_file_torque_constant": told(p.estimate) if p.product else None,
+                "regression": told(p.value), "refined": told(p.refined), "left_out": told(p.left_out),
+                "condition": p.condition, "at_bound": p.at_bound,
+            }
+            for p in result.parameters
+        ],
+        "findings": [{"run": f.run, "axis": f.axis, "text": f.text} for f in result.findings],
+        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.late],
+        "gap": result.gaps,
+        "tolerance_holds": result.tolerance_holds,
+        "seconds": result.seconds,
+    }  # fmt: skip
