@@ -54,4 +54,8 @@ def _stamped(dispatcher: Any) -> Any | None:
     if not hasattr(file, "_source_stamp"):
         return None
     file._source_stamp = digest()
+    try:
+        file._load_index()
+    except Exception:  # written by an older twin whose types are gone: numba would raise at the first call
+        file.flush()
     return dispatcher

@@ -14,6 +14,7 @@ step differs. A test holds the reduced plant to the MuJoCo run.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 import functools
 import threading
@@ -25,6 +26,7 @@ import numpy as np
 from twin import loop
 from twin.compiled import compiled, compiled_callback
 from twin.effects import Change
+from twin.machine import Machine
 from twin.native import call_address_2, call_address_3, engine_function_address
 from twin.plant import Plant, build_plant
 
@@ -74,13 +76,20 @@ class _Loads:
     reference: np.ndarray  # B of the friction constraint
     softness: np.ndarray  # R of the friction constraint
 
+    def of(self, axes: Sequence[int]) -> _Loads:
+        """Some of the axes, by index."""
+        return _Loads(self.inertia[:, axes], self.bias[:, axes], self.row_ticks, self.reference[axes], self.softness[axes])
+
 
 class ReducedPlant:
     """Axes by themselves along a known motion; the same face to the loop as `twin.plant.Plant`."""
 
-    def __init__(self, change: Change, motion: Motion):
-        loads = loads_along(change, motion)
+    def __init__(self, change: Change, motion: Motion, carried_by: Machine | None = None):
+        """`motion` is that of the change's axes, or of `carried_by`: the machine with all the axes that carry them."""
         axes = change.machine.axes
+        loads = loads_along(change, motion, carried_by)
+        if carried_by is not None:
+            loads = loads.of([carried_by.axis_names.index(axis.name) for axis in axes])
         n = len(axes)
         split = [a for a, axis in enumerate(axes) if axis.name in change.split_axes]
         dofs = n + len(split)
@@ -144,9 +153,9 @@ _remembered: OrderedDict[object, _Loads] = OrderedDict()
 _lock = threading.Lock()
 
 
-def loads_along(change: Change, motion: Motion) -> _Loads:
-    """Loads of a changed machine; remembered, because fits ask for the same masses again and again."""
-    machine = change.machine
+def loads_along(change: Change, motion: Motion, machine: Machine | None = None) -> _Loads:
+    """Loads of a changed machine (or of `machine`, with its edits); remembered, because fits ask for the same masses again and again."""
+    machine = machine or change.machine
     # what the loads depend on: neither friction nor drives, and effects only where they edit the model
     masses = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
     edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from twin.campaign import Campaign, MeasuredRun
-from twin.diagnose.fit import PRIOR_WEIGHT
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, view_of
-from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, expected_loss, is_plausible, leave_out, retuned_within, search
-from twin.diagnose.tolerance import tuned
+from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, bounded, expected_loss, is_plausible, leave_out, retuned_within, search
+from twin.diagnose.tolerance import NORMAL, tuned, with_added
+from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, with_effects
 from twin.errors import InputError
@@ -35,6 +35,9 @@ AMBIGUOUS = 10.0
 
 REMAINING = 0.1
 """Share of the excess over noise that, left after all found effects, makes the verdict 'unknown'."""
+
+WIDEST = 2.0
+"""Multiple of the tolerance that no re-tuned parameter of the corrected machine leaves."""
 
 NOTICED_EXCESS = 0.12
 """Mean square of the residual above noise from which something is there at all."""
@@ -292,9 +295,9 @@ def diagnose(
         predictions=predictions,
     )
     if verdict != "none":
-        within = [tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread) for f in found]
+        healthy = [tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread) for f in found]
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
-        diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], within, weights)
+        diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], healthy, weights)
     return diagnosis
 
 
@@ -329,14 +332,26 @@ def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
     """The machine file with re-tuned values and the effects found."""
     values: dict[str, Any] = {}
     for f in found:
-        for nuisance, deviation in zip(f.tuning.nuisances, f.fit.tuning * f.tuning.spread):
+        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
             for path in nuisance.paths(machine):
                 old: Any = machine.document
                 for key in path.split("."):
                     old = old[key]
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
-    return with_effects(machine.with_values(values), [s for f in found for s in f.fit.settings])
+    normal = [
+        (n, d) for f in found for n, d in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)) if n.quantity in NORMAL
+    ]
+    changed = tuned([n for n, _ in normal], np.array([d for _, d in normal]))(machine.with_values(values))
+    return with_added(changed, [s for f in found for s in f.fit.settings])
+
+
+def within(f: Found, tolerance: float) -> np.ndarray:
+    """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
+    deviations = f.fit.tuning * f.tuning.spread
+    if np.all(np.abs(deviations) <= WIDEST * tolerance):
+        return deviations
+    return bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
 
 
 def _named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found, float]]:
@@ -373,7 +388,7 @@ def _localised(f: Found) -> bool:
     """Is something left in one channel of one run, although the whole looks like noise?"""
     r = (f.group.residual - f.fit.response - f.tuning.jacobian @ f.fit.tuning) / f.group.weights
     for channel in f.group.channels:
-        u = r[channel.rows] / channel.sigma
+        u = (r[channel.rows] / channel.sigma)[channel.settled(f.group.views[channel.run])]
         if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
             return True
         if channel.name == "controller" and float(np.mean(u**2)) > 4.0:
@@ -410,9 +425,11 @@ def _held_out_gaps(
             for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
                 moved = free.moved(moved, float(step))
             settings += moved
-            variant = tuned(f.tuning.nuisances, (f.fit.tuning + tuning_shift) * f.tuning.spread)(variant)
+            deviations = within(f, machine.parameter_tolerance) + tuning_shift * f.tuning.spread
+            most = WIDEST * machine.parameter_tolerance
+            variant = tuned(f.tuning.nuisances, np.clip(deviations, -most, most))(variant)
         runs: list[MeasuredRun] = [campaign.runs[i] for i in fold]
-        after = predict_campaign(with_effects(variant, settings), runs, realisations=1 if quick else 2)
+        after = predict_campaign(with_added(variant, settings), runs, realisations=1 if quick else 2)
         if quick:  # one realisation has no scatter of its own
             after = {name: replace(prediction, scatter=before[name].scatter) for name, prediction in after.items()}
         predictions["after"] |= after

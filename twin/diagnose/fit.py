@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.diagnose.candidates import is_scaled, size_parameter
 from twin.diagnose.observe import Group
-from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
@@ -27,60 +27,8 @@ from twin.machine import Machine
 STEPS = 4
 """Gauss-Newton steps at most."""
 
-PRIOR_WEIGHT = 50.0
-"""Weight w of the tolerance against the samples: a parameter at the edge of its tolerance costs 75 of log likelihood."""
-
 CONVERGED = 0.02
 """A step that lowers the loss by less than this (in units of a likelihood) is the last."""
-
-
-@dataclass
-class Tuning:
-    """The toleranced parameters of a group with their simulated effect on all channels."""
-
-    nuisances: tuple[Nuisance, ...]
-    jacobian: np.ndarray  # (row, nuisance), weighted, per spread s
-    spread: float
-    normal: np.ndarray  # J'J + 1
-    inverse: np.ndarray
-
-    def project(self, columns: np.ndarray) -> np.ndarray:
-        """J' columns, for eliminating the tuning."""
-        return self.jacobian.T @ columns
-
-    def solve(self, residual: np.ndarray) -> np.ndarray:
-        """Tuning (nuisance,) in units of its spread that fits a residual best."""
-        return self.inverse @ (self.jacobian.T @ residual)
-
-    def remembered(self, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A column with its projection, for inner products that are asked for again and again."""
-        return a, self.project(a)
-
-    def product(self, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
-        """a' P b of remembered columns."""
-        return float(a[0] @ b[0] - a[1] @ self.inverse @ b[1])
-
-    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """a' P b with the tuning eliminated."""
-        return a.T @ b - self.project(a).T @ self.inverse @ self.project(b)
-
-    def loss(self, residual: np.ndarray) -> float:
-        """Half the least square that tuning leaves of a residual."""
-        return 0.5 * float(self.inner(residual, residual))
-
-
-def tuning_of(group: Group, machine: Machine, mapper) -> Tuning:  # type: ignore[no-untyped-def]
-    """Simulate each toleranced parameter at its spread; `mapper` maps over threads."""
-    nuisances = nuisances_of(machine, group.axes)
-    spread = machine.parameter_tolerance * UNIFORM
-    if spread <= 0.0 or not nuisances:
-        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)))
-    columns: list[np.ndarray] = list(
-        mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + spread), axes=n.axes(group.axes)), nuisances)
-    )
-    jacobian = np.asfortranarray(np.column_stack(columns))
-    normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
-    return Tuning(nuisances, jacobian, spread, normal, np.linalg.inv(normal))
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ import mujoco
 import numpy as np
 
 from twin.campaign import MeasuredRun
-from twin.effects import Setting, with_effects
+from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
+from twin.effects import Setting, settings_of, with_effects
 from twin.gap import is_moving
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
@@ -44,6 +45,12 @@ ENOUGH = 50
 
 CONTROLLER_FLOOR = 0.01
 """What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
+
+BREAK_AWAY_S = 0.06
+"""Time after break-away in which a position still shows where it was stuck."""
+
+SETTLED_S = 0.2
+"""Time after break-away from which nothing shows any more how long and where an axis was stuck."""
 
 LONGEST_CORRELATION = 150
 """Samples over which the noise of a channel may be correlated (the loop's own memory)."""
@@ -105,6 +112,13 @@ class Channel:
                     return False
         return True
 
+    def settled(self, view: RunView) -> np.ndarray:
+        """True for the samples that no longer show how the axis was stuck before (sample,)."""
+        free = ~rests(view, self.axis, SETTLED_S)
+        if self.name == "controller":
+            return np.ones(len(self.residual), bool)
+        return free[view.reference(self.axis)[2]] if self.name in ("windup", "current") else free
+
     @property
     def weight(self) -> np.ndarray:
         """1 / (sigma sqrt(correlation)), (sample,)."""
@@ -119,6 +133,8 @@ class Group:
     views: Sequence[RunView]
     channels: list[Channel]
     nominal: list[dict[tuple[str, str], np.ndarray]]  # per run: (axis, channel) -> values without noise
+    shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of noise in the loop
+    seed: int
 
     def __post_init__(self) -> None:
         at = 0
@@ -129,11 +145,13 @@ class Group:
         self.weights = np.concatenate([c.weight for c in self.channels]) if self.channels else np.zeros(0)
         self.residual = np.concatenate([c.residual for c in self.channels]) * self.weights if self.channels else np.zeros(0)
 
-    def response(self, machine_of, settings: Sequence[Setting] = (), axes: Sequence[str] = (), also: Sequence[str] = ()) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def response(  # type: ignore[no-untyped-def]
+        self, machine_of, settings: Sequence[Setting] = (), axes: Sequence[str] = (), also: Sequence[str] = (), shaken: bool = False
+    ) -> np.ndarray:
         """Weighted change of all channels against the nominal twin (row,): the variant's simulation minus the nominal's.
 
         `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group); `also` names
-        axes that must move along.
+        axes that must move along. `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
         """
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
@@ -144,9 +162,11 @@ class Group:
             if channel.run not in simulated:
                 view = self.views[channel.run]
                 moving = tuple(a for a in axes if view.moves(a))
-                simulated[channel.run] = channels_of(simulate_group(view, moving, machine_of, settings, also), view, moving)
+                noise = noise_seed(self.seed, channel.run) if shaken else None
+                trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise, record_noise=False)
+                simulated[channel.run] = channels_of(trace, view, moving)
             key = (channel.axis, channel.name)
-            out[channel.rows] = simulated[channel.run][key] - self.nominal[channel.run][key]
+            out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
 
     def run_rows(self, run: int) -> np.ndarray:
@@ -156,6 +176,11 @@ class Group:
             if channel.run == run:
                 mask[channel.rows] = True
         return mask
+
+
+def noise_seed(seed: int, run: int, realisation: int = 0) -> int:
+    """Seed of the noise of one simulated realisation of a run."""
+    return seed + 1000 * run + realisation
 
 
 def simulate_group(
@@ -172,15 +197,19 @@ def simulate_group(
     machine = view.machine if machine_of is None else machine_of(view.machine)
     driven = [name for name in view.machine.axis_names if name in axes or name in also]
     index = [view.machine.axis_names.index(name) for name in driven]
-    part = with_effects(machine.with_axes(driven), [s for s in settings if s.axis in driven])
-    motion = view.motion.part(tuple(index))
+    changed = with_added(machine, settings)
+    part = with_effects(changed.with_axes(driven), [s for s in settings_of(changed) if s.axis in driven])
+    # gravity and inertia of a rotary axis depend on where the others are, simulated or not
+    rotary = any(axis.kind == "rotary" for axis in part.axes)
+    carrying = [axis.name for axis in machine.axes if axis.name in driven or (rotary and axis.kind == "rotary")]
+    motion = view.motion.part(tuple(view.machine.axis_names.index(name) for name in carrying))
     setpoints = view.setpoints.part(tuple(index))
     return simulate(
         part,
         setpoints,
         sample_period=view.trace.period,
         started_at=view.started_at,
-        plant_of=lambda change: ReducedPlant(change, motion),
+        plant_of=lambda change: ReducedPlant(change, motion, machine.with_axes(carrying)),
         noise_seed=noise_seed,
         record_noise=record_noise,
     ).trace
@@ -280,17 +309,20 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
     """Residuals of the nominal twin and their noise for one group of axes over all runs."""
     channels: list[Channel] = []
     nominal: list[dict[tuple[str, str], np.ndarray]] = []
+    shaken: list[dict[tuple[str, str], np.ndarray]] = []
     for r, view in enumerate(views):
         present = tuple(a for a in axes if view.moves(a))
         if not present:
             nominal.append({})
+            shaken.append({})
             continue
         nominal.append(channels_of(simulate_group(view, present), view, present))
         clean, seen = [], []
         for k in range(REALISATIONS):
-            drawn = seed + 1000 * r + k
+            drawn = noise_seed(seed, r, k)
             seen.append(channels_of(simulate_group(view, present, noise_seed=drawn), view, present))
             clean.append(channels_of(simulate_group(view, present, noise_seed=drawn, record_noise=False), view, present))
+        shaken.append(clean[0])
         measured = channels_of(view.trace, view, present)
         for key, values in measured.items():
             expected = np.mean([c[key] for c in clean], axis=0)
@@ -306,8 +338,21 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
                 continue
             jitter = np.var([c[key] for c in clean], axis=0, ddof=1)
             sigma = _sigma(deviations, jitter, residual)
+            if key[1] == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
+                axis = view.machine.axis(key[0])
+                sigma = np.hypot(sigma, np.where(rests(view, key[0]), RESTING * NORMAL_SLIP[axis.kind], 0.0))
             channels.append(Channel(r, key[0], key[1], residual, sigma, _correlation(deviations / sigma)))
-    return Group(axes, views, channels, nominal)
+    return Group(axes, views, channels, nominal, shaken, seed)
+
+
+def rests(view: RunView, name: str, after_s: float = BREAK_AWAY_S) -> np.ndarray:
+    """True where an axis is at rest or has broken away less than `after_s` ago (sample,)."""
+    moving = view.reference(name)[2]
+    started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
+    resting = ~moving
+    for i in started:
+        resting[i : i + 1 + round(after_s / view.trace.period)] = True
+    return resting
 
 
 def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:

@@ -9,8 +9,9 @@ import math
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_scaled, size_parameter, starts_of
-from twin.diagnose.fit import PRIOR_WEIGHT, Fit, Tuning, answer, fit_effects, no_effect, tuning_of
+from twin.diagnose.fit import Fit, answer, fit_effects, no_effect
 from twin.diagnose.observe import Group
+from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
@@ -94,7 +95,7 @@ def search(
     quick: bool = False,
 ) -> Found:
     """Forward selection with refit of all accepted effects, then removals."""
-    tuning = tuning_of(group, machine, mapper)
+    tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     retuned = no_effect(group, tuning)
     found = Found(group, tuning, retuned, retuned, _inflation(group, tuning, retuned))
     while len(found.fit.settings) < MOST_EFFECTS and not (quick and is_quiet(found)):
@@ -103,10 +104,22 @@ def search(
         best = next((c for c in candidates if c.plausible), None)
         if best is None or best.evidence < (EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE) or not _closes_enough(found, best.fit):
             break
-        found.fit = best.fit
-        found.inflation = _inflation(group, tuning, best.fit)
+        _accept(found, best.fit, machine, mapper)
     _try_removals(found, machine, folds)
     return found
+
+
+def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
+    """Take an effect; what is normal besides it is seen better now, and fitted with it."""
+    group = found.group
+    tuning = with_imperfections(found.tuning, group, machine, group.residual - fit.response, mapper)
+    if tuning.nuisances != found.tuning.nuisances or not np.array_equal(tuning.jacobian, found.tuning.jacobian):
+        again = fit_effects(group, machine, tuning, fit.settings, 2)
+        if again is not None:
+            fit, found.tuning, found.retuned = again, tuning, no_effect(group, tuning)
+            found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
+    found.fit = fit
+    found.inflation = _inflation(group, found.tuning, fit)
 
 
 def _closes_enough(found: Found, fit: Fit) -> bool:
@@ -216,18 +229,22 @@ def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.n
 
 
 def retuned_within(found: Found, tolerance: float) -> Fit:
-    """Re-tuning alone with every parameter inside +-tolerance: bounded least squares by coordinate descent."""
-    tuning = found.tuning
+    """Re-tuning alone with every parameter inside +-tolerance."""
+    return replace(found.retuned, tuning=bounded(found.tuning, found.group.residual, found.retuned.tuning, tolerance))
+
+
+def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
+    """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
-        return found.retuned
+        return start
     bound = tolerance / tuning.spread
-    slope = tuning.jacobian.T @ found.group.residual
-    theta = np.clip(found.retuned.tuning, -bound, bound)
+    slope = tuning.jacobian.T @ residual
+    theta = np.clip(start, -bound, bound)
     for _ in range(DESCENTS):
         for i in range(len(theta)):
             step = (slope[i] - tuning.normal[i] @ theta) / tuning.normal[i, i]
             theta[i] = min(max(theta[i] + step, -bound), bound)
-    return replace(found.retuned, tuning=theta)
+    return theta
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
@@ -237,7 +254,7 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
     group, tuning = found.group, found.tuning
-    x = np.column_stack([fit.columns, tuning.jacobian])
+    x = beside(fit.columns, tuning.jacobian)
     prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
     normal = x.T @ x + prior
     r = group.residual - fit.response - tuning.jacobian @ fit.tuning
@@ -260,7 +277,7 @@ _OUTLIER = 5.0
 def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Shift of free parameters and tuning when the runs of a fold are left out."""
     fit, tuning, group = found.fit, found.tuning, found.group
-    x = np.column_stack([fit.columns, tuning.jacobian])
+    x = beside(fit.columns, tuning.jacobian)
     prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
     r = group.residual - fit.response - tuning.jacobian @ fit.tuning
     rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])

@@ -1,16 +1,35 @@
-"""Parameters that differ from machine to machine within `parameter_tolerance`: nuisances, re-tuned but never an effect."""
+"""What differs from machine to machine and is no fault: parameters within `parameter_tolerance`, and imperfections that are normal.
+
+Both are nuisances: re-tuned, never reported as an effect. Normal is a drive train that gives a little, and a contact that gives
+a little before it slides; softer than the limits below they are effects.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import math
 
 import numpy as np
 
-from twin.machine import Machine
+from twin.effects import EFFECTS, Setting, settings_of, with_effects
+from twin.effects.change import FASTEST_MODE, load_inertia
+from twin.machine import Axis, Machine
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
+
+NORMAL_MODE_HZ = 180.0
+"""First mode of a drive train from which its elasticity counts as normal: every screw and gear gives a little."""
+
+NORMAL_SLIP = {"linear": 0.8e-6, "rotary": math.radians(0.8 / 3600.0)}
+"""Travel before break-away up to which a contact counts as one that sticks [m, rad]."""
+
+RESTING = 0.3
+"""Share of that travel by which the place of a resting axis is chance."""
+
+NORMAL = {"elasticity": "transmission_compliance", "slip": "presliding"}
+"""Normal imperfections, and the effects they are when they are large. Both are springs: 1 / stiffness says how much."""
 
 _AXIS_FIELDS = {
     "torque_constant": "torque_constant_nm_per_a",
@@ -25,7 +44,10 @@ _AXIS_FIELDS = {
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One parameter: axis (or None) and quantity, or a body whose mass and inertia scale together."""
+    """One parameter of an axis, a body whose mass and inertia scale together, or a normal imperfection of an axis.
+
+    An imperfection deviates from none: at the edge of the tolerance it is as large as still is normal.
+    """
 
     owner: str
     quantity: str
@@ -41,6 +63,12 @@ class Nuisance:
         if self.owner not in machine.axis_names:
             return machine
         axis = machine.axis(self.owner)
+        if self.quantity in NORMAL:
+            share = (factor - 1.0) / machine.parameter_tolerance
+            if share < LEAST_SHARE:
+                return machine
+            stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis))
+            return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
         name = _AXIS_FIELDS[self.quantity]
         return machine.with_axis(self.owner, **{name: factor * getattr(axis.motor if hasattr(axis.motor, name) else axis, name)})
 
@@ -53,10 +81,28 @@ class Nuisance:
         if self.quantity == "body":
             return [f"body.{self.owner}.mass_kg", f"body.{self.owner}.inertia_kg_m2"]
         table = machine.document["axis"][self.owner]
+        if self.quantity in NORMAL:
+            return []
         if self.quantity == "rotor_inertia":
             return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_and")]
         name = _AXIS_FIELDS[self.quantity]
         return [f"axis.{self.owner}.motor.{name}" if name in table["motor"] else f"axis.{self.owner}.{name}"]
+
+
+LEAST_SHARE = 0.01
+"""An imperfection smaller than this share of what is normal is none."""
+
+
+def _softest(machine: Machine, axis: Axis, quantity: str) -> float:
+    """Stiffness at the edge of what is normal."""
+    if quantity == "elasticity":
+        return float((2.0 * math.pi * NORMAL_MODE_HZ) ** 2 * load_inertia(machine, axis))
+    return axis.coulomb_friction / NORMAL_SLIP[axis.kind]
+
+
+def _stiffest(machine: Machine, axis: Axis) -> float:
+    """Stiffness that a tick of the loop still follows."""
+    return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)
 
 
 def _scaled(inertia: tuple[float, float, float], factor: float) -> tuple[float, float, float]:
@@ -75,6 +121,21 @@ def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
     if any(machine.axis(name).kind == "rotary" for name in axes):
         found += [Nuisance(body.name, "body") for body in machine.bodies]
     return tuple(found)
+
+
+def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
+    """The machine with its own effects and these. Where an effect describes what is normal already, springs add up in series."""
+    added = {(s.effect.name, s.axis, s.from_axis): s for s in settings}
+    kept = []
+    for own in settings_of(machine):
+        key = (own.effect.name, own.axis, own.from_axis)
+        if key in added:
+            other = added[key]
+            stiffness = 1.0 / (1.0 / own.parameters["stiffness"] + 1.0 / other.parameters["stiffness"])
+            added[key] = replace(other, parameters={**other.parameters, "stiffness": stiffness})
+        elif not (own.effect.name == "transmission_compliance" and ("backlash", own.axis, None) in added):
+            kept.append(own)  # the contact of a gap has a spring of its own
+    return with_effects(machine, [*kept, *added.values()])
 
 
 def tuned(nuisances: Sequence[Nuisance], deviations: np.ndarray) -> Callable[[Machine], Machine]:

@@ -13,7 +13,7 @@ import numpy as np
 from twin.effects.effect import EFFECTS, Setting, settings_of
 from twin.errors import InputError
 from twin.machine import Axis, Machine
-from twin.plant import ModelEdit, Plant, build_plant, full_inertia
+from twin.plant import ModelEdit, build_plant, full_inertia
 from twin.terms import FORCE, X_LOAD_FORCE, Term, arrays, term
 
 FASTEST_MODE = 1.5
@@ -141,22 +141,35 @@ class Change:
 
 def load_inertia(machine: Machine, axis: Axis) -> float:
     """Mass or inertia of an axis' load alone, without rotor, in the home pose [kg, kg m2]."""
-    plant = _at_home(machine)
-    total = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof[machine.axis_names.index(axis.name)]]
-    return float(total - axis.reflected_inertia)
+    inertia, _ = _at_home(machine)
+    return float(inertia[machine.axis_names.index(axis.name)] - axis.reflected_inertia)
 
 
 def held_force(machine: Machine, axis: Axis) -> float:
     """Force that holds an axis against gravity in the home pose [N, Nm]."""
-    plant = _at_home(machine)
-    return float(plant.data.qfrc_bias[plant.load_dof[machine.axis_names.index(axis.name)]])
+    _, bias = _at_home(machine)
+    return float(bias[machine.axis_names.index(axis.name)])
 
 
-def _at_home(machine: Machine) -> Plant:
-    plant = build_plant(machine)
-    plant.data.qpos[:] = 0.0
-    mujoco.mj_forward(plant.model, plant.data)
-    return plant
+def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia with rotor and bias of every axis in the home pose (axis,); remembered, because fits ask again and again."""
+    axes = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
+    key = (str(machine.model_path), axes, machine.bodies, machine.gravity)
+    known = _homes.get(key)
+    if known is None:
+        plant = build_plant(machine)
+        plant.data.qpos[:] = 0.0
+        mujoco.mj_forward(plant.model, plant.data)
+        inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof].copy()
+        known = inertia, plant.data.qfrc_bias[plant.load_dof].copy()
+        if len(_homes) > _MOST_HOMES:
+            _homes.clear()
+        _homes[key] = known
+    return known
+
+
+_homes: dict[object, tuple[np.ndarray, np.ndarray]] = {}
+_MOST_HOMES = 256
 
 
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:

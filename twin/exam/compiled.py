@@ -30,6 +30,10 @@ def compiled(inline: bool = False) -> Callable:
         if not hasattr(file, "_source_stamp"):
             return plain(function)
         file._source_stamp = DIGEST
+        try:
+            file._load_index()
+        except Exception:  # written by an older version whose types are gone: numba would raise at the first call
+            file.flush()
         return dispatcher
 
     return wrap

@@ -1,0 +1,133 @@
+"""Re-tuning: how the nuisances of a group change its channels, and what of a residual they explain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+import functools
+
+import numpy as np
+
+from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
+from twin.errors import TwinError
+from twin.machine import Machine
+
+PRIOR_WEIGHT = 50.0
+"""Weight w of the tolerance against the samples: a parameter at the edge of its tolerance costs 75 of log likelihood."""
+
+SHARES = (0.05, 0.2, 0.8)
+"""Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
+
+EARNED = 14.0
+"""Log likelihood that a normal imperfection must bring to be looked at."""
+
+UNCHANGED = 0.15
+"""A size that a fit moves by less than this (relative) needs no new simulation."""
+
+
+@dataclass
+class Tuning:
+    """The nuisances of a group with their simulated effect on all channels."""
+
+    nuisances: tuple[Nuisance, ...]
+    jacobian: np.ndarray  # (row, nuisance), weighted, per spread s
+    spread: float
+    normal: np.ndarray  # J'J + w
+    inverse: np.ndarray
+
+    def project(self, columns: np.ndarray) -> np.ndarray:
+        """J' columns, for eliminating the tuning."""
+        return self.jacobian.T @ columns
+
+    def solve(self, residual: np.ndarray) -> np.ndarray:
+        """Tuning (nuisance,) in units of its spread that fits a residual best."""
+        return self.inverse @ (self.jacobian.T @ residual)
+
+    def remembered(self, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A column with its projection, for inner products that are asked for again and again."""
+        return a, self.project(a)
+
+    def product(self, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
+        """a' P b of remembered columns."""
+        return float(a[0] @ b[0] - a[1] @ self.inverse @ b[1])
+
+    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """a' P b with the tuning eliminated."""
+        return a.T @ b - self.project(a).T @ self.inverse @ self.project(b)
+
+    def loss(self, residual: np.ndarray) -> float:
+        """Half the least square that tuning leaves of a residual."""
+        return 0.5 * float(self.inner(residual, residual))
+
+
+def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+    """Simulate each toleranced parameter at its spread; `mapper` maps over threads."""
+    nuisances = nuisances_of(machine, group.axes)
+    spread = machine.parameter_tolerance * UNIFORM
+    if spread <= 0.0 or not nuisances:
+        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)))
+    columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + spread), axes=n.axes(group.axes)), nuisances))
+    return _tuning(nuisances, beside(*(c[:, None] for c in columns)), spread)
+
+
+def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+    """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
+
+    Only where a channel asks for it: elasticity where motor and scale part, slip where the position does not follow.
+    """
+    if not tuning.nuisances:
+        return tuning
+    parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
+    plain = _tuning([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
+    left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
+    dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
+    wanted = [Nuisance(a, "elasticity") for a in group.axes if (a, "windup") in dirty]
+    wanted += [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
+    current = plain
+    for nuisance in wanted:
+        trial = functools.partial(_added, current, group, machine, nuisance)
+        tried = [t for t in mapper(trial, SHARES) if t is not None]
+        best = min(tried, key=lambda t: t.loss(residual), default=None)
+        for _ in range(2):
+            if best is None:
+                break
+            size = float(best.solve(residual)[-1]) * UNIFORM
+            if not 0.0 < size < 1.0 or current.loss(residual) - best.loss(residual) < EARNED:
+                best = None
+                break
+            better = _added(current, group, machine, nuisance, size)
+            if better is None or better.loss(residual) > best.loss(residual):
+                break
+            moved = abs(float(better.solve(residual)[-1]) * UNIFORM / size - 1.0)
+            best = better
+            if moved < UNCHANGED:
+                break
+        current = best or current
+    return current
+
+
+def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, share: float) -> Tuning | None:
+    """The tuning with one more nuisance, simulated at this share of what is normal; None where it cannot be simulated."""
+    try:
+        answer = group.response(
+            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,), shaken=nuisance.quantity == "slip"
+        )
+    except TwinError:
+        return None
+    return _tuning([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
+
+
+def beside(*blocks: np.ndarray) -> np.ndarray:
+    """Blocks of columns (row, n) side by side, column after column in memory."""
+    out = np.empty((len(blocks[0]), sum(b.shape[1] for b in blocks)), order="F")
+    at = 0
+    for block in blocks:
+        out[:, at : at + block.shape[1]] = block
+        at += block.shape[1]
+    return out
+
+
+def _tuning(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
+    normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
+    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal))
