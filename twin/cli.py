@@ -50,7 +50,9 @@ class _Parser(argparse.ArgumentParser):
 
 def build_parser() -> argparse.ArgumentParser:
     from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
+    from twin.regress import add_regress_arguments, regress_command
     from twin.replay import add_replay_arguments, replay_command
+    from twin.study.commands import add_study_arguments, study_command
     from twin.surface.command import add_cut_arguments, cut_command
 
     parser = _Parser(prog="twin", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -112,6 +114,12 @@ def build_parser() -> argparse.ArgumentParser:
 
     cut = add("cut", cut_command, "cut the part along the followed tool path: where the mark is and how deep")
     add_cut_arguments(cut)
+
+    regress = add("regress", regress_command, "run a suite of cases headless and compare with golden results: what moved, and where first")
+    add_regress_arguments(regress)
+
+    study = add("study", study_command, "vary numbers of the machine file by a design, run every variant, tell what each number buys")
+    add_study_arguments(study)
 
     replay = add("replay", replay_command, "open the viewer on a run, a recording, a trace or any MJCF or URDF")
     add_replay_arguments(replay)

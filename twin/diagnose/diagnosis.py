@@ -18,7 +18,7 @@ from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, bounded, exp
 from twin.diagnose.tolerance import NORMAL, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
-from twin.effects import Parameter, Setting, with_effects
+from twin.effects import Parameter, Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.gap import COMPARED, Prediction, SignalGap, gap_of, predict_campaign
 from twin.machine import Machine
@@ -86,6 +86,7 @@ class Diagnosis:
                 "held_out_runs": self.held_out,
                 "axes": self._axis_gaps(),
             },
+            "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
             "ambiguous_with": self._ambiguous(),
             "next_measurement": self.proposal.text,
             "notes": self.notes,
@@ -339,19 +340,26 @@ def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
                     old = old[key]
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
-    normal = [
-        (n, d) for f in found for n, d in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)) if n.quantity in NORMAL
-    ]
-    changed = tuned([n for n, _ in normal], np.array([d for _, d in normal]))(machine.with_values(values))
-    return with_added(changed, [s for f in found for s in f.fit.settings])
+    return with_added(
+        with_effects(machine.with_values(values), normal_imperfections(machine, found)), [s for f in found for s in f.fit.settings]
+    )
+
+
+def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setting]:
+    """What every machine has a little of and this one shows, as settings of the effects that it would be if it were large."""
+    for f in found:
+        normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
+        shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
+        machine = tuned(shown, within(f, machine.parameter_tolerance)[normal])(machine)
+    return list(settings_of(machine))
 
 
 def within(f: Found, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
     deviations = f.fit.tuning * f.tuning.spread
-    if np.all(np.abs(deviations) <= WIDEST * tolerance):
-        return deviations
-    return bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
+    if np.any(np.abs(deviations) > WIDEST * tolerance):
+        deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
+    return f.tuning.base + deviations
 
 
 def _named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found, float]]:

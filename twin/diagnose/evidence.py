@@ -18,6 +18,7 @@ from twin.campaign import MeasuredRun
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
 from twin.diagnose.search import EVIDENCE, Found, retuned_within
+from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
 
@@ -199,4 +200,5 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity.replace("_", " "), float(deviation))
         for found in diagnosis.found
         for nuisance, deviation in zip(found.tuning.nuisances, found.fit.tuning * found.tuning.spread)
+        if nuisance.quantity not in NORMAL
     ]

@@ -15,7 +15,7 @@ Axes that the mass matrix does not couple are looked at apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import functools
 
 import mujoco
@@ -343,6 +343,27 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
                 sigma = np.hypot(sigma, np.where(rests(view, key[0]), RESTING * NORMAL_SLIP[axis.kind], 0.0))
             channels.append(Channel(r, key[0], key[1], residual, sigma, _correlation(deviations / sigma)))
     return Group(axes, views, channels, nominal, shaken, seed)
+
+
+def rebased(group: Group, machine_of: Variant) -> Group:
+    """The group about another machine: the same channels, residuals of that machine's nominal motion."""
+    views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
+    nominal: list[dict[tuple[str, str], np.ndarray]] = []
+    shaken: list[dict[tuple[str, str], np.ndarray]] = []
+    for r, view in enumerate(views):
+        present = tuple(a for a in group.axes if view.moves(a))
+        if not present:
+            nominal.append({})
+            shaken.append({})
+            continue
+        nominal.append(channels_of(simulate_group(view, present), view, present))
+        noisy = simulate_group(view, present, noise_seed=noise_seed(group.seed, r), record_noise=False)
+        shaken.append(channels_of(noisy, view, present))
+    channels = []
+    for c in group.channels:
+        shift = 0.0 if c.name == "controller" else shaken[c.run][c.axis, c.name] - group.shaken[c.run][c.axis, c.name]
+        channels.append(replace(c, residual=c.residual - shift))
+    return Group(group.axes, views, channels, nominal, shaken, group.seed)
 
 
 def rests(view: RunView, name: str, after_s: float = BREAK_AWAY_S) -> np.ndarray:

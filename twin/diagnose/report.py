@@ -14,6 +14,7 @@ from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, w
 from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times
 from twin.effects import EFFECTS
 from twin.errors import InputError
+from twin.units import ARCSEC
 
 __all__ = ["report_page", "verdict_sentence", "write_recording_of", "write_report"]
 
@@ -59,6 +60,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         runs=runs,
         candidates=document["candidates"][:CANDIDATES_SHOWN],
         retuned=_retuned_table(diagnosis),
+        stiffness=lambda table: _stiffness(diagnosis, table),
     )
 
 
@@ -91,6 +93,12 @@ def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
             name = max(signals, key=lambda s: signals[s]["before"] / signals[s]["noise_floor"])
             rows.append({"axis": axis, "signal": name.replace("_", " "), **signals[name]})
     return rows
+
+
+def _stiffness(diagnosis: Diagnosis, table: dict[str, Any]) -> str:
+    """Stiffness of a normal imperfection in the units of a data sheet."""
+    linear = diagnosis.machine.axis(table["axis"]).kind == "linear"
+    return f"{table['stiffness'] * 1e-6:.3g} N/um" if linear else f"{table['stiffness'] * ARCSEC:.3g} Nm/arcsec"
 
 
 def _retuned_table(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -11,7 +11,8 @@ import numpy as np
 from twin.diagnose.candidates import Start, combine, is_scaled, size_parameter, starts_of
 from twin.diagnose.fit import Fit, answer, fit_effects, no_effect
 from twin.diagnose.observe import Group
-from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside, tuning_of, with_imperfections
+from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside, on_imperfect_machine, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
@@ -40,6 +41,12 @@ are of a model that is not right, and stand for nothing."""
 NEAR_NOISE = 0.02
 """Excess over noise up to which a residual counts as noise, and evidence alone decides."""
 
+IMPERFECT = 1e-3
+"""Share of what noise makes that imperfections without a law (cogging, a little Stribeck) may imitate."""
+
+STANDS_OUT = 1.3
+"""Mean square over noise from which a single channel counts as not explained."""
+
 DESCENTS = 200
 """Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
 
@@ -51,6 +58,10 @@ PRICE = 2.0
 
 SMALLEST, LARGEST = 0.12, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
+
+
+BEYOND_TOLERANCE = {"torque_constant": 2.0, "inertia": 2.0, "coulomb_friction": 3.0, "viscous_friction": 4.0}
+"""Multiples of the tolerance from which a deviation is an effect: friction is what slip, lubrication and load change first."""
 
 
 @dataclass
@@ -74,7 +85,8 @@ class Candidate:
 class Found:
     """Result for one group: the final fit, every candidate of the first round, and what is left."""
 
-    group: Group
+    group: Group  # about the machine with its normal imperfections
+    rigid: Group  # about the machine as its file says
     tuning: Tuning
     fit: Fit
     retuned: Fit
@@ -95,14 +107,16 @@ def search(
     quick: bool = False,
 ) -> Found:
     """Forward selection with refit of all accepted effects, then removals."""
+    rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
+    group, tuning = on_imperfect_machine(group, tuning, group.residual)
     retuned = no_effect(group, tuning)
-    found = Found(group, tuning, retuned, retuned, _inflation(group, tuning, retuned))
+    found = Found(group, rigid, tuning, retuned, retuned, _inflation(group, tuning, retuned))
     while len(found.fit.settings) < MOST_EFFECTS and not (quick and is_quiet(found)):
         candidates = _round(found, machine, folds, mapper, progress, quick)
         found.rounds.append(candidates)
         best = next((c for c in candidates if c.plausible), None)
-        if best is None or best.evidence < (EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE) or not _closes_enough(found, best.fit):
+        if best is None or best.evidence < evidence_needed(found, folds) or not _closes_enough(found, best.fit):
             break
         _accept(found, best.fit, machine, mapper)
     _try_removals(found, machine, folds)
@@ -111,21 +125,39 @@ def search(
 
 def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
     """Take an effect; what is normal besides it is seen better now, and fitted with it."""
-    group = found.group
-    tuning = with_imperfections(found.tuning, group, machine, group.residual - fit.response, mapper)
-    if tuning.nuisances != found.tuning.nuisances or not np.array_equal(tuning.jacobian, found.tuning.jacobian):
-        again = fit_effects(group, machine, tuning, fit.settings, 2)
-        if again is not None:
-            fit, found.tuning, found.retuned = again, tuning, no_effect(group, tuning)
-            found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
+    left = found.rigid.residual - fit.response
+    tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
+    group, tuning = on_imperfect_machine(found.rigid, tuning, left)
+    again = fit_effects(group, machine, tuning, fit.settings, 2) if group is not found.group else None
+    if again is not None:
+        fit, found.group, found.tuning, found.retuned = again, group, tuning, no_effect(group, tuning)
+        found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
     found.fit = fit
-    found.inflation = _inflation(group, found.tuning, fit)
+    found.inflation = _inflation(found.group, found.tuning, fit)
+
+
+def evidence_needed(found: Found, folds: Sequence[Sequence[int]]) -> float:
+    """Evidence that an effect must bring; more on a machine that shows normal imperfections: it has others that have no law here."""
+    least = EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE
+    imperfect = any(n.quantity in NORMAL for n in found.tuning.nuisances)
+    return least + (IMPERFECT * expected_loss(found.group) if imperfect else 0.0)
 
 
 def _closes_enough(found: Found, fit: Fit) -> bool:
-    expected = expected_loss(found.group)
-    left = found.fit.loss - expected
-    return left < NEAR_NOISE * expected or found.fit.loss - fit.loss > LEAST_SHARE * left
+    left = unexplained(found)
+    return left < NEAR_NOISE * expected_loss(found.group) or found.fit.loss - fit.loss > LEAST_SHARE * left
+
+
+def unexplained(found: Found) -> float:
+    """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
+    group = found.group
+    left = (group.residual - found.fit.response - found.tuning.jacobian @ found.fit.tuning) / group.weights
+    standing_out = 0.0
+    for c in group.channels:
+        u = (left[c.rows] / c.sigma)[c.settled(group.views[c.run])]
+        if len(u) and float(np.mean(u**2)) > STANDS_OUT:
+            standing_out += 0.5 * float(np.sum(u**2) - len(u)) / c.correlation
+    return max(found.fit.loss - expected_loss(group), standing_out)
 
 
 def expected_loss(group: Group) -> float:
@@ -166,13 +198,14 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     chosen = near[:most]
     progress(f"{'+'.join(group.axes)}: fitting {', '.join(f'{k[0]} {k[1]}' for k, _ in chosen[:3])} ...")
     fits = list(mapper(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], 2 if quick else 4), chosen))
-    base = held_out_loss(found, found.fit, folds)
+    base, healthy = held_out_loss(found, found.fit, folds), loss_within(found, found.fit, machine.parameter_tolerance)
     candidates = []
     for fit in fits:
         if fit is None:
             continue
-        # on runs left out, and not more than the drop on all runs pays for its parameters
-        gain = min(base - held_out_loss(found, fit, folds), found.fit.loss - fit.loss - PRICE * (len(fit.free) - len(found.fit.free)))
+        # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
+        drop = min(found.fit.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
+        gain = min(base - held_out_loss(found, fit, folds), drop - PRICE * (len(fit.free) - len(found.fit.free)))
         evidence = gain / min(found.inflation, _inflation(group, tuning, fit))
         candidates.append(Candidate(fit, evidence, is_plausible(fit.settings[-1], machine)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
@@ -233,18 +266,27 @@ def retuned_within(found: Found, tolerance: float) -> Fit:
     return replace(found.retuned, tuning=bounded(found.tuning, found.group.residual, found.retuned.tuning, tolerance))
 
 
-def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
+def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float, weight: float = PRIOR_WEIGHT) -> np.ndarray:
     """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
     bound = tolerance / tuning.spread
     slope = tuning.jacobian.T @ residual
+    normal = tuning.normal + (weight - PRIOR_WEIGHT) * np.eye(len(start))
     theta = np.clip(start, -bound, bound)
     for _ in range(DESCENTS):
         for i in range(len(theta)):
-            step = (slope[i] - tuning.normal[i] @ theta) / tuning.normal[i, i]
+            step = (slope[i] - normal[i] @ theta) / normal[i, i]
             theta[i] = min(max(theta[i] + step, -bound), bound)
     return theta
+
+
+def loss_within(found: Found, fit: Fit, tolerance: float) -> float:
+    """Half the squares that a fit leaves when the nuisances cost nothing inside the tolerance and cannot leave it."""
+    residual = found.group.residual - fit.response
+    theta = bounded(found.tuning, residual, fit.tuning, tolerance, weight=1.0)
+    left = residual - found.tuning.jacobian @ theta
+    return 0.5 * float(left @ left)
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
@@ -302,8 +344,7 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
     if size.name == "factor":
         deviation = abs(value - neutral)
         least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
-        toleranced = setting.effect.name in ("torque_constant", "coulomb_friction", "viscous_friction")
-        return deviation > max(SMALLEST * least, 2.0 * machine.parameter_tolerance if toleranced else 0.0)
+        return deviation > max(SMALLEST * least, BEYOND_TOLERANCE.get(setting.effect.name, 0.0) * machine.parameter_tolerance)
     if not math.isfinite(neutral):  # springs and limits: the softer, the larger
         if size.name == "limit_a":
             return True
@@ -312,7 +353,7 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
         return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
     if setting.effect.name == "inertia":
         total_share = abs(value) / max(high / 0.35, 1e-12)
-        return total_share > 2.0 * machine.parameter_tolerance
+        return total_share > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
     return SMALLEST * low < abs(value) < LARGEST * high
 
 

@@ -8,8 +8,8 @@ import functools
 
 import numpy as np
 
-from twin.diagnose.observe import Group
-from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.observe import Group, rebased
+from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of, tuned
 from twin.errors import TwinError
 from twin.machine import Machine
 
@@ -35,6 +35,7 @@ class Tuning:
     spread: float
     normal: np.ndarray  # J'J + w
     inverse: np.ndarray
+    base: np.ndarray  # (nuisance,) deviations that the group's own machine has already, as fractions
 
     def project(self, columns: np.ndarray) -> np.ndarray:
         """J' columns, for eliminating the tuning."""
@@ -66,7 +67,7 @@ def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # ty
     nuisances = nuisances_of(machine, group.axes)
     spread = machine.parameter_tolerance * UNIFORM
     if spread <= 0.0 or not nuisances:
-        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)))
+        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
     columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + spread), axes=n.axes(group.axes)), nuisances))
     return _tuning(nuisances, beside(*(c[:, None] for c in columns)), spread)
 
@@ -107,11 +108,26 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     return current
 
 
+def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> tuple[Group, Tuning]:
+    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
+
+    A force on a drive train that gives also winds it up; nothing of that is in a sum of both.
+    """
+    normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
+    if not normal.any():
+        return group, tuning
+    base = np.where(normal, tuning.solve(residual) * tuning.spread, 0.0)
+    imperfect = rebased(group, tuned(tuning.nuisances, base))
+    return imperfect, replace(tuning, base=base)
+
+
 def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, share: float) -> Tuning | None:
     """The tuning with one more nuisance, simulated at this share of what is normal; None where it cannot be simulated."""
     try:
         answer = group.response(
-            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,), shaken=nuisance.quantity == "slip"
+            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
+            axes=(nuisance.owner,),
+            shaken=nuisance.quantity == "slip",
         )
     except TwinError:
         return None
@@ -130,4 +146,4 @@ def beside(*blocks: np.ndarray) -> np.ndarray:
 
 def _tuning(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
     normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
-    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal))
+    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)))
