@@ -21,6 +21,9 @@ from twin.machine import Axis, Machine
 PEAKS = 2
 """Spectral lines that are tried for an effect that repeats along position or time."""
 
+CLIPPED = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
+"""Levels of a clipped current as shares of the largest that was measured."""
+
 LARGEST_ORDER_HZ = 60.0
 """Above this frequency the current no longer shows a disturbance as it is."""
 
@@ -154,14 +157,17 @@ class _Lines:
         return _strongest(values, power)
 
     def current_levels(self) -> list[float]:
-        """Levels at which a clipped current would show: the largest that was measured, and a little above."""
+        """Levels at which a clipped current would show: about the largest that was measured.
+
+        A record samples the saw-tooth that the current is between two cycles at one place of it: the limit may lie above.
+        """
         level = 0.0
         for (run, name), _ in self.channels.items():
             trace = self.group.views[run].trace
             if name == "current":
                 level = max(level, float(np.quantile(np.abs(trace.get(self.axis.name, "current")), 0.9995)))
         level = level or 0.3 * self.axis.motor.peak_current_a
-        return [0.97 * level, 0.85 * level]
+        return [share * level for share in CLIPPED]
 
     def _pieces(self, name: str):  # type: ignore[no-untyped-def]
         """Per run: residual, position, speed at the channel's samples."""

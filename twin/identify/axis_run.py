@@ -112,9 +112,12 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     def signal(name: str) -> np.ndarray:
         values = trace.get(axis.name, name)
         late = (lateness or {}).get(name, 0.0)
-        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1])) if late else values
+        samples = late / trace.period
+        if abs(samples - round(samples)) < 1e-6:  # whole samples: no interpolation, a staircase stays one
+            return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
+        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
 
-    first = _phase(trace.get(axis.name, "velocity_setpoint"), n) if has["velocity_setpoint"] else 0
+    first = _phase(signal("velocity_setpoint"), n) if has["velocity_setpoint"] else 0
     cycles = (len(time) - 1 - first) // n
     at = first + n * np.arange(cycles + 1)
     start = time[at[:-1]]
@@ -126,7 +129,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     window = slice(first, first + n * cycles)
     samples = signal("current")[window] if has["current"] else None
     current = samples.reshape(cycles, n).mean(axis=1) if samples is not None else None
-    speed_setpoint = trace.get(axis.name, "velocity_setpoint")[at[:-1]] / axis.ratio if has["velocity_setpoint"] else None
+    speed_setpoint = signal("velocity_setpoint")[at[:-1]] / axis.ratio if has["velocity_setpoint"] else None
     two = n >= 2
 
     def ripple(values: np.ndarray | None) -> np.ndarray | None:

@@ -122,21 +122,45 @@ def _prepared(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], 
     axis_runs = read({})
     late = _skew(machine, runs, axis_runs)
     correct: dict[str, dict[str, float]] = {}
-    for item in late:
-        if abs(item.seconds) > max(LATE_S[item.signal], 4.0 * item.deviation):
-            correct.setdefault(item.axis, {})[item.signal] = item.seconds
-            findings.append(
-                Finding(
-                    "",
-                    item.axis,
-                    f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back",
-                )
-            )
-    if correct:
+    for _ in range(SKEW_ROUNDS):
+        # a current that is late by odd samples shows another phase of its saw-tooth: what the first round leaves, the second finds
+        late, more = late if not correct else _remaining(late, _skew(machine, runs, axis_runs), correct), False
+        for item in late:
+            if abs(item.seconds) > max(LATE_S[item.signal], 4.0 * item.deviation):
+                taken = _whole(item.seconds, runs[0].trace.period)
+                more |= correct.get(item.axis, {}).get(item.signal) != taken
+                correct.setdefault(item.axis, {})[item.signal] = taken
+        if not more:
+            break
         axis_runs = read(correct)
+    for item in late:
+        if item.signal in correct.get(item.axis, {}):
+            told = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back"
+            findings.append(Finding("", item.axis, told))
     for axis in machine.axes:
         findings += coverage(machine, axis, [r for r in axis_runs[axis.name] if r is not None])
     return runs, axis_runs, findings, late
+
+
+SKEW_ROUNDS = 3
+NEAR_SAMPLE = 0.2
+"""A skew within this fraction of a period from whole samples is taken as whole samples: recorders are late by those."""
+
+
+def _whole(seconds: float, period: float) -> float:
+    samples = seconds / period
+    return round(samples) * period if abs(samples - round(samples)) < NEAR_SAMPLE else seconds
+
+
+def _remaining(before: Sequence[Late], now: Sequence[Late], correct: dict[str, dict[str, float]]) -> list[Late]:
+    """Skews after a correction: what was taken back and what is left, where a correction was made."""
+    left = {(c.axis, c.signal): c for c in now}
+    out = []
+    for item in before:
+        taken = correct.get(item.axis, {}).get(item.signal)
+        after = left.get((item.axis, item.signal))
+        out.append(replace(item, seconds=taken + after.seconds, deviation=after.deviation) if taken is not None and after else item)
+    return out
 
 
 def _skew(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]) -> list[Late]:

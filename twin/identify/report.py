@@ -13,7 +13,7 @@ CAPTIONS = {
     "law Fc sign(v) + Fv v with its 95 % interval.",
     "inertia": "Torque less friction and gravity against acceleration, below 20 Hz. The current is the mean over a position cycle, not the sample.",
     "gravity": "Gravity torque of the table, and its first moments.",
-    "residuals": "What the torque balance leaves, run after run, and its autocorrelation. A coloured residual is why intervals come from whole strokes.",
+    "residuals": "What the torque balance leaves, run after run, and its autocorrelation. The filter alone couples rows up to 50 ms apart; what reaches further is why intervals come from whole strokes.",
     "gap": "Simulated against measured on runs that no fit has seen.",
 }
 

@@ -104,7 +104,7 @@ def fit_single_axis(record: Record, band_hz: float = BAND_HZ) -> SingleFit:
 
 def resimulate(record: Record, values: np.ndarray, initial_speed: float | None = None) -> Resimulated:
     """Simulate the axis on the record's set points from its measured position and speed; scored after SETTLED_SAMPLES."""
-    v0 = float(np.polyfit(record.time[:12], record.position[:12], 1)[0]) if initial_speed is None else initial_speed
+    v0 = float(np.polyfit(record.time[:12] - record.time[0], record.position[:12], 2)[1]) if initial_speed is None else initial_speed
     mass, viscous, coulomb, offset = (float(v) for v in values)
     position, voltage = _advance(
         record.setpoint, record.period, record.position_gain, record.speed_gain, record.drive_gain, mass, viscous, coulomb, offset,
@@ -112,7 +112,7 @@ def resimulate(record: Record, values: np.ndarray, initial_speed: float | None =
     )  # fmt: skip
     kept = slice(SETTLED_SAMPLES, None)
     difference = (position - record.position)[kept]
-    force = [float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in _forces(record, voltage, kept)]
+    force = [float(np.linalg.norm(a - b) / max(float(np.linalg.norm(b)), 1e-12)) for a, b in _forces(record, voltage, kept)]
     return Resimulated(position, voltage, float(np.sqrt(np.mean(difference**2))), force[0], force[1])
 
 

@@ -1,0 +1,170 @@
+#!/usr/bin/env python3
+"""Does the regression suite notice? Changes one thing at a time in a copy of the package and runs the suite on the copy.
+
+    python scripts/mutate.py [--only NAME] [--cases NAME] [--json FILE]
+
+A mutation is caught where `twin regress` ends with 1; it is named rightly where the axis or the block that most failed cases
+name first is the one that was changed. The unchanged copy must pass. Nothing in this tree is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+import json
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+HERE = Path(__file__).resolve().parents[1]
+DATA = "models/mikron_ucp710.toml"
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """Replace the first `old` after `after` in `file`; `axis` and `blocks` are what the suite should name."""
+
+    name: str
+    file: str
+    after: str
+    old: str
+    new: str
+    axis: str = ""
+    blocks: tuple[str, ...] = ()
+
+
+MECHANICS = ("mechanics",)
+MUTATIONS = (
+    # one number of the machine file
+    Mutation("X position gain 1 % up", DATA, "[axis.X.loops]", "50.0", "50.5", "X", ("position controller",)),
+    Mutation("Y speed gain 1 % up", DATA, "[axis.Y.loops]", "= 4.0 ", "= 4.04 ", "Y", ("speed controller",)),
+    Mutation("Z integral time 2 % up", DATA, "[axis.Z.loops]", "0.010", "0.0102", "Z", ("speed controller",)),
+    Mutation("X velocity feedforward 0.2 % down", DATA, "[axis.X.loops]", "velocity_feedforward = 1.0", "velocity_feedforward = 0.998",
+             "X", ("position controller",)),
+    Mutation("C set point one cycle later", DATA, "[axis.C.loops]", "position_delay_s = 0.002", "position_delay_s = 0.004",
+             "C", ("position controller",)),
+    Mutation("X torque constant 1 % up", DATA, "[axis.X.motor]", "torque_constant_nm_per_a = 1.4", "torque_constant_nm_per_a = 1.414",
+             "X", ("current loop",)),
+    Mutation("X friction 2 % up", DATA, "[axis.X]", "coulomb_friction_nm = 1.8", "coulomb_friction_nm = 1.836", "X", MECHANICS),
+    Mutation("A friction 2 % up", DATA, "[axis.A]", "coulomb_friction_nm = 0.50", "coulomb_friction_nm = 0.51", "A", MECHANICS),
+    Mutation("X rotor inertia 1 % up", DATA, "[axis.X]", "6.8e-3", "6.868e-3", "X", MECHANICS),
+    Mutation("Y moving mass 1 % up", DATA, "[axis.Y]", "1050.0", "1060.5", "Y", MECHANICS),
+    Mutation("Z weighs 0.1 % more (gravity)", DATA, "", "9.81 ", "9.82 ", "Z", MECHANICS),
+    # the law
+    Mutation("speed controller: sign of the integral", "twin/cascade.py", "def speed_controller", "+= drives", "-= drives", "", ("speed controller",)),
+    Mutation("position controller: sign of feedforward", "twin/cascade.py", "def position_controller", "+ velocity_feedforward",
+             "- velocity_feedforward", "", ("position controller",)),
+    Mutation("current controller: integral one part in ten slower", "twin/cascade.py", "def current_controller",
+             "+= drives.current_integral_gain[a]", "+= 0.9 * drives.current_integral_gain[a]", "", ("current loop",)),
+    Mutation("torque feedforward one cycle late", "twin/setpoints.py", "def command_of", "acceleration = (now - 2.0 * before + earlier) / tp**2",
+             "acceleration = np.roll((now - 2.0 * before + earlier) / tp**2, 1)", "", ("speed controller",)),
+    Mutation("current set point one cycle late", "twin/loop.py", "speed_controller(a, drives, state, measured_speed", "current_setpoint = state.current_setpoint[a]",
+             "current_setpoint = signals[a, X_CURRENT_SETPOINT]; signals[a, X_CURRENT_SETPOINT] = state.current_setpoint[a]", "", ("current loop",)),
+    # integrator and time
+    Mutation("integrator: winding by Euler", "twin/cascade.py", "def winding", "return final + away * drives.mean_decay[a]", "return final + away", "",
+             ("current loop",)),
+    Mutation("integrator: position half a step ahead", "twin/loop.py", "measure: mechanics", "middle - 0.5 * h * speed", "middle", "", ("transmission", "measurement")),
+    # units and words
+    Mutation("unit: feed of a program per 61 s", "twin/program/collect.py", "per_minute", "/ 60.0", "/ 61.0", "", ("set points",)),
+    Mutation("unit: half a diameter is off by 0.05 %", "twin/surface/tools.py", "def flat_end", "r = diameter / 2.0", "r = diameter / 2.001", "",
+             ("cut surface",)),
+    # effects
+    Mutation("effect: Stribeck with another exponent", "twin/effects/friction.py", "p[0] exp", "-ratio * ratio", "-ratio", "X", MECHANICS),
+    Mutation("effect: ripple of the other sign", "twin/effects/mechanics.py", "p[0] sin", "+= p[0] * math.sin", "-= p[0] * math.sin", "X", MECHANICS),
+)  # fmt: skip
+
+
+def copied(folder: Path) -> None:
+    """The package with its models and examples, and the compiled loops that are already there."""
+    for name in ("twin", "models", "examples"):
+        shutil.copytree(HERE / name, folder / name)
+
+
+def mutated(folder: Path, mutation: Mutation) -> None:
+    file = folder / mutation.file
+    text = file.read_text(encoding="utf-8")
+    start = text.find(mutation.after)
+    at = text.find(mutation.old, max(start, 0))
+    if start < 0 or at < 0:
+        sys.exit(f"mutate: {mutation.name}: {mutation.old!r} after {mutation.after!r} is not in {mutation.file}; correct the list")
+    file.write_text(text[:at] + mutation.new + text[at + len(mutation.old) :], encoding="utf-8")
+
+
+def judged(folder: Path, arguments: list[str]) -> tuple[int, dict, str]:
+    """Exit code, document and last words of the suite on a copy."""
+    out = folder / "out"
+    command = [sys.executable, "-m", "twin", "regress", "examples/regression", "--out", str(out), *arguments]
+    ran = subprocess.run(
+        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, capture_output=True, text=True, timeout=600, check=False
+    )
+    file = out / "regress.json"
+    document = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return ran.returncode, document, ran.stderr.strip().splitlines()[-1] if ran.stderr.strip() else ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="mutations whose name holds this")
+    parser.add_argument("--cases", action="append", default=[], help="only these cases of the suite (as twin regress --only)")
+    parser.add_argument("--json", help="write the results")
+    args = parser.parse_args()
+    arguments = [word for name in args.cases for word in ("--only", name)]
+    results = []
+    with tempfile.TemporaryDirectory() as base:
+        folder = Path(base) / "plain"
+        copied(folder)
+        code, document, words = judged(folder, arguments)
+        if code != 0:
+            sys.exit(f"mutate: the unchanged copy does not pass (exit {code}; {words}); run twin regress first")
+        print(f"unchanged copy: passes, {len(document['cases'])} cases, {document['seconds']:.1f} s", flush=True)
+    for mutation in (m for m in MUTATIONS if args.only in m.name):
+        with tempfile.TemporaryDirectory() as base:
+            folder = Path(base) / "mutant"
+            copied(folder)
+            mutated(folder, mutation)
+            began = time.perf_counter()
+            code, document, words = judged(folder, arguments)
+            seconds = time.perf_counter() - began
+        first = document.get("first", {"axis": "", "block": ""})
+        failed = sum(c["status"] in ("failed", "error") for c in document.get("cases", []))
+        axis_right = bool(mutation.axis) and first["axis"] == mutation.axis
+        block_right = first["block"] in mutation.blocks
+        caught = code == 1
+        result = {
+            "mutation": mutation.name,
+            "caught": caught,
+            "failed": failed,
+            **first,
+            "axis_right": axis_right,
+            "block_right": block_right,
+        }
+        results.append({**result, "seconds": seconds})
+        named = (
+            "axis and block right"
+            if axis_right and block_right
+            else "axis right"
+            if axis_right
+            else "block right"
+            if block_right
+            else "named wrongly"
+        )
+        verdict = (
+            f"caught by {failed:2d} cases, names {first['axis'] or '-'}, {first['block'] or '-'}: {named}"
+            if caught
+            else f"NOT CAUGHT (exit {code}; {words})"
+        )
+        print(f"{mutation.name:52s} {verdict}  ({seconds:.0f} s)", flush=True)
+    caught = sum(r["caught"] for r in results)
+    right = sum(r["caught"] and (r["axis_right"] or r["block_right"]) for r in results)
+    print(f"{caught} of {len(results)} caught, {right} of {len(results)} with the right axis or block")
+    if args.json:
+        Path(args.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    return 0 if right >= 0.95 * len(results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Bad recordings are noticed and named: what is missing, wrong flags, late, clipped and stuck channels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identify_campaigns import ONE_WAY, campaign, path, recorded, usual_runs, with_signal
+from twin.campaign import MeasuredRun
+from twin.errors import InputError
+from twin.identify import Identification, identify_campaign
+from twin.machine import Machine
+
+
+@pytest.fixture(scope="module")
+def machine(mikron: Machine) -> Machine:
+    return mikron.with_axes(["X"])
+
+
+@pytest.fixture(scope="module")
+def runs(machine: Machine) -> list[MeasuredRun]:
+    return usual_runs(machine)
+
+
+def identified(machine: Machine, runs: list[MeasuredRun]) -> Identification:
+    return identify_campaign(machine, campaign(runs), refine=False, gaps=False)
+
+
+def said(result: Identification) -> str:
+    return " | ".join(str(f) for f in result.findings)
+
+
+def test_a_good_recording_has_no_findings(machine: Machine, runs: list[MeasuredRun]) -> None:
+    result = identified(machine, runs)
+    assert said(result) == ""
+    assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [("current", "no current in any run: cannot tell inertia"), ("velocity_setpoint", "no velocity_setpoint in any run"), ("velocity", "no velocity in any run")],
+)
+def test_missing_signals_are_named_with_what_they_cost(machine: Machine, runs: list[MeasuredRun], signal: str, words: str) -> None:
+    result = identified(machine, [with_signal(r, "X", signal, None) for r in runs])
+    assert words in said(result)
+    names = {p.name for p in result.parameters}
+    assert ("inertia" in names) == (signal != "current")
+    assert ("velocity_feedforward" in names) == (signal != "velocity_setpoint")
+
+
+def test_one_encoder_is_enough_for_the_mechanics(machine: Machine, runs: list[MeasuredRun]) -> None:
+    result = identified(machine, [with_signal(r, "X", "motor_position", None) for r in runs])
+    assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.01)
+
+
+def test_nothing_to_identify_is_an_error_with_a_remedy(machine: Machine, runs: list[MeasuredRun]) -> None:
+    bare = [with_signal(with_signal(r, "X", "current", None), "X", "velocity_setpoint", None) for r in runs]
+    with pytest.raises(InputError, match="record position, current and velocity_setpoint"):
+        identified(machine, bare)
+
+
+def test_a_wrong_feedforward_flag_is_noticed_and_put_right(machine: Machine, runs: list[MeasuredRun]) -> None:
+    wrong = [replace(r, feedforward={"quick_off": "velocity+torque", "quick": "off"}.get(r.name, r.feedforward)) for r in runs]
+    result = identified(machine, wrong)
+    assert "run quick_off: campaign.toml says feedforward 'velocity+torque', the signals show 'off'" in said(result)
+    assert "run quick: campaign.toml says feedforward 'off', the signals show 'velocity+torque'" in said(result)
+    assert result.parameter("X", "velocity_feedforward").value.value == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("samples", [2, -3])
+def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
+    late = [with_signal(r, "X", "current", np.roll(r.trace.get("X", "current"), samples)) for r in runs]
+    result = identified(machine, late)
+    item = next(c for c in result.late if c.signal == "current")
+    assert item.seconds == pytest.approx(samples * 1e-3, abs=0.25e-3)
+    assert "current was recorded" in said(result)
+    assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.03)
+
+
+def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+    late = [with_signal(r, "X", "motor_position", np.roll(r.trace.get("X", "motor_position"), 1)) for r in runs]
+    item = next(c for c in identified(machine, late).late if c.signal == "motor_position")
+    assert item.seconds == pytest.approx(1e-3, abs=2e-5)
+
+
+def test_a_late_speed_set_point_is_taken_back(machine: Machine, runs: list[MeasuredRun]) -> None:
+    late = [with_signal(r, "X", "velocity_setpoint", np.roll(r.trace.get("X", "velocity_setpoint"), 4)) for r in runs]
+    result = identified(machine, late)
+    assert "velocity_setpoint was recorded 4.000 ms late" in said(result)
+    assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=5e-6)
+
+
+def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[MeasuredRun]) -> None:
+    clipped = [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -4.0, 4.0)) for r in runs]
+    result = identified(machine, clipped)
+    assert "current at its limit or clipped" in said(result)
+    assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
+
+
+def test_one_direction_only_is_said(machine: Machine) -> None:
+    runs = [recorded(machine, f"way_{k}", ONE_WAY, "velocity", k) for k in range(2)]
+    assert "moves in one direction only" in said(identified(machine, runs))
+
+
+def test_too_few_speeds_are_said(machine: Machine) -> None:
+    points = path([0.2, -0.2, 0.2, -0.2], [0.15] * 4)
+    assert "too few speeds" in said(identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)]))
+
+
+def test_an_axis_that_never_moves_is_named(mikron: Machine) -> None:
+    both = mikron.with_axes(["X", "Y"])
+    result = identified(both, usual_runs(both))
+    assert "axis Y: never moves" in said(result)
+    assert {p.axis for p in result.parameters if p.product} == {"X"}
+
+
+def test_a_stuck_channel_is_named(machine: Machine, runs: list[MeasuredRun]) -> None:
+    stuck = [with_signal(r, "X", "velocity", np.zeros(len(r.trace.time))) if r.name == "quick" else r for r in runs]
+    assert "run quick axis X: velocity never changes" in said(identified(machine, stuck))
+
+
+def test_a_period_that_does_not_fit_the_cycle_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
+    odd = [replace(r, trace=replace(r.trace, time=r.trace.time * 1.5)) for r in runs]
+    with pytest.raises(InputError, match="whole number of samples in a position cycle"):
+        identified(machine, odd)

@@ -1,0 +1,226 @@
+"""Suites, golden results and verdicts of `twin regress`: what a user can do wrong, and what a program can read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.small_machine import write_small_machine
+from twin.cli import main
+from twin.regress.suite import COMPARED, read_suite
+
+TOLERANCES = "".join(
+    f'[tolerance.{signal}]\nrms = 0.005\nmax = 0.05\nunit = "{unit}"\nreason = "a tenth of the noise"\n'
+    for signal, unit in zip(COMPARED, ("um, arcsec", "um, arcsec", "mm/s, deg/s", "A"))
+) + (
+    '[tolerance.summary]\nrelative = 1e-3\nabsolute = 1e-3\nreason = "a thousandth"\n'
+    '[tolerance.events]\ntime_s = 0.002\nreason = "one position cycle"\n'
+)
+CASE = 'kind = "run"\nname = "u_move"\nmachine = "small.toml"\naxes = ["U"]\nmoves.U = { distances_mm = [10.0, -10.0], speed_mm_per_s = 100.0 }\n'
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    """A suite of one case with its golden result."""
+    write_small_machine(tmp_path)
+    (tmp_path / "suite").mkdir()
+    for file in ("small.toml", "small.xml"):
+        (tmp_path / file).rename(tmp_path / "suite" / file)
+    folder = tmp_path / "suite" / "cases"
+    folder.mkdir()
+    (folder / "moves.toml").write_text(CASE.replace('"small.toml"', '"../small.toml"') + TOLERANCES)
+    assert regress(folder, tmp_path, "--update", "--reason", "first results") == 0
+    return folder
+
+
+def regress(folder: Path, out: Path, *more: str) -> int:
+    update = [] if "--update" in more else ["--out", str(out / "out")]
+    return main(["regress", str(folder), "--jobs", "1", *update, *more])
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> None:
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1, told
+    for word in ("twin:", *words):
+        assert word in told[0]
+
+
+def test_a_machine_that_did_not_change_passes(suite: Path, tmp_path: Path) -> None:
+    assert regress(suite, tmp_path) == 0
+    assert json.loads((tmp_path / "out" / "regress.json").read_text())["verdict"] == "passed"
+    assert not (tmp_path / "out" / "u_move").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "block"),
+    [
+        ("position_gain_per_s = 30.0", "position_gain_per_s = 30.3", "position controller"),
+        ("velocity_feedforward = 1.0", "velocity_feedforward = 0.99", "position controller"),
+        ("speed_gain_nm_s_per_rad = 0.1", "speed_gain_nm_s_per_rad = 0.102", "speed controller"),
+        ("speed_integral_time_s = 0.010", "speed_integral_time_s = 0.0105", "speed controller"),
+        ("current_gain_v_per_a = 6.0", "current_gain_v_per_a = 5.0", "current loop"),
+        ("coulomb_friction_nm = 0.1", "coulomb_friction_nm = 0.102", "mechanics"),
+        ("2.0e-4", "2.02e-4", "mechanics"),
+    ],
+)
+def test_a_change_is_found_and_named(suite: Path, tmp_path: Path, old: str, new: str, block: str) -> None:
+    edit(suite.parent / "small.toml", old, new)
+    assert regress(suite, tmp_path) == 1
+    case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
+    assert (case["status"], case["place"]["axis"], case["place"]["block"]) == ("failed", "U", block)
+    assert case["place"]["since_s"] is None or 0.0 <= case["place"]["since_s"] < 0.5
+
+
+def test_a_failure_leaves_its_evidence(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(suite.parent / "small.toml", "coulomb_friction_nm = 0.1", "coulomb_friction_nm = 0.13")
+    assert regress(suite, tmp_path) == 1
+    folder = tmp_path / "out" / "u_move"
+    for name in ("golden.parquet", "new.parquet", "plot.png", "overlay.rrd", "checks.json", "sentence.txt"):
+        assert (folder / name).stat().st_size > 0
+    sentence = (folder / "sentence.txt").read_text().strip()
+    assert sentence.startswith("axis U differs from 0.")
+    assert "first in its chain: mechanics" in sentence
+    assert sentence in capsys.readouterr().out
+
+
+def test_junit_is_what_servers_read(suite: Path, tmp_path: Path) -> None:
+    """Elements, attributes, order and counts as in the schema that Jenkins, GitLab and GitHub actions share."""
+    edit(suite / "moves.toml", 'name = "u_move"\n', "")
+    with (suite / "moves.toml").open("a") as file:
+        file.write('[[case]]\nname = "u_move"\n[[case]]\nname = "second"\n')
+    (suite / "measured.toml").write_text(
+        'kind = "campaign"\nname = "away"\ncampaign = "nowhere"\nmachine = "../small.toml"\n'
+        '[tolerance.gap]\ngrowth = 0.1\nabove_noise = 0.1\nreason = "a tenth"\n'
+    )
+    golden = suite / "golden" / "u_move.json"
+    (suite / "golden" / "second.json").write_text(golden.read_text())
+    (suite / "golden" / "second.parquet").write_bytes((suite / "golden" / "u_move.parquet").read_bytes())
+    (suite / "golden" / "away.json").write_text("{}")
+    edit(suite.parent / "small.toml", "coulomb_friction_nm = 0.1", "coulomb_friction_nm = 0.13")
+    document = json.loads(golden.read_text())
+    cases = {case.name: case for case in read_suite(suite)}
+    for name in ("u_move", "second", "away"):
+        file = suite / "golden" / f"{name}.json"
+        features = {} if name == "away" else document["features"]
+        file.write_text(json.dumps({**document, "case": cases[name].digest(), "trace": name != "away", "features": features}))
+    assert regress(suite, tmp_path, "--junit", str(tmp_path / "junit.xml")) == 1
+    root = ElementTree.parse(tmp_path / "junit.xml").getroot()
+    assert root.tag == "testsuites"
+    assert set(root.attrib) <= {"name", "time", "tests", "failures", "errors"}
+    (one,) = root
+    assert one.tag == "testsuite"
+    assert {"name", "tests", "failures", "errors", "skipped", "time", "timestamp"} == set(one.attrib)
+    assert [child.tag for child in one] == ["properties", "testcase", "testcase", "testcase"]
+    assert all(set(p.attrib) == {"name", "value"} for p in one.find("properties") or ())
+    found = one.findall("testcase")
+    assert all({"name", "classname", "time"} == set(case.attrib) and float(case.attrib["time"]) >= 0 for case in found)
+    allowed = {"skipped": {"message"}, "failure": {"message", "type"}, "error": {"message", "type"}, "system-out": set()}
+    for case in found:
+        assert all(set(child.attrib) == allowed[child.tag] for child in case)
+    by_name = {case.attrib["name"]: [child.tag for child in case] for case in found}
+    assert by_name == {"away": ["skipped"], "u_move": ["failure"], "second": ["failure"]}
+    assert [one.attrib[key] for key in ("tests", "failures", "errors", "skipped")] == ["3", "2", "0", "1"]
+
+
+def test_update_shows_old_and_new_and_keeps_the_reason(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert regress(suite, tmp_path, "--update", "--reason", "no change") == 0
+    assert "nothing differs" in capsys.readouterr().out
+    edit(suite.parent / "small.toml", "position_gain_per_s = 30.0", "position_gain_per_s = 33.0")
+    before = (suite / "golden" / "u_move.json").read_text()
+    assert regress(suite, tmp_path, "--update") == 2  # no terminal to ask at
+    one_line(capsys, "--reason")
+    assert (suite / "golden" / "u_move.json").read_text() == before
+    assert regress(suite, tmp_path, "--update", "--reason", "position gain set to 33 1/s at commissioning") == 0
+    told = capsys.readouterr().out
+    for word in ("old", "new", "difference", "U.position max", "U.following_error_max"):
+        assert word in told
+    history = json.loads((suite / "golden" / "u_move.json").read_text())["history"]
+    assert [entry["reason"] for entry in history] == ["first results", "position gain set to 33 1/s at commissioning"]
+    assert {"twin", "mujoco", "numba", "numpy"} <= set(history[-1]["versions"])
+    assert regress(suite, tmp_path) == 0
+
+
+def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path) -> None:
+    edit(suite.parent / "small.toml", "speed_gain_nm_s_per_rad = 0.1", "speed_gain_nm_s_per_rad = 40.0")
+    assert regress(suite, tmp_path) == 1
+    case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
+    assert case["place"]["axis"] == "U"
+    assert "the simulation stops" in case["text"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[tolerance.current]", "[tolerance.torque_gravity]", ("tolerance of 'current' is missing", "[tolerance.current]")),
+        ('reason = "a tenth of the noise"\n', "", ("[tolerance.setpoint]", "'reason' is missing")),
+        ("rms = 0.005", "rms = -1", ("rms = -1", "0 or more")),
+        ('unit = "um, arcsec"', 'unit = "mm"', ("unit = 'mm'", "um, arcsec")),
+        ('kind = "run"', 'kind = "runn"', ("kind = 'runn'", "did you mean 'run'?")),
+        ('kind = "run"', 'kind = "run', ("not a valid TOML file",)),
+        ("distances_mm", "distance_mm", ("unknown key 'distance_mm'", "did you mean 'distances_mm'?")),
+        ("moves.U", "moves.V", ("[moves.V]", "no such axis")),
+        ('machine = "../small.toml"', 'machine = "../smal.toml"', ("no such file", "smal.toml")),
+        ("moves.U", "feedforward = 'on'\nmoves.U", ("feedforward 'on'",)),
+        ("moves.U", "input = 'x.csv'\nmoves.U", ("give one of input, moves", "input and moves are given")),
+        ("u_move", "other_move", ("no golden result", "other_move.json", "--update")),
+        ("10.0, -10.0", "12.0, -10.0", ("has changed since its golden result", "--update")),
+    ],
+)
+def test_bad_suites_end_with_one_line(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, words: tuple[str, ...]
+) -> None:
+    edit(suite / "moves.toml", old, new)
+    capsys.readouterr()
+    # what only shows when the case runs is said when its golden result is to be made
+    update = ["--update", "--reason", "another case"] if new in ("distance_mm", "moves.V") else []
+    assert regress(suite, tmp_path, *update) == 2
+    one_line(capsys, *words)
+
+
+def test_golden_results_that_cannot_be_used(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    golden = suite / "golden" / "u_move.json"
+    good = golden.read_text()
+    edit(golden, '"format": 1', '"format": 0')
+    assert regress(suite, tmp_path) == 2
+    one_line(capsys, "format 0", "reads format 1", "--update --reason")
+    golden.write_text(good[:200])
+    assert regress(suite, tmp_path) == 2
+    one_line(capsys, "not a golden result")
+    golden.write_text(good)
+    (suite / "golden" / "u_move.parquet").unlink()
+    assert regress(suite, tmp_path) == 2
+    one_line(capsys, "golden trace", "is missing")
+
+
+def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = json.loads((suite / "golden" / "u_move.json").read_text())
+    document["versions"]["mujoco"] = "3.9.9"
+    (suite / "golden" / "u_move.json").write_text(json.dumps(document))
+    assert regress(suite, tmp_path) == 0
+    told = capsys.readouterr().out
+    assert "mujoco 3.9.9 -> " in told
+    assert "--update --reason" in told
+
+
+def test_usage(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, word in (
+        (["--jobs", "0"], "--jobs 0"),
+        (["--only", "nothing"], "no such case"),
+        (["--reason", "because"], "--reason belongs to --update"),
+    ):
+        capsys.readouterr()
+        assert main(["regress", str(suite), *arguments]) == 2
+        one_line(capsys, word)
+    assert main(["regress", str(tmp_path / "nowhere")]) == 2
+    one_line(capsys, "no such suite")
+    assert main(["regress", str(suite), "--list"]) == 0
+    assert "u_move" in capsys.readouterr().out

@@ -1,0 +1,181 @@
+"""An outcome against its golden result: per signal RMS and largest difference, events, numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+import math
+
+import numpy as np
+
+from twin.machine import Machine
+from twin.regress.golden import Golden
+from twin.regress.outcome import Outcome
+from twin.regress.suite import Case
+from twin.replay.events import Event
+from twin.trace import Trace
+from twin.units import ARCSEC, AXIS_UNITS
+
+TIME_TOLERANCE_S = 1e-9
+"""Kept and new samples lie at the same times but for the rounding of the file."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One compared quantity: `found` against `allowed` in `unit`; `golden` and `now` are the two values where there are two.
+
+    `since_s` is the time from which a signal is beyond its largest allowed difference (None: never, or no time).
+    """
+
+    quantity: str
+    axis: str
+    unit: str
+    found: float
+    allowed: float
+    golden: float | str | None = None
+    now: float | str | None = None
+    block: str = ""
+    since_s: float | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.found <= self.allowed
+
+    @property
+    def excess(self) -> float:
+        """How many times the tolerance."""
+        return self.found / self.allowed if self.allowed > 0 else (0.0 if self.found == 0 else math.inf)
+
+    @property
+    def text(self) -> str:
+        """For messages."""
+        if isinstance(self.golden, str) or isinstance(self.now, str):
+            return f"{self.quantity}: {self.golden} before, {self.now} now"
+        if self.golden is not None and self.now is not None:
+            return f"{self.quantity}: {self.golden:.6g} before, {self.now:.6g} now {self.unit} (allowed {self.allowed:.2g})"
+        return f"{self.quantity} {self.found:.4g} {self.unit} (allowed {self.allowed:.4g})"
+
+
+def compare(case: Case, golden: Golden, outcome: Outcome) -> list[Check]:
+    """All checks of a case, in the order signals, events, numbers."""
+    if outcome.failed:
+        checks = [Check("simulation reaches its end", _axis_in(outcome), "", 1.0, 0.0, "yes", outcome.failed)]
+        if outcome.trace is None or golden.trace is None or outcome.machine is None:
+            return checks
+        return [*checks, *_signals(case, golden.trace, outcome.trace, outcome.machine)]
+    checks = []
+    if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
+        checks += _signals(case, golden.trace, outcome.trace, outcome.machine)
+        checks += _events(case, golden.events, outcome.events)
+    return [*checks, *(_gaps(case, golden, outcome) if case.kind == "campaign" else _numbers(case, golden, outcome))]
+
+
+def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
+    """Both traces on the golden samples that both have; False where one is longer than the other by a kept sample or more."""
+    every = max(1, round(golden.period / now.period))
+    thin = now.decimated(every)
+    count = min(len(thin.time), len(golden.time))
+    same = len(thin.time) == len(golden.time) and bool(np.all(np.abs(thin.time[:count] - golden.time[:count]) < TIME_TOLERANCE_S))
+
+    def cut(trace: Trace) -> Trace:
+        return Trace(trace.time[:count], {key: values[:count] for key, values in trace.signals.items()}, trace.kinds)
+
+    return cut(golden), cut(thin), same
+
+
+def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
+    """Unit in which a signal's difference is told, and the factor from SI."""
+    units = AXIS_UNITS[machine.axis(axis).kind]
+    if signal in ("setpoint", "position", "motor_position"):
+        return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+    if signal.startswith("velocity"):
+        return units.speed
+    return ("Nm" if signal.startswith("torque") else "A", 1.0)
+
+
+def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterator[Check]:
+    before, after, same = common(golden, now)
+    length, new_length = float(golden.time[-1]), float(now.time[-1])
+    yield Check("duration", "", "s", 0.0 if same else abs(new_length - length) or math.inf, 0.0, length, new_length, "set points")
+    for axis in before.axes:
+        if axis not in machine.axis_names:
+            yield Check(f"axis {axis} is driven", axis, "", 1.0, 0.0, "yes", "no")
+            continue
+        for signal in case.compared:
+            tolerance = case.tolerance[signal]
+            unit, factor = signal_unit(machine, axis, signal)
+            difference = (after.get(axis, signal) - before.get(axis, signal)) * factor
+            beyond = np.flatnonzero(~(np.abs(difference) <= tolerance["max"]))
+            since = float(before.time[beyond[0]]) if beyond.size else None
+            block = "set points" if signal == "setpoint" else ""
+            largest = float(np.nan_to_num(np.abs(difference), nan=math.inf).max())
+            rms = float(np.sqrt(np.mean(difference**2))) if math.isfinite(largest) else math.inf
+            yield Check(f"{axis}.{signal} RMS", axis, unit, rms, tolerance["rms"], block=block, since_s=since)
+            yield Check(f"{axis}.{signal} max", axis, unit, largest, tolerance["max"], block=block, since_s=since)
+
+
+def _events(case: Case, golden: tuple[Event, ...], now: tuple[Event, ...]) -> Iterator[Check]:
+    """Each kind of event of each axis occurs as often as before and at the same times; blocks also in the same order."""
+    tolerance = case.tolerance["events"]["time_s"]
+    before, after = _grouped(golden), _grouped(now)
+    for kind, axis in sorted({*before, *after}):
+        b, a = before.get((kind, axis), []), after.get((kind, axis), [])
+        name = f"{axis + '.' if axis else ''}{kind}"
+        block = "set points" if kind in ("reversal", "block") else ""
+        if len(b) != len(a):
+            since = next((min(x.start, y.start) for x, y in zip(b, a) if abs(x.start - y.start) > tolerance), None)
+            yield Check(f"{name} events", axis, "", abs(len(a) - len(b)), 0.0, float(len(b)), float(len(a)), block, since)
+            continue
+        late = max(abs(x.start - y.start) for x, y in zip(b, a))
+        yield Check(f"{name} time", axis, "s", late, tolerance, block=block)
+        if kind == "block":
+            swapped = Counter(x.text == y.text for x, y in zip(b, a))[False]
+            yield Check("order of blocks", "", "blocks", float(swapped), 0.0, block=block)
+
+
+def _grouped(events: tuple[Event, ...]) -> dict[tuple[str, str], list[Event]]:
+    groups: dict[tuple[str, str], list[Event]] = {}
+    for event in events:
+        groups.setdefault((event.kind, event.axis), []).append(event)
+    return groups
+
+
+def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
+    """|now - golden| <= absolute + relative |golden|; words stay the same; none comes or goes."""
+    tolerance = case.tolerance["summary"]
+    for name in (*golden.features, *(n for n in outcome.features if n not in golden.features)):
+        before, after = golden.features.get(name), outcome.features.get(name)
+        known = before or after
+        assert known is not None
+        if before is None or after is None:
+            told = [feature.value if feature else "not there" for feature in (before, after)]
+            yield Check(name, known.axis, known.unit, 1.0, 0.0, str(told[0]), str(told[1]), known.block)
+        elif isinstance(before.value, str) or isinstance(after.value, str):
+            yield Check(name, known.axis, "", float(before.value != after.value), 0.0, str(before.value), str(after.value), known.block)
+        else:
+            allowed = tolerance["absolute"] + tolerance["relative"] * abs(before.value)
+            found = abs(after.value - before.value)
+            yield Check(name, known.axis, known.unit, found, allowed, before.value, after.value, known.block)
+
+
+def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
+    """The gap to the measurement must not grow by more than a share, plus a share of what noise alone makes; it may shrink."""
+    tolerance = case.tolerance["gap"]
+    for name in (*golden.features, *(n for n in outcome.features if n not in golden.features)):
+        before, after = golden.features.get(name), outcome.features.get(name)
+        if before is None or after is None:
+            told = [str(feature.value) if feature else "not there" for feature in (before, after)]
+            yield Check(name, "", "", 1.0, 0.0, told[0], told[1])
+            continue
+        old, new = float(before.value), float(after.value)
+        allowed = tolerance["growth"] * old + tolerance["above_noise"] * before.noise
+        yield Check(name, before.axis, before.unit, max(new - old, 0.0), allowed, old, new, before.block)
+
+
+def _axis_in(outcome: Outcome) -> str:
+    """The axis that the message of a stopped simulation names."""
+    words = outcome.failed.replace(":", " ").split()
+    names = outcome.machine.axis_names if outcome.machine else ()
+    return next((b for a, b in pairwise(words) if a == "axis" and b in names), "")

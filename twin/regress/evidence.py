@@ -1,0 +1,126 @@
+"""What a failed case leaves: both traces, a plot, a recording that lays one over the other, all checks, and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.regress.compare import Check, common, signal_unit
+from twin.regress.golden import Golden, golden_of, write_small
+from twin.regress.outcome import Outcome
+from twin.regress.suite import Case
+from twin.regress.where import Place
+from twin.trace import Trace
+
+PLOTTED = ("setpoint", "position", "velocity", "current")
+
+
+def write_evidence(
+    folder: Path, case: Case, golden: Golden, outcome: Outcome, checks: Sequence[Check], place: Place | None, text: str
+) -> Path:
+    """Write the folder of a failed case; returns it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot make this folder ({error.strerror}); give another --out") from None
+    (folder / "sentence.txt").write_text(text + "\n", encoding="utf-8")
+    (folder / "checks.json").write_text(json.dumps([check_table(c) for c in checks], indent=1) + "\n", encoding="utf-8")
+    if golden.trace is None or outcome.trace is None or outcome.machine is None:
+        _plot_numbers(checks, text, folder / "plot.png")
+        return folder
+    new = golden_of(outcome, case).trace
+    assert new is not None
+    write_small(golden.trace, folder / "golden.parquet")
+    write_small(new, folder / "new.parquet")
+    before, after, _ = common(golden.trace, outcome.trace)
+    axis = place.axis if place and place.axis in before.axes else before.axes[0]
+    _plot(case, outcome.machine, axis, before, after, place, text, folder / "plot.png")
+    _record(outcome.machine, golden.trace, new, place, text, folder / "overlay.rrd")
+    return folder
+
+
+def check_table(check: Check) -> dict[str, Any]:
+    """A check as plain data."""
+    allowed = check.allowed if np.isfinite(check.allowed) else None
+    found = check.found if np.isfinite(check.found) else None
+    return {
+        "quantity": check.quantity,
+        "axis": check.axis,
+        "unit": check.unit,
+        "ok": check.ok,
+        "found": found,
+        "allowed": allowed,
+        "golden": check.golden,
+        "now": check.now,
+        "since_s": check.since_s,
+    }
+
+
+def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, place: Place | None, text: str, path: Path) -> None:
+    """Golden and new over each other, and their difference with the tolerance, signal by signal of one axis."""
+    from twin.colours import axis_colour, hexadecimal
+    from twin.report import new_figure, save_png
+    from twin.report.figure import RED, SOFT
+
+    signals = [s for s in PLOTTED if s in case.tolerance and before.has(axis, s)]
+    figure, panels = new_figure(len(signals), 2, width=13.0, height=2.3, sharex=True)
+    colour = hexadecimal(axis_colour(axis))
+    for row, signal in zip(panels, signals):
+        unit, factor = signal_unit(machine, axis, signal)
+        shown, scale = ("mm", 1e-3) if unit == "um" else ("deg", 1.0 / 3600.0) if unit == "arcsec" else (unit, 1.0)
+        old, new = before.get(axis, signal) * factor, after.get(axis, signal) * factor
+        row[0].plot(before.time, old * scale, color=SOFT, linewidth=2.6, label="golden")
+        row[0].plot(after.time, new * scale, color=colour, linewidth=1.1, label="new")
+        row[0].set_ylabel(f"{axis}.{signal} [{shown}]")
+        largest = case.tolerance[signal]["max"]
+        row[1].axhspan(-largest, largest, color=SOFT, alpha=0.3, linewidth=0, label=f"allowed +-{largest:g} {unit}")
+        row[1].plot(before.time, new - old, color=colour, linewidth=1.1)
+        row[1].set_ylabel(f"new - golden [{unit}]")
+        row[1].margins(y=0.15)
+        row[1].legend(loc="best")
+        if place and place.since_s is not None:
+            for panel in row:
+                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":")
+    panels[0][0].legend(loc="upper right")
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    import textwrap
+
+    figure.suptitle("\n".join(textwrap.wrap(f"{case.name}: {text}", 150)), x=0.01, ha="left", fontsize=10)
+    save_png(figure, path)
+
+
+def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
+    """How far each number is from its golden value, in tolerances."""
+    import textwrap
+
+    from twin.report import new_figure, save_png
+    from twin.report.figure import BLUE, RED
+
+    shown = sorted((c for c in checks if c.allowed > 0 or not c.ok), key=lambda c: c.excess)[-20:]
+    figure, panels = new_figure(1, 1, width=11.0, height=0.28 * len(shown) + 1.4)
+    panel = panels[0][0]
+    sizes = [min(max(c.excess, 1e-3), 1e6) for c in shown]
+    panel.barh([c.quantity for c in shown], sizes, color=[BLUE if c.ok else RED for c in shown])
+    panel.set_xscale("log")
+    panel.axvline(1.0, color="black", linewidth=1.0)
+    panel.set_xlabel("difference over tolerance (1 = just allowed)")
+    figure.suptitle("\n".join(textwrap.wrap(text, 120)), x=0.01, ha="left", fontsize=10)
+    save_png(figure, path)
+
+
+def _record(machine: Machine, golden: Trace, new: Trace, place: Place | None, text: str, path: Path) -> None:
+    """A recording for the viewer: the golden run moves the machine, the new one is drawn over it."""
+    from twin.replay import write_recording
+    from twin.replay.events import TELLING, Event
+
+    marks = []
+    if place and place.since_s is not None:
+        marks.append(Event(TELLING, place.axis, place.since_s, float(min(golden.time[-1], new.time[-1])), text))
+    write_recording(path, machine, {"golden": golden, "new": new}, summary=text, also=marks)

@@ -1,0 +1,133 @@
+"""Golden results: `golden/NAME.json` (numbers, events, versions, date, reasons) and `golden/NAME.parquet` (decimated trace).
+
+They lie in a folder `golden` beside the suite file and are written by `twin regress --update` only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
+from importlib.metadata import version
+import json
+from pathlib import Path
+from typing import Any
+
+from twin.errors import InputError
+from twin.regress.outcome import Feature, Outcome, kept_trace
+from twin.regress.suite import Case
+from twin.replay.events import Event
+from twin.trace import Trace, read_trace, unit_of
+
+FORMAT = 1
+"""Of the files; a golden result of another format cannot be read."""
+VERSIONED = ("mujoco", "numba", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class Golden:
+    """A kept result with where it comes from."""
+
+    features: Mapping[str, Feature]
+    trace: Trace | None
+    events: tuple[Event, ...]
+    versions: Mapping[str, str]
+    history: Sequence[Mapping[str, Any]]
+
+
+def versions() -> dict[str, str]:
+    """Versions that decide the numbers of a run."""
+    import twin
+
+    return {"twin": twin.__version__, **{name: version(name) for name in VERSIONED}}
+
+
+def golden_paths(case: Case) -> tuple[Path, Path]:
+    """The JSON and the Parquet file of a case."""
+    folder = case.file.parent / "golden"
+    return folder / f"{case.name}.json", folder / f"{case.name}.parquet"
+
+
+def golden_of(outcome: Outcome, case: Case) -> Golden:
+    """What would be kept of an outcome; a trace each position cycle, so that the laws of the controllers can be checked on it."""
+    trace = None
+    if outcome.trace is not None and outcome.machine is not None:
+        given = case.table.get("keep_every_ms")
+        trace = kept_trace(outcome.trace, float(given) * 1e-3 if given else outcome.machine.position_cycle)
+    return Golden(outcome.features, trace, outcome.events, versions(), [])
+
+
+def read_golden(case: Case) -> Golden:
+    """The golden result of a case. Raises InputError where it is missing, broken, of another format or of another case."""
+    file, traced = golden_paths(case)
+    update = f"make it with: twin regress {case.file} --only {case.name} --update --reason '...'"
+    if not file.is_file():
+        raise InputError(f"{case.where}: no golden result {file}; {update}")
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        if document["format"] != FORMAT:
+            raise InputError(
+                f"{file}: golden result of format {document['format']} (twin {document['versions']['twin']}), this twin "
+                f"{versions()['twin']} reads format {FORMAT}; {update}"
+            )
+        if document["case"] != case.digest():
+            raise InputError(f"{case.where} has changed since its golden result of {document['history'][-1]['date']}; {update}")
+        features = {name: Feature(**table) for name, table in document["features"].items()}
+        events = tuple(Event(**table) for table in document["events"])
+        found = Golden(features, None, events, document["versions"], document["history"])
+        has_trace = document["trace"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: not a golden result ({type(error).__name__}: {error}); restore it, or {update}") from None
+    if not has_trace:
+        return found
+    if not traced.is_file():
+        raise InputError(f"{case.where}: the golden trace {traced} is missing; restore it, or {update}")
+    return Golden(found.features, read_trace(traced), found.events, found.versions, found.history)
+
+
+def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:
+    """Write a new golden result; its history keeps date, versions, how many numbers changed, and the reason."""
+    file, traced = golden_paths(case)
+    entry = {"date": date.today().isoformat(), "reason": reason, "changed": changed, "versions": dict(golden.versions)}
+    document = {
+        "format": FORMAT,
+        "case": case.digest(),
+        "versions": dict(golden.versions),
+        "history": [*history, entry],
+        "trace": golden.trace is not None,
+        "features": {name: asdict(feature) for name, feature in golden.features.items()},
+        "events": [asdict(event) for event in golden.events],
+    }
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        if golden.trace is not None:
+            write_small(golden.trace, traced)
+        else:
+            traced.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}); check its folder") from None
+
+
+def write_small(trace: Trace, path: Path) -> None:
+    """A trace as `write_trace` writes it, in the units of traces, packed tightly."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    from twin.units import factor_to_si
+
+    columns = {"time [s]": trace.time}
+    for (axis, signal), values in trace.signals.items():
+        unit = unit_of(signal, trace.kinds[axis])
+        columns[f"{axis}.{signal} [{unit}]"] = values / factor_to_si(unit, str(path))
+    pyarrow.parquet.write_table(
+        pa.table(columns), path, compression="zstd", compression_level=19, use_dictionary=False, use_byte_stream_split=True
+    )
+
+
+def history_of(case: Case) -> list[Mapping[str, Any]]:
+    """Reasons and dates of a golden result so far; empty where there is none that can be read."""
+    try:
+        return list(json.loads(golden_paths(case)[0].read_text(encoding="utf-8"))["history"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return []

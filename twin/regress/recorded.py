@@ -1,0 +1,127 @@
+"""Moves of a case as set points, and small campaigns that the second plant records on them when the suite runs.
+
+[moves.X]
+start_mm = 0.0                    # _deg on a rotary axis
+distances_mm = [40.0, -60.0]
+speed_mm_per_s = 100.0
+dwell_s = 0.05                    # default 0.05
+
+[recorded]                        # by `twin.exam`, which shares no law with the twin
+seed = 41                         # of the machine's spread, its effect's size and the noise
+effect = "backlash"               # none: a healthy machine
+axis = "Y"
+feedforward = ["off", "velocity+torque"]      # one run each
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+import tomllib
+from typing import Any
+
+import numpy as np
+
+from twin.campaign import Campaign, read_campaign
+from twin.errors import InputError, nearest
+from twin.machine import FEEDFORWARD, Machine, default_machine_path
+from twin.moves import moves_in_turn
+from twin.regress.suite import Case
+from twin.setpoints import Setpoints
+from twin.units import factor_to_si
+
+PERIOD_S = 1e-3
+ACCELERATION_SHARE = 0.8
+"""Share of an axis' acceleration that moves use."""
+LEAST_JERK = 50.0
+"""Moves use this many times the axis' acceleration a second as jerk at least: short moves that still accelerate [1/s]."""
+_RECORDED_KEYS = ("seed", "effect", "axis", "feedforward")
+
+
+def setpoints_of_moves(case: Case, machine: Machine) -> Setpoints:
+    """Set points (sample, axis) at 1 ms: each axis' moves from rest to rest; an axis without moves stands at 0 or its nearest end."""
+    columns: dict[str, np.ndarray] = {}
+    for name, table in case.table["moves"].items():
+        columns[name] = _moves(f"{case.where}: [moves.{name}]", machine, name, table)
+    length = max(len(column) for column in columns.values())
+    still = {axis.name: np.clip(0.0, *axis.travel) for axis in machine.axes}
+    position = np.column_stack(
+        [
+            np.pad(columns[name], (0, length - len(columns[name])), mode="edge") if name in columns else np.full(length, still[name])
+            for name in machine.axis_names
+        ]
+    )
+    return Setpoints(position, PERIOD_S)
+
+
+def _moves(where: str, machine: Machine, name: str, table: Any) -> np.ndarray:
+    if name not in machine.axis_names:
+        raise InputError(f"{where}: no such axis; {nearest(name, machine.axis_names)}")
+    axis = machine.axis(name)
+    unit = "mm" if axis.kind == "linear" else "deg"
+    known = {f"start_{unit}": 0.0, f"distances_{unit}": None, f"speed_{unit}_per_s": None, "dwell_s": 0.05}
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: expected a table with {', '.join(known)}")
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, known)}")
+    start, distances, speed, dwell = (table.get(key, default) for key, default in known.items())
+    if not isinstance(distances, list) or not distances or not all(_is_number(d) and d != 0 for d in distances):
+        raise InputError(f"{where}: distances_{unit} must be a list of numbers other than 0, e.g. [40.0, -40.0]")
+    if not _is_number(speed) or not speed > 0 or not _is_number(start) or not _is_number(dwell) or dwell < 0:
+        raise InputError(f"{where}: speed_{unit}_per_s must be above 0, start_{unit} and dwell_s numbers")
+    si = factor_to_si(unit, where)
+    acceleration = ACCELERATION_SHARE * axis.max_acceleration
+    jerk = max(axis.max_jerk, LEAST_JERK * axis.max_acceleration)
+    return moves_in_turn(start * si, [d * si for d in distances], speed * si, acceleration, jerk, dwell, PERIOD_S)[1]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
+    """Record the case's moves on a machine drawn by the second plant, write the campaign to a folder, read it as any other."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    from twin.exam.draw import AXES, SIGNALS, columns_of, draw_case
+    from twin.exam.draw import simulate as record
+    from twin.exam.parameters import Richness
+    from twin.exam.programme import TestRun
+
+    table = case.table["recorded"]
+    where = f"{case.where}: [recorded]"
+    for key in table:
+        if key not in _RECORDED_KEYS:
+            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, _RECORDED_KEYS)}")
+    words = table.get("feedforward", ["off", "velocity+torque"])
+    if not isinstance(words, list) or not words or any(word not in FEEDFORWARD for word in words):
+        raise InputError(f"{where}: feedforward = {words!r}: give a list of {', '.join(FEEDFORWARD)}")
+    if not isinstance(table.get("seed"), int):
+        raise InputError(f"{where}: seed = {table.get('seed')!r}: give a whole number")
+    document = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
+    effect, axis = table.get("effect"), table.get("axis")
+    try:
+        drawn = draw_case(
+            table["seed"], "single" if effect else "healthy", document, effect=effect, axis=axis, richness=Richness.off(), run_set="exam"
+        )
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    # the second plant moves all five axes; recorded are those of the case
+    wanted = setpoints_of_moves(case, machine)
+    points = np.zeros((len(wanted.position), len(AXES)))
+    for a, name in enumerate(machine.axis_names):
+        points[:, AXES.index(name)] = wanted.position[:, a]
+    folder.mkdir(parents=True, exist_ok=True)
+    lines, started_at = [f'machine = "{machine.name}"\n'], 0.0
+    for i, word in enumerate(words):
+        run = f"moves_{i + 1}_{word.replace('+', '_')}"
+        columns = columns_of(record(drawn, document, TestRun(run, "test", word, points), started_at), SIGNALS["full"])
+        seen = {key: values for key, values in columns.items() if key.startswith("time") or key.split(".")[0] in case.table["moves"]}
+        pyarrow.parquet.write_table(pa.table(seen), folder / f"{run}.parquet")
+        lines.append(f'[[run]]\nfile = "{run}.parquet"\nfeedforward = "{word}"\nstarted_at_s = {started_at:.3f}\n')
+        started_at += wanted.duration + 1.0
+    (folder / "campaign.toml").write_text("\n".join(lines), encoding="utf-8")
+    return read_campaign(folder, machine)

@@ -1,0 +1,137 @@
+"""All cases of a suite, in parallel processes, each compared with its golden result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+import multiprocessing
+import os
+from pathlib import Path
+import time
+
+from twin.errors import TwinError
+from twin.regress.compare import Check, compare
+from twin.regress.golden import Golden, golden_of, read_golden, versions
+from twin.regress.runners import Skip, run_case
+from twin.regress.suite import Case
+from twin.regress.where import Place, place_of
+
+PASSED, FAILED, SKIPPED, BROKEN = "passed", "failed", "skipped", "error"
+HEAVY = {"diagnose": 0, "study": 1, "identify": 2, "cut": 3, "campaign": 4, "run": 5}
+"""Long cases begin first, so that no core waits for the last one."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of one case: status, checks, time taken, what to say of it, and where a failure begins."""
+
+    case: Case
+    status: str
+    seconds: float
+    checks: tuple[Check, ...] = ()
+    text: str = ""
+    place: Place | None = None
+    note: str = ""
+    new: Golden | None = field(default=None, repr=False)
+    written: Path | None = None
+
+    @property
+    def failed_checks(self) -> list[Check]:
+        """The checks that failed, worst first."""
+        return sorted((c for c in self.checks if not c.ok), key=lambda c: -c.excess)
+
+    @property
+    def worst(self) -> Check | None:
+        """The check nearest to its tolerance, or furthest beyond."""
+        return max((c for c in self.checks if c.allowed > 0 or not c.ok), key=lambda c: c.excess, default=None)
+
+
+def run_suite(
+    cases: Sequence[Case], *, jobs: int | None = None, out: Path | None = None, update: bool = False, done: Callable[[], None] | None = None
+) -> list[Verdict]:
+    """Verdicts in the order of the cases. `out`: a folder in which each failed case leaves its evidence.
+
+    `update` runs cases whose golden result is missing, of another case or another format as well: all is new then.
+    """
+    if not update:
+        for case in cases:
+            read_golden(case)  # what is wrong with the suite is said before an hour of runs, not after
+    order = sorted(cases, key=lambda case: HEAVY[case.kind])
+    count = min(jobs or os.cpu_count() or 1, len(order))
+    found: dict[str, Verdict] = {}
+    if count <= 1:
+        for case in order:
+            found[case.name] = judge(case, out, update)
+            if done:
+                done()
+    else:
+        # fresh processes: no state of this one, and the compiled loops come from the cache on disk
+        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for future in as_completed([pool.submit(judge, case, out, update) for case in order]):
+                verdict = future.result()
+                found[verdict.case.name] = verdict
+                if done:
+                    done()
+    return [found[case.name] for case in cases]
+
+
+def judge(case: Case, out: Path | None, update: bool) -> Verdict:
+    """Run one case and compare it."""
+    began = time.perf_counter()
+    try:
+        golden = read_golden(case)
+    except TwinError:
+        if not update:
+            raise
+        golden = None
+    try:
+        outcome = run_case(case)
+    except Skip as reason:
+        return Verdict(case, SKIPPED, time.perf_counter() - began, text=str(reason))
+    except TwinError as error:
+        text = f"cannot run: {' '.join(str(error).split())}"
+        return Verdict(case, BROKEN, time.perf_counter() - began, text=text)
+    new = golden_of(outcome, case)
+    if golden is None:
+        if outcome.failed:
+            return Verdict(case, BROKEN, time.perf_counter() - began, text=f"the simulation stops: {outcome.failed}")
+        return Verdict(case, PASSED, time.perf_counter() - began, text="no golden result so far", new=new)
+    checks = tuple(compare(case, golden, outcome))
+    note = version_note(golden)
+    if all(check.ok for check in checks):
+        return Verdict(case, PASSED, time.perf_counter() - began, checks, note=note, new=new)
+    place = None
+    if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
+        place = place_of(outcome.machine, golden.trace, outcome.trace, checks)
+    place = place or place_of_numbers(checks)
+    text = sentence(case, checks, place, outcome.failed)
+    written = None
+    if out is not None and not update:
+        from twin.regress.evidence import write_evidence
+
+        written = write_evidence(out / case.name, case, golden, outcome, checks, place, text)
+    return Verdict(case, FAILED, time.perf_counter() - began, checks, text, place, note, new, written)
+
+
+def place_of_numbers(checks: Sequence[Check]) -> Place:
+    """Where a case without traces failed: the axis and block of its worst number."""
+    worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
+    return Place(worst.axis, None, worst.block, 1.0)
+
+
+def version_note(golden: Golden) -> str:
+    """What is of another version than the golden result; '' where nothing is."""
+    now = versions()
+    other = [f"{name} {golden.versions.get(name, '?')} -> {now[name]}" for name in now if golden.versions.get(name) != now[name]]
+    return f"golden result of another version: {', '.join(other)}; where the change is wanted: --update --reason '...'" if other else ""
+
+
+def sentence(case: Case, checks: Sequence[Check], place: Place, failed: str) -> str:
+    """Which axis, from when, which block first, and by how much."""
+    worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
+    subject = f"axis {place.axis}" if place.axis else case.name
+    since = f" from {place.since_s:.3f} s on" if place.since_s is not None else ""
+    first = f"; first in its chain: {place.block}" if place.block and place.axis else f"; in: {place.block}" if place.block else ""
+    stopped = f" (the simulation stops: {failed})" if failed else ""
+    return f"{subject} differs{since}{first}; worst: {worst.text}{stopped}"

@@ -1,0 +1,212 @@
+"""How each kind of case is run, and which numbers it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from twin.campaign import Campaign, read_campaign
+from twin.effects import settings_of, with_effects
+from twin.errors import SimulationError
+from twin.machine import Machine, load_machine
+from twin.regress.outcome import Feature, Outcome, flat
+from twin.regress.recorded import recorded_campaign, setpoints_of_moves
+from twin.regress.suite import Case
+from twin.trace import Trace
+
+
+class Skip(Exception):
+    """A case that cannot run here: its campaign is absent."""
+
+
+def run_case(case: Case) -> Outcome:
+    """Run one case. Raises Skip, InputError; a simulation that stops is an outcome, with what was recorded up to there."""
+    return _RUNNERS[case.kind](case, machine_of(case))
+
+
+def machine_of(case: Case) -> Machine:
+    """The machine of a case: its file (default the Mikron), changed values, driven axes, effects, feedforward."""
+    machine = load_machine(case.path("machine") if "machine" in case.table else None)
+    if "values" in case.table:
+        machine = machine.with_values(case.table["values"])
+    if "axes" in case.table:
+        machine = machine.with_axes(case.table["axes"])
+    if "effects" in case.table:
+        machine = with_effects(machine, [*settings_of(machine), *case.table["effects"]])
+    settings_of(machine)
+    return machine.with_feedforward(case.table.get("feedforward"))
+
+
+def _run(case: Case, machine: Machine) -> Outcome:
+    from twin.replay.events import find_events
+    from twin.run import simulate
+    from twin.setpoints import check_travel, setpoints_of
+    from twin.summary import summary_of
+
+    program: Any = None
+    commanded: Any = None
+    if "moves" in case.table:
+        setpoints = setpoints_of_moves(case, machine)
+    else:
+        program, commanded, setpoints = _setpoints(case, machine, setpoints_of)
+    if program is not None and "feedforward" not in case.table:
+        machine = machine.with_feedforward(program.feedforward)
+    check_travel(setpoints, machine, case.where)
+    try:
+        run = simulate(machine, setpoints)
+    except SimulationError as error:
+        trace = error.trace if isinstance(error.trace, Trace) else None
+        return Outcome({}, trace, (), machine, str(error))
+    features: dict[str, Feature] = {}
+    for axis, table in summary_of(machine, run)["axes"].items():
+        for name, value in flat("", table, {}).items():
+            if not isinstance(value, str):
+                unit = table.get(f"{name.rsplit('_', 1)[0]}_unit", name.rsplit("_", 1)[-1] if name.endswith(("_a", "_s")) else "")
+                features[f"{axis}.{name}"] = Feature(value, unit, axis)
+    trace = run.trace
+    if program is not None:
+        from twin.program import error_budget
+
+        for row in error_budget(program, commanded, trace, machine).summary():
+            block = "set points" if row["level"] == 1 else ""
+            for name in ("rms_um", "max_um"):
+                features[f"error budget.{row['error']}.{name}"] = Feature(row[name], "um", "", block)
+        trace = _with_program(trace, commanded)
+    return Outcome(features, trace, tuple(find_events(machine, trace)), machine)
+
+
+def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
+    from twin.program import interpolate, read_program
+    from twin.surface.levels import PROGRAM_ENDINGS
+    from twin.trace import read_trace
+
+    source = case.path("input")
+    if source.suffix.lower() not in PROGRAM_ENDINGS:
+        return None, None, setpoints_of(read_trace(source, axes=machine.kinds, need=("setpoint",)), machine)
+    program = read_program(source, machine)
+    commanded = interpolate(program, machine)
+    return program, commanded, setpoints_of(commanded, machine)
+
+
+def _with_program(trace: Trace, commanded: Trace) -> Trace:
+    """The trace with the block numbers of its set points, so that the order of blocks is an event."""
+    import numpy as np
+
+    from twin.trace import PROGRAM
+
+    rows = np.clip(np.floor(trace.time / commanded.period + 1e-9).astype(int), 0, len(commanded.time) - 1)
+    columns = {key: values[rows] for key, values in commanded.signals.items() if key[0] == PROGRAM}
+    return Trace(trace.time, {**trace.signals, **columns}, trace.kinds)
+
+
+def _cut(case: Case, machine: Machine) -> Outcome:
+    from twin.surface.levels import LEVELS, levels_of_program
+    from twin.surface.machining import machine_part, report_of
+    from twin.surface.part import read_part
+
+    part = read_part(case.path("part"))
+    word = case.table.get("feedforward", "velocity+torque")
+    levels = levels_of_program(case.path("input"), machine, part.tool, list(LEVELS), [word])
+    spacing = case.table.get("zone_um")
+    machining = machine_part(part, levels, threads=1, zone_spacing=spacing * 1e-6 if spacing else None)
+    features = {}
+    for one in machining.cuts:
+        report = report_of(machining, one)
+        name = " ".join(filter(None, (report["surface"], report["level"], report["feedforward"])))
+        for key, value in flat("", report, {}).items():
+            if key not in ("surface", "level", "feedforward"):
+                features[f"{name}.{key}"] = Feature(value, "um" if "um" in key else "", "", "cut surface")
+    return Outcome(features, machine=machine)
+
+
+def _campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
+    if "recorded" in case.table:
+        return recorded_campaign(case, machine, folder)
+    path = case.path("campaign")
+    if not path.is_dir():
+        raise Skip(f"campaign {case.table['campaign']} is not here")
+    return read_campaign(path, machine)
+
+
+def _gap(case: Case, machine: Machine) -> Outcome:
+    from twin.gap import gap_of_campaign
+
+    with tempfile.TemporaryDirectory() as folder:
+        gaps = gap_of_campaign(machine, _campaign(case, machine, Path(folder)))
+    features = {
+        f"{axis}.{signal} gap in {run}": Feature(gap.rms, gap.unit, axis, "", gap.noise)
+        for run, axes in gaps.items()
+        for axis, signals in axes.items()
+        for signal, gap in signals.items()
+    }
+    return Outcome(features, machine=machine)
+
+
+def _identify(case: Case, machine: Machine) -> Outcome:
+    from twin.identify.campaign_fit import identify_campaign
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = identify_campaign(machine, _campaign(case, machine, Path(folder)), refine=False, gaps=False)
+    features = {}
+    for p in found.parameters:
+        features[f"{p.axis}.{p.name}"] = Feature(p.value.value, p.unit, p.axis, "identification")
+        features[f"{p.axis}.{p.name} interval"] = Feature(0.5 * (p.value.high - p.value.low), p.unit, p.axis, "identification")
+    return Outcome(features, machine=machine)
+
+
+def _diagnose(case: Case, machine: Machine) -> Outcome:
+    from twin.diagnose import diagnose
+
+    with tempfile.TemporaryDirectory() as folder:
+        diagnosis = diagnose(_campaign(case, machine, Path(folder)), machine, quick=True, seed=case.table.get("seed", 0))
+        document = diagnosis.document()
+    features = {"verdict": Feature(document["verdict"], "", "", "diagnosis")}
+    for i, e in enumerate(document["effects"]):
+        features[f"effect {i + 1}"] = Feature(f"{e['effect']} on {e['axis']}", "", "", "diagnosis")
+        for name, value in e["parameters"].items():
+            features[f"{e['axis']}.{e['effect']}.{name}"] = Feature(value["value"], value["unit"], e["axis"], "diagnosis")
+    for i, place in enumerate(document["where"][:1]):
+        features[f"place {i + 1}"] = Feature(f"{place['block']} of {place['axis']}", "", "", "diagnosis")
+    for name in ("before", "after"):
+        features[f"gap {name}"] = Feature(document["gap"][name], "x noise", "", "diagnosis")
+    return Outcome(features, machine=machine)
+
+
+def _study(case: Case, machine: Machine) -> Outcome:
+    from concurrent.futures import ThreadPoolExecutor
+
+    from twin.study.carry_out import carry_out, fingerprint
+    from twin.study.design import variants_of
+    from twin.study.spec import read_study
+    from twin.study.store import Store
+
+    study = read_study(case.path("spec"), str(machine.path) if "machine" in case.table else None)
+    variants = variants_of(study)
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder), fingerprint(study, variants), resume=False)
+        try:
+            with ThreadPoolExecutor(1) as pool:
+                carry_out(study, variants, store, pool, 1, lambda _: None)
+            rows = store.rows()
+        finally:
+            store.close()
+    features: dict[str, Feature] = {}
+    for number, _, responses, reason in rows:
+        if reason:
+            features[f"variant {number}"] = Feature(f"cannot run: {reason}", block="study")
+        for name, value in responses.items():
+            axis = next((a for a in machine.axis_names if f"_{a}_" in name), "")
+            features[f"variant {number}.{name}"] = Feature(value, name.rsplit("_", 1)[-1], axis, "study")
+    return Outcome(features, machine=machine)
+
+
+_RUNNERS: dict[str, Callable[[Case, Machine], Outcome]] = {
+    "run": _run,
+    "cut": _cut,
+    "campaign": _gap,
+    "identify": _identify,
+    "diagnose": _diagnose,
+    "study": _study,
+}

@@ -1,0 +1,223 @@
+"""A suite: TOML files, each one case or several, checked when read; files named in a case lie relative to the suite file.
+
+A file holds the keys that its cases share, and one `[[case]]` table for each case (none: the file is one case of its own
+name). A case's own key replaces the shared one; tolerances are joined by quantity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import hashlib
+import json
+import math
+from pathlib import Path
+import re
+import tomllib
+from typing import Any
+
+from twin.errors import InputError, nearest
+from twin.machine import FEEDFORWARD
+
+KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")
+SHARED_KEYS = ("kind", "name", "why", "machine", "axes", "values", "effects", "feedforward", "tolerance")
+OWN_KEYS: dict[str, tuple[str, ...]] = {
+    "run": ("input", "moves", "compare", "keep_every_ms"),
+    "cut": ("input", "part", "zone_um"),
+    "campaign": ("campaign", "moves", "recorded"),
+    "identify": ("campaign", "moves", "recorded"),
+    "diagnose": ("campaign", "moves", "recorded", "seed"),
+    "study": ("spec",),
+}
+NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",)}
+"""What a kind compares besides its signals; every other kind compares `summary`."""
+
+SIGNAL_UNITS = {
+    "setpoint": "um, arcsec",
+    "position": "um, arcsec",
+    "motor_position": "um, arcsec",
+    "velocity": "mm/s, deg/s",
+    "velocity_setpoint": "mm/s, deg/s",
+    "current": "A",
+    "current_setpoint": "A",
+    "torque": "Nm",
+    "torque_feedforward": "Nm",
+    "torque_friction": "Nm",
+    "torque_gravity": "Nm",
+}
+COMPARED = ("setpoint", "position", "velocity", "current")
+"""Signals that a run compares where the case says nothing else."""
+
+_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+_TOLERANCE_KEYS = {
+    "signal": ("rms", "max", "unit", "reason"),
+    "summary": ("relative", "absolute", "reason"),
+    "events": ("time_s", "reason"),
+    "gap": ("growth", "above_noise", "reason"),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case: its name, kind, the suite file it stands in, and its table with the shared keys filled in."""
+
+    name: str
+    kind: str
+    file: Path
+    table: Mapping[str, Any]
+
+    @property
+    def where(self) -> str:
+        """For messages: file and case."""
+        return f"{self.file}: case '{self.name}'"
+
+    @property
+    def tolerance(self) -> Mapping[str, Mapping[str, Any]]:
+        """Quantity -> tolerance table."""
+        return self.table.get("tolerance", {})
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Signals that are compared sample by sample."""
+        return tuple(self.table.get("compare", COMPARED)) if self.kind == "run" else ()
+
+    def path(self, key: str) -> Path:
+        """A file or folder that the case names, relative to its suite file."""
+        return self.file.parent / str(self.table[key])
+
+    def digest(self) -> str:
+        """Of all that decides the result (not tolerances and words), to notice a golden result of another case."""
+        deciding = {k: v for k, v in self.table.items() if k not in ("tolerance", "why", "name", "compare")}
+        return hashlib.sha256(json.dumps(deciding, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def read_suite(path: str | Path) -> tuple[Case, ...]:
+    """All cases of a folder of suite files, or of one file, in the order of the files. Raises InputError with file and key."""
+    path = Path(path)
+    if path.is_dir():
+        files = sorted(path.glob("*.toml"))
+        if not files:
+            raise InputError(f"{path}: no suite file in this folder; write at least one case, e.g. {path / 'runs.toml'}")
+    elif path.is_file():
+        files = [path]
+    else:
+        raise InputError(f"{path}: no such suite; give a folder of *.toml files or one such file")
+    cases = [case for file in files for case in _read_file(file)]
+    seen: dict[str, Path] = {}
+    for case in cases:
+        if case.name in seen:
+            raise InputError(f"{case.where} stands also in {seen[case.name]}; rename one of them")
+        seen[case.name] = case.file
+    return tuple(cases)
+
+
+def _read_file(file: Path) -> list[Case]:
+    try:
+        document = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise InputError(f"{file}: not a valid TOML file: {error}; correct it there") from None
+    shared = {k: v for k, v in document.items() if k != "case"}
+    tables = document.get("case", [{"name": document.get("name", file.stem)}])
+    if not isinstance(tables, list) or not tables or not all(isinstance(t, dict) for t in tables):
+        raise InputError(f"{file}: 'case' must be a list of tables; write [[case]] and below it name = \"...\"")
+    return [_case(file, i, {**shared, **t, "tolerance": _joined(file, shared, t)}) for i, t in enumerate(tables)]
+
+
+def _joined(file: Path, shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    parts = [part.get("tolerance", {}) for part in (shared, own)]
+    if not all(isinstance(part, dict) for part in parts):
+        raise InputError(f"{file}: 'tolerance' must be tables; write [tolerance.position] and below it rms, max, unit, reason")
+    return {**parts[0], **parts[1]}
+
+
+def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
+    name = table.get("name")
+    if not isinstance(name, str) or not _NAME.match(name):
+        raise InputError(f"{file}: case {index + 1}: name = {name!r}: give a name of letters, digits, '_', '-' or '.'")
+    where = f"{file}: case '{name}'"
+    kind = table.get("kind")
+    if kind not in KINDS:
+        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}; use one of {', '.join(KINDS)}")
+    known = (*SHARED_KEYS, *OWN_KEYS[kind])
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}' for kind {kind}; {nearest(key, known)}")
+    if table.get("feedforward") is not None and table["feedforward"] not in FEEDFORWARD:
+        raise InputError(f"{where}: feedforward '{table['feedforward']}'; use one of {', '.join(FEEDFORWARD)}")
+    case = Case(name, kind, file, table)
+    every = table.get("keep_every_ms", 1.0)
+    if isinstance(every, bool) or not isinstance(every, int | float) or not 0.0 < every < 1e4:
+        raise InputError(f"{where}: keep_every_ms = {every!r}: give a period above 0, e.g. 10")
+    _check_source(case)
+    _check_tolerances(case)
+    return case
+
+
+def _check_source(case: Case) -> None:
+    """Exactly one source of what is run, and existing files (a campaign may be absent: then the case is skipped)."""
+    table = case.table
+    one_of = {
+        "run": ("input", "moves"),
+        "cut": ("input",),
+        "campaign": ("campaign", "recorded"),
+        "identify": ("campaign", "recorded"),
+        "diagnose": ("campaign", "recorded"),
+        "study": ("spec",),
+    }[case.kind]
+    given = [key for key in one_of if key in table]
+    if len(given) != 1:
+        told = "none is given" if not given else f"{' and '.join(given)} are given"
+        raise InputError(f"{case.where}: give one of {', '.join(one_of)}; {told}")
+    if "recorded" in table and not isinstance(table.get("moves"), dict):
+        raise InputError(f"{case.where}: 'recorded' needs moves to record; write [moves.X] with distances_mm and speed_mm_per_s")
+    if case.kind == "cut" and "part" not in table:
+        raise InputError(f"{case.where}: 'part' is missing; name the part file")
+    for key in ("input", "part", "machine", "spec"):
+        if key in table and not case.path(key).is_file():
+            raise InputError(f"{case.where}: {key} = '{table[key]}': no such file {case.path(key)}; correct the path")
+
+
+def _check_tolerances(case: Case) -> None:
+    """Every compared quantity has a tolerance with a reason, every tolerance is well formed."""
+    needed = (*case.compared, *NEEDED_TOLERANCES.get(case.kind, ("summary",)))
+    for quantity in case.compared:
+        if quantity not in SIGNAL_UNITS:
+            raise InputError(f"{case.where}: compare: no signal '{quantity}'; {nearest(quantity, SIGNAL_UNITS)}")
+    for quantity in needed:
+        if quantity not in case.tolerance:
+            example = " ".join(f"{key} = ..." for key in _keys_of(quantity))
+            raise InputError(f"{case.where}: tolerance of '{quantity}' is missing; write [tolerance.{quantity}] {example}")
+    for quantity, table in case.tolerance.items():
+        where = f"{case.where}: [tolerance.{quantity}]"
+        if quantity not in (*SIGNAL_UNITS, "summary", "events", "gap"):
+            raise InputError(f"{where}: no such quantity; {nearest(quantity, (*SIGNAL_UNITS, 'summary', 'events', 'gap'))}")
+        keys = _keys_of(quantity)
+        for key in table:
+            if key not in keys:
+                raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
+        for key in keys:
+            if key not in table:
+                raise InputError(f"{where}: '{key}' is missing; a tolerance has {', '.join(keys)}")
+            value = table[key]
+            if key == "reason":
+                if not isinstance(value, str) or len(value.strip()) < 5:
+                    raise InputError(f"{where}: reason = {value!r}: say in words why this much may change")
+            elif key == "unit":
+                if value != SIGNAL_UNITS[quantity]:
+                    raise InputError(f"{where}: unit = {value!r}: {quantity} is compared in '{SIGNAL_UNITS[quantity]}'")
+            elif isinstance(value, bool) or not isinstance(value, int | float) or not (0.0 <= value < math.inf):
+                raise InputError(f"{where}: {key} = {value!r}: expected a number of 0 or more")
+
+
+def _keys_of(quantity: str) -> tuple[str, ...]:
+    return _TOLERANCE_KEYS["signal" if quantity in SIGNAL_UNITS else quantity]
+
+
+def chosen(cases: Sequence[Case], only: Sequence[str], suite: str | Path) -> tuple[Case, ...]:
+    """The cases whose names match one of the patterns (`*` and `?`); all without a pattern."""
+    import fnmatch
+
+    for pattern in only:
+        if not any(fnmatch.fnmatch(case.name, pattern) for case in cases):
+            raise InputError(f"--only {pattern}: no such case in {suite}; {nearest(pattern, [case.name for case in cases])}")
+    return tuple(case for case in cases if not only or any(fnmatch.fnmatch(case.name, p) for p in only))

@@ -1,0 +1,159 @@
+"""Which block of an axis left its law first: the loop is cut, each block gets its own recorded inputs, in both traces.
+
+    set points           the set point itself
+    position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            of the machine file, on the position cycles
+    speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt   integral of the speed from the motor encoder: exact
+    current loop         torque / Kt - i*                              regressed on di*/dt, dw/dt in the golden trace
+    mechanics            torque                                        regressed on a of all axes, sign v, v, position
+    transmission         motor position - scale                        regressed on torque, a, position, motor angle
+
+A residual is taken in the golden and in the new trace by the same law. Where a block does what it did, both residuals are
+alike, whatever its inputs now are; where it does not, their difference is the block's own doing. Its share is RMS of the
+difference of the residuals over RMS of the difference of the outputs. A block that changed also changes the inputs
+of the others, but not their laws: the first in the chain with a large share is named.
+The idea is that of `twin.diagnose.blocks`, which has measured traces and must live with noise; a twin's record has more
+signals and none, so that a millionth shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.effects import apply_effects
+from twin.machine import Axis, Machine
+from twin.regress.compare import Check, common
+from twin.run import commissioned_inertia
+from twin.trace import Trace
+
+SHARE = 0.3
+"""Share of the change of its output that a block must have made itself to be named."""
+SLIDING = 1e-3
+"""Friction is looked at where the axis moves faster than this share of its highest speed."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a case left its golden result: axis, time, block, and the block's share of the change of its output."""
+
+    axis: str
+    since_s: float | None
+    block: str
+    share: float
+
+
+def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check]) -> Place | None:
+    """The first place: the axis that is most beyond its tolerance, its first block, the time from which it shows."""
+    failed = [c for c in checks if not c.ok]
+    if not failed:
+        return None
+    by_axis: dict[str, float] = {}
+    for check in failed:
+        if check.axis:
+            by_axis[check.axis] = max(by_axis.get(check.axis, 0.0), min(check.excess, 1e12))
+    if not by_axis:
+        return Place("", None, failed[0].block, 1.0)
+    axis = max(by_axis, key=lambda name: by_axis[name])
+    times = [c.since_s for c in failed if c.axis == axis and c.since_s is not None]
+    since = min(times) if times else None
+    moved = [c for c in failed if c.quantity.startswith(f"{axis}.setpoint")]
+    if moved:
+        return Place(axis, since, "set points", 1.0)
+    shares = dict(block_shares(machine, machine.axis(axis), *common(golden, now)[:2])) if axis in now.axes else {}
+    named = next((block for block, share in shares.items() if share > SHARE), None)
+    named = named or max(shares, key=lambda block: shares[block], default="")
+    return Place(axis, since, named, shares.get(named, 0.0))
+
+
+def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Iterator[tuple[str, float]]:
+    """(block, share) of one axis in the order of the chain; both traces on the same samples."""
+    actual = apply_effects(machine).machine
+    inertia = commissioned_inertia(machine)[machine.axis_names.index(axis.name)]
+    axis = actual.axis(axis.name)
+    cycle = actual.position_cycle
+    laws = []
+    if abs(golden.period / cycle - round(golden.period / cycle)) < 1e-6:
+        laws.append(("position controller", _position_controller))
+    if abs(golden.period - cycle) < 1e-9:
+        laws.append(("speed controller", _speed_controller))
+    for block, law in laws:
+        before, after = (law(axis, inertia, cycle, trace) for trace in (golden, now))
+        yield block, _share(after[0] - before[0], after[1] - before[1])
+    for block, signals in (("current loop", _current_loop), ("mechanics", _mechanics), ("transmission", _transmission)):
+        (rows, output, use), (new_rows, new_output, new_use) = (signals(axis, trace) for trace in (golden, now))
+        both = use & new_use
+        if np.count_nonzero(both) < 3 * rows.shape[1]:
+            continue
+        law, *_ = np.linalg.lstsq(_scaled(rows[both], rows[both]), output[both], rcond=1e-9)
+        change = (new_output[both] - _scaled(new_rows[both], rows[both]) @ law) - (output[both] - _scaled(rows[both], rows[both]) @ law)
+        yield block, _share(change, new_output[both] - output[both])
+
+
+def _share(own: np.ndarray, output: np.ndarray) -> float:
+    """RMS of what a block changed itself over RMS of the change of its output; 0 where nothing changed."""
+    changed = float(np.sqrt(np.mean(output**2)))
+    return float(np.sqrt(np.mean(own**2))) / changed if changed > 1e-12 else 0.0
+
+
+def _scaled(rows: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Rows by the RMS of the reference's columns; a column that stands still there tells nothing."""
+    size = np.sqrt(np.mean(reference**2, axis=0))
+    return np.where(size > 1e-12, rows / np.maximum(size, 1e-12), 0.0)
+
+
+def _delayed(axis: Axis, trace: Trace, delay: float) -> np.ndarray:
+    s = trace.get(axis.name, "setpoint")
+    return CubicSpline(trace.time, s)(np.clip(trace.time - delay, trace.time[0], trace.time[-1]))
+
+
+def _position_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and output [axis units/s] of the position controller on the kept position cycles."""
+    loops, output = axis.loops, trace.get(axis.name, "velocity_setpoint")
+    ahead = _delayed(axis, trace, loops.feedforward_delay_s) - _delayed(axis, trace, loops.feedforward_delay_s + cycle)
+    error = _delayed(axis, trace, loops.position_delay_s) - trace.get(axis.name, "position")
+    return output - loops.position_gain_per_s * error - loops.velocity_feedforward * ahead / cycle, output
+
+
+def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and output [A] of the speed controller: the integral of its error is a sum of w* and a way of the motor."""
+    loops, r = axis.loops, axis.ratio
+    wanted, speed = trace.get(axis.name, "velocity_setpoint") / r, trace.get(axis.name, "velocity") / r
+    way = (trace.get(axis.name, "motor_position") - trace.get(axis.name, "motor_position")[0]) / r
+    integral = np.concatenate([[0.0], np.cumsum(wanted[:-1]) * cycle]) - way
+    d = loops.feedforward_delay_s
+    curve = _delayed(axis, trace, d) - 2.0 * _delayed(axis, trace, d + cycle) + _delayed(axis, trace, d + 2.0 * cycle)
+    forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
+    torque = loops.speed_gain_nm_s_per_rad * (wanted - speed + integral / loops.speed_integral_time_s) + forward
+    output = trace.get(axis.name, "current_setpoint")
+    constant = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    return output - torque / constant, output
+
+
+def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
+    return np.gradient(trace.get(axis.name, signal), trace.period)
+
+
+def _current_loop(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    wanted = trace.get(axis.name, "current_setpoint")
+    rows = np.column_stack([wanted, _rates(axis, trace, "current_setpoint"), _rates(axis, trace, "velocity"), np.ones(len(wanted))])
+    return rows, trace.get(axis.name, "torque"), np.ones(len(wanted), bool)
+
+
+def _mechanics(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    v, x = trace.get(axis.name, "velocity"), trace.get(axis.name, "position")
+    rows = [np.sign(v), v, np.ones(len(v)), x, np.sin(x), np.cos(x)]
+    for name in trace.axes:
+        rows.append(np.gradient(trace.get(name, "velocity"), trace.period))
+    sliding = np.abs(v) > SLIDING * axis.max_velocity
+    return np.column_stack(rows), trace.get(axis.name, "torque"), sliding
+
+
+def _transmission(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x = trace.get(axis.name, "position")
+    angle = x / axis.ratio
+    rows = [trace.get(axis.name, "torque"), _rates(axis, trace, "velocity"), trace.get(axis.name, "velocity")]
+    rows += [x, np.sin(angle), np.cos(angle), np.ones(len(x))]
+    return np.column_stack(rows), trace.get(axis.name, "motor_position") - x, np.ones(len(x), bool)

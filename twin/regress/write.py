@@ -1,0 +1,135 @@
+"""Verdicts for people and programs: a table, JUnit XML, JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+import json
+from pathlib import Path
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+from twin.errors import InputError
+from twin.regress.evidence import check_table
+from twin.regress.golden import versions
+from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
+from twin.summary import table
+
+_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def verdict_table(verdicts: Sequence[Verdict]) -> str:
+    """One line a case, then a sentence for each that did not pass."""
+    rows = []
+    for v in verdicts:
+        worst = v.worst
+        nearest = f"{worst.quantity} {min(worst.excess, 1e6):.2g}" if worst else "-"
+        rows.append([v.case.name, v.case.kind, v.status, f"{v.seconds:.1f} s", str(len(v.checks)), nearest])
+    lines = [table(["case", "kind", "verdict", "time", "checks", "nearest to its tolerance (1 = just allowed)"], rows, left=3)]
+    for v in verdicts:
+        if v.status != "passed":
+            lines.append(f"{v.status}: {v.case.name}: {v.text}" + (f" [{v.written}]" if v.written else ""))
+    lines += filter(None, [lead_sentence(verdicts)])
+    notes = {v.note for v in verdicts if v.note}
+    lines += [f"note: {note}" for note in sorted(notes)]
+    return "\n".join(lines)
+
+
+def lead(verdicts: Sequence[Verdict]) -> tuple[str, str, int, int]:
+    """Axis and block that most failed cases name first, and how many of them name each: where to look first."""
+    places = [v.place for v in verdicts if v.place]
+    axis, of_axis = next(iter(Counter(p.axis for p in places if p.axis).most_common(1)), ("", 0))
+    block, of_block = next(iter(Counter(p.block for p in places if p.block).most_common(1)), ("", 0))
+    return axis, block, of_axis, of_block
+
+
+def lead_sentence(verdicts: Sequence[Verdict]) -> str:
+    """The same in words; '' where no case failed."""
+    axis, block, of_axis, of_block = lead(verdicts)
+    failed = sum(v.place is not None for v in verdicts)
+    named = [f"axis {axis} in {of_axis}"] * bool(axis) + [f"{block} in {of_block}"] * bool(block)
+    return f"named first, of {failed} failed: {', '.join(named)}" if named else ""
+
+
+def counts(verdicts: Sequence[Verdict]) -> str:
+    """'31 passed, 1 failed, 1 skipped'."""
+    found = Counter(v.status for v in verdicts)
+    return ", ".join(f"{found[status]} {status}" for status in ("passed", FAILED, BROKEN, SKIPPED) if found[status])
+
+
+def document(verdicts: Sequence[Verdict], seconds: float) -> dict[str, Any]:
+    """All as plain data."""
+    return {
+        "verdict": "failed" if any(v.status in (FAILED, BROKEN) for v in verdicts) else "passed",
+        "versions": versions(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seconds": seconds,
+        "first": dict(zip(("axis", "block"), lead(verdicts))),
+        "cases": [
+            {
+                "name": v.case.name,
+                "kind": v.case.kind,
+                "status": v.status,
+                "seconds": v.seconds,
+                "text": v.text,
+                "note": v.note,
+                "place": {"axis": v.place.axis, "since_s": v.place.since_s, "block": v.place.block, "share": v.place.share}
+                if v.place
+                else None,
+                "evidence": str(v.written) if v.written else None,
+                "checks": [check_table(c) for c in v.checks],
+            }
+            for v in verdicts
+        ],
+    }
+
+
+def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
+    """`<testsuites><testsuite><testcase>` as the CI servers read it."""
+    number = Counter(v.status for v in verdicts)
+    totals = {
+        "tests": str(len(verdicts)),
+        "failures": str(number[FAILED]),
+        "errors": str(number[BROKEN]),
+        "skipped": str(number[SKIPPED]),
+        "time": f"{seconds:.3f}",
+    }
+    root = ElementTree.Element("testsuites", {"name": "twin regress", **{k: v for k, v in totals.items() if k != "skipped"}})
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "twin.regress", **totals, "timestamp": stamp})
+    properties = ElementTree.SubElement(suite, "properties")
+    for name, value in versions().items():
+        ElementTree.SubElement(properties, "property", {"name": name, "value": value})
+    for v in verdicts:
+        attributes = {"name": v.case.name, "classname": f"twin.regress.{v.case.kind}", "time": f"{v.seconds:.3f}"}
+        one = ElementTree.SubElement(suite, "testcase", attributes)
+        if v.status == SKIPPED:
+            ElementTree.SubElement(one, "skipped", {"message": _plain(v.text)})
+        elif v.status in (FAILED, BROKEN):
+            tag, kind = ("failure", "regression") if v.status == FAILED else ("error", "cannot run")
+            told = ElementTree.SubElement(one, tag, {"message": _plain(v.text), "type": kind})
+            told.text = _plain("\n".join(c.text for c in v.failed_checks))
+        if v.note:
+            ElementTree.SubElement(one, "system-out").text = _plain(v.note)
+    ElementTree.indent(root)
+    return root
+
+
+def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path, json_file: Path) -> None:
+    """Write both files."""
+    for path, text in (
+        (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
+        (json_file, json.dumps(document(verdicts, seconds), indent=1, allow_nan=False) + "\n"),
+    ):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+
+
+def _plain(text: str) -> str:
+    """Without the characters that XML cannot hold."""
+    return _NOT_XML.sub("?", text)
