@@ -1,9 +1,10 @@
 """How well campaigns of known machines are identified: recorded ones, and drawn ones with a plant richer than the twin.
 
     python scripts/measure_identification.py recorded ../shared/campaigns/healthy
-    python scripts/measure_identification.py drawn --cases 30 --seed 7000
+    python scripts/measure_identification.py drawn --cases 30 --seed 7000 --keep out/drawn
 
-Drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control off as well,
+With --keep campaigns and judgements stay in that folder: an interrupted study goes on where it stopped, and --again identifies the
+kept campaigns anew. Drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control off as well,
 measuring noise and rounding, compliance, pre-sliding, cogging and Stribeck friction that the twin does not have (twin.exam).
 Prints one line per case, then medians and the share of intervals that hold the truth.
 """
@@ -11,7 +12,8 @@ Prints one line per case, then medians and the share of intervals that hold the 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import asdict, replace
+import json
 from pathlib import Path
 import sys
 import tempfile
@@ -65,14 +67,31 @@ def truth_machine(machine: Machine, truth: Path) -> Machine:
 
 
 def drawn(seed: int, folder: Path, refine: bool) -> tuple[list[Judged], dict[str, float], list[str]]:
-    """Judge one drawn campaign; the machine file's tolerance is what the machine was drawn with."""
-    document = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
-    case = drawn_case(seed)
-    write_campaign(case, folder, document)
-    (folder / "truth.toml").write_text(truth_toml(truth_of(case)), encoding="utf-8")
+    """Judge one drawn campaign, drawn into `folder` where it is not there yet; the machine file's tolerance is what it was drawn with."""
+    if not (folder / "truth.toml").is_file():
+        case = drawn_case(seed)
+        write_campaign(case, folder, tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8")))
+        (folder / "truth.toml").write_text(truth_toml(truth_of(case)), encoding="utf-8")
     machine = replace(load_machine(), parameter_tolerance=SPREAD)
     result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=refine, torque_constant_tolerance=KNOWN)
     return judge(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
+
+
+def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[list[Judged], str]:
+    """One case and a line about it; a judgement that lies in `folder` is taken as it is unless `again`."""
+    kept = folder / ("judged_refined.json" if refine else "judged.json")
+    if again or not kept.is_file():
+        began = time.perf_counter()
+        judged, seconds, findings = drawn(seed, folder, refine)
+        worst = max((j for j in judged if j.group == "inertia"), key=lambda j: abs(j.error))
+        outside = ", ".join(f"{j.axis}.{j.name}" for j in judged if not j.holds)
+        told = (
+            f"{seed}: {time.perf_counter() - began:.0f} s, regression {seconds['regression']:.0f} s, worst inertia {worst.axis} "
+            f"{100 * worst.error:.2f} %; outside: {outside or '-'}; {'; '.join(findings)}"
+        )
+        kept.write_text(json.dumps({"judged": [asdict(j) for j in judged], "told": told}), encoding="utf-8")
+    document = json.loads(kept.read_text(encoding="utf-8"))
+    return [Judged(**j) for j in document["judged"]], document["told"]
 
 
 def main() -> int:
@@ -82,7 +101,8 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=30)
     parser.add_argument("--seed", type=int, default=7000)
     parser.add_argument("--refine", action="store_true")
-    parser.add_argument("--keep", type=Path, help="folder that keeps the drawn campaigns")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps drawn campaigns and judgements")
+    parser.add_argument("--again", action="store_true", help="identify kept campaigns anew")
     args = parser.parse_args()
     judged: list[Judged] = []
     if args.what == "recorded":
@@ -106,17 +126,10 @@ def main() -> int:
             print(table(["axis", "parameter", "error +- half interval", ""], rows, left=2))
     else:
         for seed in range(args.seed, args.seed + args.cases):
-            began = time.perf_counter()
             with tempfile.TemporaryDirectory() as scratch:
-                folder = args.keep / str(seed) if args.keep else Path(scratch)
-                here, seconds, findings = drawn(seed, folder, args.refine)
+                here, told = judged_case(seed, args.keep / str(seed) if args.keep else Path(scratch), args.refine, args.again)
             judged += here
-            worst = max((j for j in here if j.group == "inertia"), key=lambda j: abs(j.error))
-            outside = ", ".join(f"{j.axis}.{j.name}" for j in here if not j.holds)
-            print(
-                f"{seed}: {time.perf_counter() - began:.0f} s, regression {seconds['regression']:.0f} s, worst inertia {worst.axis} {100 * worst.error:.2f} %; outside: {outside or '-'}; {'; '.join(findings)}",
-                flush=True,
-            )
+            print(told, flush=True)
     rows = summary(judged)
     print(table(HEADING, rows))
     return 1 if any(row[-1] for row in rows) else 0

@@ -6,11 +6,12 @@
     plan_campaign       moves that tell every parameter to a wanted precision, with the predicted interval of each
 
 The direct route, block by block:
+    recording           flags checked, late channels taken back            findings           what is wrong with a recording, or missing
     axis_run            one axis in one run, on the position cycles        position_control   gain, feedforward weight, delays
     between_samples     the mean current that samples miss                 speed_control      gain, integral time, torque weight
     drive_balance       inertia, friction, gravity of a linear axis        tilting_pair       the same of A and C together
     least_squares       regression with intervals by strokes               products           what fixes the torque constants
-    findings            what is wrong with, or missing from, a recording   noise              measuring noise from standstill
+    parameters          the table of all that was found                    noise              measuring noise from standstill
 The second route: refine (re-simulation in MuJoCo). single_axis: an axis under another control (EMPS benchmark).
 """
 

@@ -76,7 +76,8 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) 
             found = p.estimate
             true *= result.before.axis(p.axis).motor.torque_constant_nm_per_a / axis.motor.torque_constant_nm_per_a
         scale = 1.0 if group == "delays" else abs(true)
-        out.append(Judged(p.axis, p.name, group, (found.value - true) / scale, 0.5 * (found.high - found.low) / scale, found.holds(true)))
+        error, half = float(found.value - true) / scale, 0.5 * float(found.high - found.low) / scale
+        out.append(Judged(p.axis, p.name, group, float(error), float(half), found.holds(true)))
     return out
 
 

@@ -21,7 +21,9 @@ from twin.campaign import MeasuredRun
 from twin.errors import InputError
 from twin.identify import tilting_pair
 from twin.identify.axis_run import axis_run
-from twin.identify.direct import direct_route
+from twin.identify.direct import Direct, direct_route
+from twin.identify.parameters import parameters_of
+from twin.identify.products import split_products
 from twin.machine import Axis, Machine
 from twin.run import simulate
 from twin.setpoints import Setpoints, check_travel
@@ -184,9 +186,6 @@ def _table_runs(machine: Machine) -> list[PlannedRun]:
 
 def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[Predicted]:
     """Identify the machine from its own simulated plan, noise and all, and take the intervals."""
-    from twin.identify.campaign_fit import _parameters
-    from twin.identify.products import split_products
-
     measured = []
     for i, run in enumerate(runs):
         trace = simulate(machine.with_feedforward(run.feedforward), run.setpoints, noise_seed=i).trace
@@ -195,7 +194,7 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
             progress(f"simulating {run.name}")
     seen = {axis.name: [axis_run(machine, axis, r) for r in measured] for axis in machine.axes}
     direct = direct_route(machine, seen, None, progress)
-    parameters = _parameters(machine, machine, direct, type(direct)(), split_products(machine, direct))
+    parameters = parameters_of(machine, direct, Direct(), split_products(machine, direct))
     out = []
     wanted = (
         "inertia",

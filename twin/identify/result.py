@@ -20,7 +20,7 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Does the interval hold this value?"""
-        return self.low <= value <= self.high
+        return bool(self.low <= value <= self.high)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,192 @@
+"""The table of parameters: every number that was found, at the motor or the axis, with its doubts from both routes and the runs left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from twin.identify import tilting_pair
+from twin.identify.direct import Direct
+from twin.identify.findings import Finding
+from twin.identify.products import Split, is_vertical
+from twin.identify.result import Parameter, Range
+from twin.machine import Axis, Machine
+from twin.plant import home_inertia_at_motor
+
+LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
+
+LOOP_UNITS = {
+    "position_gain_per_s": "1/s",
+    "velocity_feedforward": "1",
+    "position_delay_s": "s",
+    "feedforward_delay_s": "s",
+    "speed_gain_nm_s_per_rad": "Nm s/rad",
+    "speed_integral_time_s": "s",
+    "torque_feedforward": "1",
+}
+FRICTION_KEYS = {"coulomb_friction": "coulomb_friction_nm", "viscous_friction": "viscous_friction_nm_s_per_rad"}
+FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
+
+
+def parameters_of(machine: Machine, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
+    """All parameters in the order of the axes: control, mechanics at the motor, moments of the table at the axes.
+
+    `direct` is the regression on the training runs, `other` that on the runs left out (empty: none).
+    """
+    out: list[Parameter] = []
+    inertias = home_inertia_at_motor(machine)
+    for k, axis in enumerate(machine.axes):
+        out += _control(axis, direct, other)
+        out += _mechanics(machine, axis, float(inertias[k]), direct, other, splits)
+    return out
+
+
+def _around(value: float, half: float) -> Range:
+    return Range(value, value - half, value + half)
+
+
+def _control(axis: Axis, direct: Direct, other: Direct) -> list[Parameter]:
+    """Position and speed controller of one axis."""
+    out = []
+    for blocks, others in ((direct.position, other.position), (direct.speed, other.speed)):
+        block, check = blocks.get(axis.name), others.get(axis.name)
+        for name, value in block.values.items() if block is not None else ():
+            assert block is not None
+            half = block.deviations[name] * block.quantile
+            if not math.isfinite(half):
+                continue
+            low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
+            aside = None
+            if check is not None and math.isfinite(check.deviations[name]):
+                aside = _around(check.values[name], check.deviations[name] * check.quantile)
+            out.append(
+                Parameter(
+                    axis.name, name, LOOP_UNITS[name], getattr(axis.loops, name), _around(value, half),
+                    _around(float(np.clip(value, low, high)), half), False, block.condition, not low <= value <= high,
+                    f"axis.{axis.name}.loops.{name}", aside,
+                )
+            )  # fmt: skip
+    return out
+
+
+def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
+    """Inertia, friction and gravity of one axis; the moments of a tilting table stand with A. `inertia` is the machine file's."""
+    key = next((k for k in direct.balance if axis.name in k.split()), None)
+    if key is None:
+        return []
+    balance, check = direct.balance[key], other.balance.get(key)
+    kt_log, kt_sd = splits[key].factors[f"axis.{axis.name}.motor.torque_constant_nm_per_a"] if key in splits else (0.0, 0.0)
+    out = []
+    for inner, name, unit, factor, before in _rows_of(machine, axis, inertia, paired=key == "A C"):
+        i = balance.names.index(inner)
+        if not balance.fit.seen[i] or not math.isfinite(balance.fit.deviations[i]):
+            continue
+        value, half = (float(x * factor) for x in (balance.fit.values[i], balance.fit.deviations[i] * balance.fit.quantile))
+        aside = None
+        if check is not None and check.fit.seen[i] and math.isfinite(check.fit.deviations[i]):
+            aside = _around(*(float(x * factor) for x in (check.fit.values[i], check.fit.deviations[i] * check.fit.quantile)))
+        # the value: the product at the most probable torque constant, whose doubt adds
+        split = value * math.exp(kt_log)
+        path = f"axis.{axis.name}.{FRICTION_KEYS[name]}" if name in FRICTION_KEYS else ""
+        out.append(
+            Parameter(
+                axis.name, name, unit, before, _around(value, half), _around(split, math.hypot(half, 1.96 * kt_sd * abs(split))),
+                True, balance.fit.condition, bool(path) and split <= 0.0, path, aside,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list[tuple[str, str, str, float, float]]:
+    """Name in the fit, name, unit, factor from the fit's unit to that of the table, value of the machine file."""
+    r = axis.ratio
+    # the pair's numbers are at the axes, those of an axis by itself at the motor
+    suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
+    out = [
+        (f"inertia{suffix}", "inertia", "kg m2", twice, inertia),
+        (f"coulomb{suffix}", "coulomb_friction", "Nm", once, axis.coulomb_friction_nm),
+        (f"viscous{suffix}", "viscous_friction", "Nm s/rad", twice, axis.viscous_friction_nm_s_per_rad),
+    ]
+    if paired and axis.name == "A":
+        numbers = dict(zip(tilting_pair.PAIR, tilting_pair.pair_numbers(machine)))
+        out += [(n, n, "kg m" if n in FIRST_MOMENTS else "kg m2", 1.0, float(numbers[n])) for n in tilting_pair.PAIR[2:]]
+    elif not paired and is_vertical(machine, axis.name):
+        out.append(("gravity", "gravity_torque", "Nm", 1.0, (axis.moving_mass_kg or 0.0) * machine.gravity * r))
+    elif not paired:
+        out.append(("gravity", "constant_torque", "Nm", 1.0, 0.0))
+    return out
+
+
+def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: dict[str, float]) -> list[Parameter]:
+    """The parameters with what re-simulation made of them: the same factor as on the machine-file values."""
+    inertia = home_inertia_at_motor(refined)
+    pair = tilting_pair.pair_numbers(refined) if tilting_pair.has_pair(refined) else np.zeros(10)
+    out = []
+    for p in parameters:
+        axis = refined.axis(p.axis)
+        value = {
+            "inertia": float(inertia[refined.axis_names.index(p.axis)]),
+            "coulomb_friction": axis.coulomb_friction_nm,
+            "viscous_friction": axis.viscous_friction_nm_s_per_rad,
+            "gravity_torque": (axis.moving_mass_kg or 0.0) * refined.gravity * axis.ratio if p.name == "gravity_torque" else 0.0,
+        }.get(p.name)
+        if p.name in tilting_pair.PAIR:
+            value = float(pair[tilting_pair.PAIR.index(p.name)])
+        key = f"{p.axis}.{p.name}"
+        d = deviations.get(key)
+        if d is None and f"{p.axis}.loops.{p.name}" in deviations:
+            value, d = getattr(axis.loops, p.name), deviations[f"{p.axis}.loops.{p.name}"]
+        out.append(replace(p, refined=_around(value, 1.96 * d)) if value is not None and d is not None else p)
+    return out
+
+
+def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
+    """The regression's standard deviations as the refinement's knobs take them: relative, delays in seconds."""
+    out: dict[tuple[str, str], float] = {}
+    for p in parameters:
+        d = (p.estimate.high - p.estimate.low) / 3.92
+        relative = d / abs(p.estimate.value) if p.estimate.value else math.inf
+        axis = machine.axis(p.axis)
+        if p.name == "inertia":
+            # the rotor carries the change of the whole
+            out[p.axis, "rotor_inertia_kg_m2"] = d / axis.rotor_inertia_kg_m2
+        elif p.name in FRICTION_KEYS:
+            out[p.axis, FRICTION_KEYS[p.name]] = relative
+        elif p.name == "gravity_torque":
+            out[p.axis, "moving_mass_kg"] = relative
+        elif p.name == "moment_z":
+            out[p.axis, "body.cradle"] = relative
+        elif p.name == "table_x":
+            out[p.axis, "body.workpiece"] = relative
+        elif p.name in LOOP_UNITS:
+            out[p.axis, p.name] = d if p.name.endswith("delay_s") else relative
+    return out
+
+
+LOOSE = 0.1
+"""A half interval above this fraction of the value counts as not identified."""
+
+
+def unseen(parameters: Sequence[Parameter]) -> list[Finding]:
+    """Parameters that the campaign leaves open, with the run that would close them."""
+    cure = {
+        "inertia": "accelerated moves",
+        "coulomb_friction": "constant speeds in both directions",
+        "viscous_friction": "constant speeds from creeping to rapid",
+        "gravity_torque": "moves of the vertical axis in both directions",
+        "moment_y": "slow turns of A over its range",
+        "moment_z": "slow turns of A over its range",
+        "table_x": "turns of C at several tilts",
+        "table_y": "turns of C at several tilts",
+        "torque_feedforward": "accelerations with torque feedforward on",
+    }
+    out = []
+    for p in parameters:
+        scale = abs(p.before) or abs(p.estimate.value)
+        half = 0.5 * (p.estimate.high - p.estimate.low)
+        if p.name in cure and scale > 0.0 and half > LOOSE * scale:
+            out.append(Finding("", p.axis, f"{p.name} only within {100 * half / scale:.0f} %; add {cure[p.name]} ('twin plan')"))
+    return out
