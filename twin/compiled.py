@@ -53,7 +53,7 @@ def _stamped(dispatcher: Any) -> Any | None:
     file: Any = getattr(dispatcher._cache, "_cache_file", None)
     if not hasattr(file, "_source_stamp"):
         return None
-    file._source_stamp = digest()
+    file._source_stamp = (file._source_stamp, digest())  # the function's own file may lie outside the kernels
     try:
         file._load_index()
     except Exception:  # written by an older twin whose types are gone: numba would raise at the first call
