@@ -50,6 +50,7 @@ class _Parser(argparse.ArgumentParser):
 
 def build_parser() -> argparse.ArgumentParser:
     from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
+    from twin.readers import add_import_arguments, import_command
     from twin.regress import add_regress_arguments, regress_command
     from twin.replay import add_replay_arguments, replay_command
     from twin.study.commands import add_study_arguments, study_command
@@ -102,6 +103,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     plan = add("plan", plan_command, "propose a measuring campaign that identifies each parameter to a wanted precision")
     add_plan_arguments(plan)
+
+    importing = add("import", import_command, "turn recorded files (CSV, Sinumerik XML, TDMS, MDF4, .mat) into a campaign by a map")
+    add_import_arguments(importing)
 
     diagnose = add(
         "diagnose", "diagnose_command", "say where a measured campaign differs from the twin, which effect causes it, how far it shrinks"

@@ -65,3 +65,23 @@ AXIS_UNITS = {
     "rotary": AxisUnits("deg", "deg/s", "arcsec", 1.0 / ARCSEC),
 }
 """Output units by kind of axis: mm, mm/s, um for linear; deg, deg/s, arcsec for rotary."""
+
+RECORDED_UNITS: dict[str, tuple[str, float]] = {
+    **UNITS,
+    "ns": ("time", 1e-9),
+    "min": ("time", 60.0),
+    "mA": ("current", 1e-3),
+    "mV": ("voltage", 1e-3),
+    "kN": ("force", 1e3),
+    **{u: ("length", f) for u, f in {"cm": 1e-2, "in": 0.0254}.items()},
+    **{u: ("angle", f) for u, f in {"mrad": 1e-3, "arcsec": ARCSEC}.items()},
+    **{f"{u}/{p}": ("speed", f * g) for u, f in {"cm": 1e-2, "in": 0.0254}.items() for p, g in _PER.items()},
+    "rev": ("turns", 2.0 * math.pi),
+    **{f"rev/{p}": ("turning speed", 2.0 * math.pi * g) for p, g in _PER.items()},
+}
+"""Units in what others recorded; turns are of the motor (rad), and need the travel of a turn."""
+
+
+def dimension_recorded(unit: str) -> str:
+    """Dimension of a unit of RECORDED_UNITS."""
+    return RECORDED_UNITS[unit][0]

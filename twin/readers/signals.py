@@ -1,0 +1,183 @@
+"""What every reader returns: named signals, each with its own times, as the file has them; units and axes come from the map.
+
+A new format is one module with `read(path, how) -> Recording` and one line in `formats.READERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+import re
+from typing import Any, Protocol
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.units import RECORDED_UNITS, dimension_recorded
+
+BLOCK = 1 << 17
+"""Samples that are in memory at a time of a signal that is stored on disk."""
+
+
+class Column(Protocol):
+    """A column of float64 that is read by slices: an array, or a file on disk."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, rows: slice, /) -> Any: ...
+
+
+@dataclass(frozen=True)
+class Stored:
+    """Column of float64 in a file of its own: what does not fit into memory stays on disk."""
+
+    path: Path
+
+    def __len__(self) -> int:
+        return self.path.stat().st_size // 8
+
+    def __getitem__(self, rows: slice, /) -> np.ndarray:
+        start, stop, step = rows.indices(len(self))
+        with open(self.path, "rb") as file:
+            file.seek(8 * start)
+            return np.fromfile(file, dtype=float, count=max(stop - start, 0))[::step]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One recorded signal: `values` (sample,) in the file's own unit at `time` (sample,) [s]; `unit` is "" where the file says none."""
+
+    name: str
+    values: Column
+    time: Column | None
+    unit: str = ""
+    description: str = ""
+
+    def blocks(self) -> Iterator[tuple[int, np.ndarray]]:
+        """(first row, values) of consecutive parts."""
+        for start in range(0, len(self.values), BLOCK):
+            yield start, np.asarray(self.values[start : start + BLOCK], float)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One file as read: its signals by name, when it was started if the file says so, and what the reader noticed."""
+
+    path: Path
+    format: str
+    signals: Mapping[str, Signal]
+    started: datetime | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Where the times of a format without its own come from: a column and its unit, or a constant interval [s]; neither: found by name."""
+
+    column: str | None = None
+    unit: str | None = None
+    interval_s: float | None = None
+
+
+@dataclass(frozen=True)
+class How:
+    """How to read: the clock, the columns that are wanted (None: all), a folder for what does not fit into memory, the CSV's dialect."""
+
+    clock: Clock
+    wanted: frozenset[str] | None
+    scratch: Path
+    dialect: Mapping[str, Any] = field(default_factory=dict)
+
+
+_ALIASES = {
+    "°": "deg", "grad": "deg", "degree": "deg", "degrees": "deg", "µm": "um", "μm": "um", "micron": "um", "inch": "in", "sec": "s",
+    "second": "s", "seconds": "s", "amp": "A", "amps": "A", "ampere": "A", "a": "A", "v": "V", "volt": "V", "nm": "Nm", "n.m": "Nm",
+    "n·m": "Nm", "n*m": "Nm", "n": "N", "rpm": "rev/min", "u/min": "rev/min", "1/min": "rev/min", "u": "rev", "rev": "rev",
+    "s^-1": "rev/s", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1",
+}  # fmt: skip
+_TIME_NAMES = ("time", "t", "zeit", "timestamp", "x-achse", "x axis", "x_value", "temps", "tempo")
+_IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
+
+
+def known_unit(text: str) -> str:
+    """The unit as the twin spells it, or "" where it is not known."""
+    text = text.strip().strip("[]()").strip()
+    if text in RECORDED_UNITS:
+        return text
+    first, slash, per = text.lower().partition("/")
+    per = {"minute": "min", "sec": "s", "sek": "s"}.get(per.strip(), per.strip())
+    for candidate in (text.lower(), _ALIASES.get(text.lower(), ""), f"{_ALIASES.get(first.strip(), first.strip())}{slash}{per}"):
+        if candidate in RECORDED_UNITS:
+            return candidate
+    return ""
+
+
+def split_heading(text: str) -> tuple[str, str]:
+    """('Pos X', 'mm') from 'Pos X [mm]' or 'Pos X (mm)'; the heading itself and '' where the brackets hold no unit."""
+    match = _IN_BRACKETS.match(text.strip())
+    unit = known_unit(match[2] or match[3] or "") if match else ""
+    return (match[1].strip(), unit) if match and unit and match[1].strip() else (text.strip(), "")
+
+
+def find_time_column(names: Sequence[str], units: Sequence[str], clock: Clock, where: str) -> int | None:
+    """Number of the time column; None where the map gives an interval instead."""
+    if clock.interval_s is not None:
+        return None
+    if clock.column is not None:
+        plain = [split_heading(n)[0] for n in names]
+        for i, name in enumerate(names):
+            if clock.column in (name, plain[i]):
+                return i
+        raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
+    for i, name in enumerate(names):
+        if split_heading(name)[0].lower() in _TIME_NAMES and (units[i] == "" or dimension_recorded(units[i]) == "time"):
+            return i
+    raise InputError(
+        f'{where}: no column looks like a time; say [time] column = "..." or interval_ms = ... in the map ({", ".join(names[:8])})'
+    )
+
+
+def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
+    """Factor that turns the time column into seconds: the map's unit, else the file's, else s."""
+    told = known_unit(clock.unit) if clock.unit else (unit or split_heading(name)[1] or "s")
+    if not told or dimension_recorded(told) != "time":
+        raise InputError(f"{where}: time column '{name}': [{clock.unit or told}] is no unit of time; use s, ms, us, ns or min")
+    return RECORDED_UNITS[told][1]
+
+
+def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> dict[str, Signal]:
+    """Signals from columns (values, unit) of one length each, all on the time column or interval; what is not as long is left without a time."""
+    names = list(columns)
+    at = find_time_column(names, [unit for _, unit in columns.values()], clock, where)
+    if at is None:
+        rows = max((len(values) for values, _ in columns.values()), default=0)
+        time = np.arange(rows) * float(clock.interval_s or 0.0)
+    else:
+        values, unit = columns[names[at]]
+        time = np.asarray(values, float) * time_factor(names[at], unit, clock, where)
+    return {
+        name: Signal(name, np.asarray(values, float), time if len(values) == len(time) else None, unit)
+        for i, (name, (values, unit)) in enumerate(columns.items())
+        if i != at
+    }
+
+
+def no_file(path: Path) -> InputError | None:
+    """The error of a file that cannot be opened, or None."""
+    if not path.is_file():
+        return InputError(f"{path}: no such file; give a recorded trace")
+    try:
+        with open(path, "rb") as file:
+            if not file.read(1):
+                return InputError(f"{path}: the file is empty; export the recording again")
+    except OSError as error:
+        return InputError(f"{path}: cannot be read ({error.strerror}); check its permissions")
+    return None
+
+
+def starts_with(path: Path, *magic: bytes) -> bool:
+    """Does the file begin like its format?"""
+    with open(path, "rb") as file:
+        head = file.read(max(len(m) for m in magic))
+    return any(head.startswith(m) for m in magic)
