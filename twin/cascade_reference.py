@@ -31,7 +31,9 @@ class ReferenceCascade:
     i_star: np.ndarray = field(init=False)  # current set point, A
     I_i: np.ndarray = field(init=False)  # integrator of the current loop, V
     u: np.ndarray = field(init=False)  # voltage, V
-    i: np.ndarray = field(init=False)  # current, A
+    i: np.ndarray = field(init=False)  # current, A; without current loop the command
+    w_seen: np.ndarray = field(init=False)  # speed that the speed controller sees, rad/s
+    q_seen: list[np.ndarray] = field(init=False)  # motor encoder at the speed cycles so far, axis units
 
     def __post_init__(self) -> None:
         axes, loops = self.machine.axes, [axis.loops for axis in self.machine.axes]
@@ -53,10 +55,14 @@ class ReferenceCascade:
         self.control_Kt = column([axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a for axis in axes])
         self.i_peak = column([m.peak_current_a for m in motors])
         self.u_bus = column([m.bus_limit_v for m in motors])
+        self.has_loop = np.array([axis.has_current_loop for axis in axes])
+        self.n = [p.speed_mean_cycles for p in loops]
+        self.T_w = column([p.speed_filter_time_s for p in loops])
         # at rest: the motor holds, nothing moves
         self.i = self.held_torque / self.Kt
         self.i_star = self.i.copy()
-        self.I = self.i * self.control_Kt
+        self.I = np.where(np.isfinite(self.Tn), self.i * self.control_Kt, 0.0)
+        self.w_seen, self.q_seen = np.zeros(len(axes)), []
         self.I_i = self.R * self.i
         self.u = self.R * self.i
         self.w_star, self.T_ff = np.zeros(len(axes)), np.zeros(len(axes))
@@ -66,16 +72,29 @@ class ReferenceCascade:
         self.w_star = (self.Kv * (s - x) + velocity) / self.r
         self.T_ff = torque
 
-    def speed_cycle(self, w: np.ndarray) -> None:
-        """T* = Kp e + I + T_ff; i* limited; the integrator stands still where the limit is met."""
-        e = self.w_star - w
+    def speed_cycle(self, w: np.ndarray, q: np.ndarray) -> None:
+        """T* = Kp e + I + T_ff; i* limited; the integrator stands still where the limit is met.
+
+        w as measured, or (q(k) - q(k-n)) / (n Ts); then a first-order lag where there is one.
+        """
+        Ts = self.machine.speed_cycle
+        self.q_seen.append(q)
+        w = w.copy()
+        for a, n in enumerate(self.n):
+            if n:
+                w[a] = (q[a] - self.q_seen[max(len(self.q_seen) - 1 - n, 0)][a]) / (n * Ts) / self.r[a]
+        lagged = self.T_w > 0.0
+        share = 1.0 - np.exp(-Ts / np.where(lagged, self.T_w, 1.0))
+        self.w_seen = np.where(lagged, self.w_seen + share * (w - self.w_seen), w)
+        e = self.w_star - self.w_seen
         unlimited = (self.Kp * e + self.I + self.T_ff) / self.control_Kt
         self.i_star = np.clip(unlimited, -self.i_peak, self.i_peak)
         free = np.abs(unlimited) <= self.i_peak
         self.I = np.where(free, self.I + self.Kp * self.machine.speed_cycle / self.Tn * e, self.I)
 
     def current_cycle(self) -> None:
-        """u = Kpi e + I_i; u limited; the integrator stands still where the limit is met."""
+        """u = Kpi e + I_i; u limited; the integrator stands still where the limit is met. Without current loop i = i*."""
+        self.i = np.where(self.has_loop, self.i, self.i_star)
         e = self.i_star - self.i
         unlimited = self.Kpi * e + self.I_i
         self.u = np.clip(unlimited, -self.u_bus, self.u_bus)
@@ -87,8 +106,9 @@ class ReferenceCascade:
         steady = (self.u - self.Ke * w) / self.R
         rate = self.R / self.L
         before = self.i
-        self.i = steady + (before - steady) * np.exp(-rate * h)
-        return steady + (before - self.i) / (rate * h)
+        after = steady + (before - steady) * np.exp(-rate * h)
+        self.i = np.where(self.has_loop, after, before)
+        return np.where(self.has_loop, steady + (before - after) / (rate * h), before)
 
 
 def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -126,7 +146,10 @@ class ReferenceSimulation:
         data.qpos[self.plant.load_position] = setpoints.position[0]
         mujoco.mj_forward(self.plant.model, data)
         ratio = np.array([axis.ratio for axis in machine.axes])
-        self.cascade = ReferenceCascade(machine, data.qfrc_bias[self.plant.load_dof] * ratio)
+        self.cascade = c = ReferenceCascade(machine, data.qfrc_bias[self.plant.load_dof] * ratio)
+        # a P speed controller holds by a following error
+        sag = np.where(np.isfinite(c.Tn), 0.0, c.held_torque * ratio / (c.Kp * c.Kv))
+        data.qpos[self.plant.load_position] -= sag
         self.record = np.zeros((ticks, len(machine.axes), len(CHANNELS)))
 
     def run(self, first: int, ticks: int) -> None:
@@ -142,7 +165,7 @@ class ReferenceSimulation:
                 cycle = k // position_every
                 c.position_cycle(self.command[0][cycle], self.command[1][cycle], self.command[2][cycle], x)
             if k % speed_every == 0:
-                c.speed_cycle(w)
+                c.speed_cycle(w, x)
             if k % current_every == 0:
                 c.current_cycle()
             for channel, values in enumerate((x, v, c.w_star * c.r, c.i, c.i_star, c.u)):

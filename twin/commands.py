@@ -162,13 +162,14 @@ def gap_command(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.campaign, machine)
     with Progress("comparing", total=len(campaign.runs)) as bar:
         gaps = gap_of_campaign(machine, campaign, progress=lambda _run: bar(None))
+    shown = [s for s in COMPARED if any(s in signals for axes in gaps.values() for signals in axes.values())]
     rows = []
     for run, axes in gaps.items():
         for axis, signals in axes.items():
-            cells = [f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) else "-" for s in COMPARED]
+            cells = [f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) else "-" for s in shown]
             rows.append([run, axis, *cells])
     print("measured minus simulated, each: RMS, largest, RMS that noise alone makes")
-    print(table(["run", "axis", *(s.replace("_", " ") for s in COMPARED)], rows))
+    print(table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows))
     if args.json:
         plain = {run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in gaps.items()}
         _write_json({"runs": plain}, Path(args.json))

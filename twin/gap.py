@@ -17,15 +17,18 @@ import numpy as np
 from twin.campaign import Campaign, MeasuredRun
 from twin.errors import InputError
 from twin.machine import Axis, Machine
+from twin.machine_keys import EFFORTS
 from twin.run import simulate
 from twin.setpoints import check_travel, setpoints_of
-from twin.trace import Trace
+from twin.trace import OTHER_UNITS, Trace
 from twin.units import ARCSEC, AXIS_UNITS
 
-COMPARED = ("position", "motor_position", "velocity", "current")
+COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
+"""Of the last three the one that the axis' speed controller commands."""
+
 REALISATIONS = 4
 MOVING = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
-"""Set point speeds above which the current is compared: the current of an axis that sticks is history."""
+"""Set point speeds above which the current (or the command) is compared: the current of an axis that sticks is history."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +95,11 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
             continue
         signals = {}
         for signal in COMPARED:
-            if not run.trace.has(axis.name, signal):
+            if not run.trace.has(axis.name, signal) or (signal in EFFORTS and signal != axis.effort):
                 continue
             difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
             scatter = prediction.scatter[axis.name, signal]
-            if signal == "current":
+            if signal in EFFORTS:
                 moving = is_moving(run.trace, axis)
                 difference, scatter = difference[moving], scatter[moving]
             unit, factor = gap_unit(axis, signal)
@@ -118,12 +121,12 @@ def gap_of_campaign(
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Unit in which a gap is told, and the factor from SI: um or arcsec, mm/s or deg/s, A."""
+    """Unit in which a gap is told, and the factor from SI: um or arcsec, mm/s or deg/s; A, V or Nm."""
     if signal in ("position", "motor_position"):
         return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal == "velocity":
         return AXIS_UNITS[axis.kind].speed
-    return ("A", 1.0)
+    return (OTHER_UNITS[signal], 1.0)
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
@@ -136,10 +139,10 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     noise = machine.noise(axis)
     deviation, resolution = {
         "position": (noise.position, noise.position_resolution),
-        "motor_position": (0.0, noise.motor_resolution),
+        "motor_position": (noise.motor if axis.encoder == "motor" else 0.0, noise.motor_resolution),
         "velocity": (noise.speed, 0.0),
         "current": (noise.current, 0.0),
-    }[signal]
+    }.get(signal, (0.0, 0.0))
     return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.cascade import current_controller, position_controller, speed_controller, winding
+from twin.cascade import current_controller, position_controller, speed_controller, speed_seen, winding
 from twin.compiled import compiled
 from twin.native import call_address_2, call_address_4
 from twin.terms import (
@@ -156,7 +156,10 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
             measured_current = current
             if noisy:
                 noise = sensing.noise[n, a]
-                scale = rounded(scale + noise[0], sensing.position_resolution[a])
+                if drives.on_motor_encoder[a]:  # the one encoder that the control has
+                    motor_position += noise[0]
+                else:
+                    scale = rounded(scale + noise[0], sensing.position_resolution[a])
                 motor_position = rounded(motor_position, sensing.motor_resolution[a])
                 measured_speed += noise[1]
                 measured_current += noise[2]
@@ -169,9 +172,16 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                     x[X_SETPOINT] = setpoint
                     call_axis_terms(terms, SETPOINT, signals, a)
                     setpoint = x[X_SETPOINT]
-                position_controller(a, drives, state, setpoint, command[1, cycle, a], command[2, cycle, a], scale)
-            if k % schedule.speed_ticks == 0 and speed_controller(a, drives, state, measured_speed / drives.ratio[a]):
-                limited[a, CURRENT_LIMIT] += 1
+                closed_on = motor_position if drives.on_motor_encoder[a] else scale
+                position_controller(a, drives, state, setpoint, command[1, cycle, a], command[2, cycle, a], closed_on)
+            differentiated = drives.mean_cycles[a] > 0
+            if k % schedule.speed_ticks == 0:
+                if differentiated or drives.speed_lag[a] < 1.0:
+                    measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
+                if speed_controller(a, drives, state, measured_speed / drives.ratio[a]):
+                    limited[a, CURRENT_LIMIT] += 1
+            elif differentiated:
+                measured_speed = state.seen_speed[a]
             if k % schedule.current_ticks == 0:
                 current_setpoint = state.current_setpoint[a]
                 if has_current:
@@ -180,13 +190,15 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                     current_setpoint = x[X_CURRENT_SETPOINT]
                 if current_controller(a, drives, state, current_setpoint, measured_current):
                     limited[a, VOLTAGE_LIMIT] += 1
+                if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
+                    current = measured_current = state.current[a]
 
             if n % schedule.record_ticks == 0:
                 row = record[n // schedule.record_ticks, a]
                 as_seen = noisy and sensing.recorded
                 row[0] = scale if as_seen else x[X_SCALE]
                 row[1] = motor_position if as_seen else x[X_MOTOR_POSITION]
-                row[2] = measured_speed if as_seen else x[X_MOTOR_SPEED]
+                row[2] = measured_speed if as_seen or differentiated else x[X_MOTOR_SPEED]
                 row[3] = state.speed_setpoint[a] * drives.ratio[a]
                 row[4] = measured_current if as_seen else current
                 row[5] = state.current_setpoint[a]

@@ -21,77 +21,13 @@ import numpy as np
 
 from twin import machine_keys as keys
 from twin.errors import InputError, nearest
+from twin.machine_axis import Axis, Loops, Motor, axis_of_table
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
+LONGEST_TICK = 125e-6
+"""Tick of a machine without current loops, whose file names none [s]: friction that sticks needs a short one."""
+
 FEEDFORWARD = ("off", "velocity", "velocity+torque")
-
-
-@dataclass(frozen=True)
-class Motor:
-    """Synchronous servo motor as its control sees it: torque = torque_constant * current (Nm, A), one phase equivalent."""
-
-    torque_constant_nm_per_a: float
-    back_emf_v_s_per_rad: float
-    resistance_ohm: float
-    inductance_h: float
-    peak_current_a: float
-    bus_limit_v: float
-
-
-@dataclass(frozen=True)
-class Loops:
-    """Gains of the cascade, feedforward weights (0 switches off) and delays of the set point."""
-
-    position_gain_per_s: float
-    speed_gain_nm_s_per_rad: float
-    speed_integral_time_s: float
-    current_gain_v_per_a: float
-    current_integral_time_s: float
-    velocity_feedforward: float
-    torque_feedforward: float
-    position_delay_s: float
-    feedforward_delay_s: float
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One axis in SI: positions in m or rad at the axis, torques and inertias at the motor.
-
-    `ratio` is axis units per motor radian: lead / 2 pi for a screw, 1 / gear ratio for a gear.
-    `commissioned_torque_constant` and `commissioned_inertia` are what the control was told (None: the motor's own,
-    and the model's inertia at the motor in the home pose); the control keeps them whatever the load really is.
-    """
-
-    name: str
-    kind: str
-    travel: tuple[float, float]
-    max_velocity: float
-    max_acceleration: float
-    max_jerk: float
-    ratio: float
-    moving_mass_kg: float | None
-    rotor_inertia_kg_m2: float
-    coulomb_friction_nm: float
-    viscous_friction_nm_s_per_rad: float
-    motor: Motor
-    loops: Loops
-    commissioned_torque_constant: float | None = None
-    commissioned_inertia: float | None = None
-
-    @property
-    def coulomb_friction(self) -> float:
-        """Coulomb friction at the axis [N or Nm]."""
-        return self.coulomb_friction_nm / self.ratio
-
-    @property
-    def viscous_friction(self) -> float:
-        """Viscous friction at the axis [N s/m or Nm s/rad]."""
-        return self.viscous_friction_nm_s_per_rad / self.ratio**2
-
-    @property
-    def reflected_inertia(self) -> float:
-        """Rotor and screw or gear as seen at the axis [kg or kg m2]."""
-        return self.rotor_inertia_kg_m2 / self.ratio**2
 
 
 @dataclass(frozen=True)
@@ -106,13 +42,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Noise:
-    """Measuring noise of one axis in SI: standard deviations, resolutions (0: none)."""
+    """Measuring noise of one axis in SI: standard deviations, resolutions (0: none); `motor` is the motor encoder's own."""
 
     position: float
     position_resolution: float
     motor_resolution: float
     speed: float
     current: float
+    motor: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -174,7 +111,10 @@ class Machine:
             scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
         else:
             scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
-        return Noise(*[value(key) for key in (*scale, "current_noise_a")])
+        current = value("current_noise_a") if axis.has_current_loop else 0.0  # a command is no measurement
+        motor = "motor_encoder_noise_m" if axis.kind == "linear" else "motor_encoder_noise_rad"
+        position, position_resolution, motor_resolution, speed = (value(key) for key in scale)
+        return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))
 
     def with_axes(self, names: Sequence[str]) -> Machine:
         """The same machine with only these axes driven; the others stand still."""
@@ -216,7 +156,8 @@ class Machine:
         `effect` replaces the list of effects. Raises InputError for a path that does not exist.
         """
         document = copy.deepcopy(dict(self.document))
-        for path, value in values.items():
+        for asked, value in values.items():
+            path, value = self.in_file(asked, value)
             *tables, key = path.split(".")
             table: Any = document
             for i, name in enumerate(tables):
@@ -229,6 +170,19 @@ class Machine:
             table[key] = value
         driven = self.axis_names
         return machine_from_document(document, self.model_path, self.path, str(self.path or self.name)).with_axes(driven)
+
+    def in_file(self, path: str, value: Any) -> tuple[str, Any]:
+        """Path and value of a number as this file has it: 'axis.X.coulomb_friction_nm' of a direct drive is its `coulomb_friction_n`."""
+        path = keys.path_in_file(self.document, path)
+        *tables, key = path.split(".")
+        if key in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and tables[:1] == ["axis"] and tables[-1] == "loops":
+            axis = self.axis(tables[1])
+            have = self.document["axis"][axis.name]["loops"]
+            for other, torque, at_axis in keys.speed_gains(axis.effort):
+                if key not in have and other in have and not torque:
+                    told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+                    return ".".join([*tables, other]), value / told / (axis.ratio**2 if at_axis else 1.0)
+        return path, value
 
 
 def default_machine_path() -> Path:
@@ -316,10 +270,16 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
         raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
     if not isinstance(document.get("effect", []), list):
         raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
+    parsed = tuple(axis_of_table(name, axes[name], f"{where}: [axis.{name}]") for name in order)
     control = {k: v * keys.si_from_key(k) for k, v in document["control"].items()}
+    if "current_cycle_us" not in control:
+        looped = [axis.name for axis in parsed if axis.has_current_loop]
+        if looped:
+            raise InputError(f"{where}: [control]: 'current_cycle_us' is missing; add it, axis {looped[0]} has a current loop")
+        control["current_cycle_us"] = control["speed_cycle_us"] / math.ceil(control["speed_cycle_us"] / LONGEST_TICK - 1e-9)
     machine = Machine(
         name=str(document.get("name", path.stem if path else "machine")),
-        axes=tuple(_axis(name, axes[name], f"{where}: [axis.{name}]") for name in order),
+        axes=parsed,
         bodies=tuple(_body(name, table, f"{where}: [body.{name}]") for name, table in document.get("body", {}).items()),
         geometry=dict(document.get("geometry", {})),
         gravity=float(document["gravity_m_per_s2"]),
@@ -340,57 +300,6 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
                 f"{where}: [control]: {key}_us is no whole multiple of the shortest cycle ({machine.base_tick * 1e6:g} us); change it"
             )
     return machine
-
-
-def _axis(name: str, table: Any, where: str) -> Axis:
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: must be a table")
-    kind = table.get("kind")
-    if kind not in keys.AXIS:
-        raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
-    known = dict(keys.AXIS[kind])
-    endless = table.get("travel_deg") == "endless"
-    if endless:
-        del known["travel_deg"]
-    keys.check_table(table, known, where, ("kind", "travel_deg", "motor", "loops", "commissioned"))
-    for part, part_keys in (("motor", keys.MOTOR), ("loops", keys.LOOPS), ("commissioned", keys.COMMISSIONED)):
-        if part not in table and part != "commissioned":
-            raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")
-        keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]")
-    si = {k: table[k] * keys.si_from_key(k) for k in known if keys.AXIS[kind][k].count == 1}
-    if endless:
-        travel = (-math.inf, math.inf)
-    else:
-        key = "travel_m" if kind == "linear" else "travel_deg"
-        low, high = (v * keys.si_from_key(key) for v in table[key])
-        if low >= high:
-            raise InputError(f"{where}: {key} = {table[key]}: the first limit must lie below the second")
-        travel = (low, high)
-    if kind == "linear":
-        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_m_per_min", "max_acceleration_m_per_s2", "max_jerk_m_per_s3"))}
-        ratio, rotor = si["screw_lead_m_per_rev"] / (2.0 * math.pi), si["rotor_and_screw_inertia_kg_m2"]
-    else:
-        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_rev_per_min", "max_acceleration_rev_per_s2", "max_jerk_rev_per_s3"))}
-        ratio, rotor = 1.0 / si["gear_ratio"], si["rotor_and_gear_inertia_kg_m2"]
-    commissioned = table.get("commissioned", {})
-    return Axis(
-        name=name,
-        kind=kind,
-        travel=travel,
-        **motion,
-        ratio=ratio,
-        moving_mass_kg=si.get("moving_mass_kg"),
-        rotor_inertia_kg_m2=rotor,
-        coulomb_friction_nm=float(table["coulomb_friction_nm"]),
-        viscous_friction_nm_s_per_rad=float(table["viscous_friction_nm_s_per_rad"]),
-        motor=Motor(**{k: float(v) for k, v in table["motor"].items()}),
-        loops=Loops(**{k: float(v) for k, v in table["loops"].items()}),
-        commissioned_torque_constant=commissioned.get("torque_constant_nm_per_a"),
-        commissioned_inertia=commissioned.get("inertia_kg_m2"),
-    )
-
-
-_MOTION = ("max_velocity", "max_acceleration", "max_jerk")
 
 
 def _body(name: str, table: Any, where: str) -> Body:

@@ -7,7 +7,7 @@ typed once. A key that is missing, misspelt or impossible is reported with its t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
@@ -35,10 +35,32 @@ def not_negative(required: bool = True) -> Key:
     return Key(low=0.0, required=required)
 
 
+STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
+"""Position, speed and current controller of an axis; the first is a servo drive, the others end in an ideal actuator."""
+
+ENCODERS = ("scale", "motor")
+DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a speed controller commands: its unit, and the keys of an `[axis.N.actuator]` that takes it."""
+
+    unit: str
+    constant: str  # torque per unit of the command ('' where the command is the torque)
+    peak: str
+
+
+EFFORTS = {
+    "current": Effort("A", "torque_constant_nm_per_a", "peak_current_a"),
+    "voltage": Effort("V", "torque_constant_nm_per_v", "peak_voltage_v"),
+    "torque": Effort("Nm", "", "peak_torque_nm"),
+}
+
 TOP = {"gravity_m_per_s2": not_negative(), "parameter_tolerance": Key(0.0, 1.0, required=False)}
 
 CONTROL = {
-    "current_cycle_us": positive(),
+    "current_cycle_us": positive(required=False),  # required where an axis has a current loop
     "speed_cycle_us": positive(),
     "position_cycle_us": positive(),
     "interpolation_cycle_us": positive(required=False),
@@ -85,6 +107,9 @@ MOTOR = {
     "bus_limit_v": positive(),
 }
 
+MOST_MEAN_CYCLES = 16
+"""Speed cycles over which a position may be differentiated."""
+
 LOOPS = {
     "position_gain_per_s": positive(),
     "speed_gain_nm_s_per_rad": positive(),
@@ -95,10 +120,93 @@ LOOPS = {
     "torque_feedforward": Key(-5.0, 5.0),
     "position_delay_s": Key(0.0, 1.0),
     "feedforward_delay_s": Key(0.0, 1.0),
+    "speed_mean_cycles": Key(0.0, MOST_MEAN_CYCLES, required=False),
+    "speed_filter_time_s": Key(0.0, 1.0, required=False),
 }
 
 # what the control was told when it was commissioned; it keeps these whatever motor and load really are
 COMMISSIONED = {"torque_constant_nm_per_a": positive(required=False), "inertia_kg_m2": positive(required=False)}
+
+SPEED_GAIN = "speed_gain_nm_s_per_rad"
+
+# a linear axis with a direct drive has its numbers at the axis; the same numbers under these names
+DIRECT = {
+    "coulomb_friction_nm": "coulomb_friction_n",
+    "viscous_friction_nm_s_per_rad": "viscous_friction_n_s_per_m",
+    "rotor_and_screw_inertia_kg_m2": "rotor_mass_kg",
+    "torque_constant_nm_per_a": "force_constant_n_per_a",
+    "torque_constant_nm_per_v": "force_constant_n_per_v",
+    "peak_torque_nm": "peak_force_n",
+    "back_emf_v_s_per_rad": "back_emf_v_s_per_m",
+    SPEED_GAIN: "speed_gain_n_s_per_m",
+    "inertia_kg_m2": "mass_kg",
+}
+_CANONICAL = {direct: plain for plain, direct in DIRECT.items()}
+
+
+def canonical(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of a directly driven axis under the names of a screw's."""
+    return {_CANONICAL.get(k, k): canonical(v) if isinstance(v, dict) else v for k, v in table.items()}
+
+
+def speed_gains(effort: str) -> tuple[tuple[str, bool, bool], ...]:
+    """Units in which a speed gain may stand: key, is it a torque (or the command), is it per axis unit (or per motor radian)."""
+    command = {"current": "a", "voltage": "v"}.get(effort)
+    own = ((SPEED_GAIN, True, False),)
+    return (
+        own
+        if command is None
+        else (*own, (f"speed_gain_{command}_s_per_rad", False, False), (f"speed_gain_{command}_s_per_m", False, True))
+    )
+
+
+def tables_of_axis(
+    kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str
+) -> tuple[dict[str, Key], dict[str, dict[str, Key]]]:
+    """Keys of an axis table and of the tables below it, for its kind, drive and structure."""
+    own = dict(AXIS[kind])
+    parts = {"motor": dict(MOTOR), "loops": dict(LOOPS), "commissioned": dict(COMMISSIONED)}
+    if structure != STRUCTURES[0]:
+        actuator = table.get("actuator")
+        command = actuator.get("command") if isinstance(actuator, dict) else "torque"
+        if command not in EFFORTS:
+            raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
+        effort = EFFORTS[command]
+        loops = {k: replace(v, required=k == "position_gain_per_s") for k, v in LOOPS.items() if not k.startswith(("speed_i", "current_"))}
+        loops |= {k: positive(required=False) for k, _, per_metre in speed_gains(command) if kind == "linear" or not per_metre}
+        if structure == "P/PI":
+            loops["speed_integral_time_s"] = positive()
+        constant = [effort.constant] if effort.constant else []
+        parts = {
+            "actuator": {k: positive() for k in (*constant, effort.peak)},
+            "loops": loops,
+            "commissioned": {k: positive(required=False) for k in (*constant, "inertia_kg_m2")},
+        }
+    if direct:
+        del own["screw_lead_m_per_rev"]
+        own["rotor_and_screw_inertia_kg_m2"] = not_negative(required=False)
+        own = {DIRECT.get(k, k): v for k, v in own.items()}
+        parts = {
+            part: {DIRECT.get(k, k): v for k, v in known.items() if not k.endswith(("v_s_per_rad", "a_s_per_rad")) or k in DIRECT}
+            for part, known in parts.items()
+        }
+    return own, parts
+
+
+def path_in_file(document: Mapping[str, Any], path: str) -> str:
+    """Where a number of an axis stands in this file: a direct drive and an actuator have other names for it."""
+    parts = path.split(".")
+    axis = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
+    if not isinstance(axis, Mapping):
+        return path
+    if parts[2] == "motor" and "actuator" in axis:
+        effort = EFFORTS[axis["actuator"]["command"]]
+        parts[2] = "actuator"
+        parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
+    if axis.get("drive") == "direct":
+        parts[-1] = DIRECT.get(parts[-1], parts[-1])
+    return ".".join(parts)
+
 
 BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2": Key(low=0.0, above=True, count=3)}
 
@@ -108,6 +216,8 @@ MEASUREMENT = {
     "linear_scale_resolution_m": not_negative(required=False),
     "rotary_encoder_noise_deg": not_negative(required=False),
     "rotary_encoder_resolution_deg": not_negative(required=False),
+    "motor_encoder_noise_m": not_negative(required=False),
+    "motor_encoder_noise_rad": not_negative(required=False),
     "motor_encoder_resolution_m": not_negative(required=False),
     "motor_encoder_resolution_rad": not_negative(required=False),
     "speed_noise_m_per_s": not_negative(required=False),

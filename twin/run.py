@@ -86,6 +86,9 @@ def simulate(
     # at rest on the first set point, integrators carrying gravity and constant forces
     start = setpoints.position[0] - actual.scale_offset
     held_force = plant.place_at_rest(start, actual.constant_force, actual)
+    sag = _sag(actual.machine, held_force)
+    if sag.any():
+        held_force = plant.place_at_rest(start - sag, actual.constant_force, actual)
     state = cascade.drives_at_rest(drives, held_force * drives.ratio)
     _check_held(machine, state, drives)
     signals = np.zeros((len(machine.axes), SIGNAL_COUNT))
@@ -138,7 +141,7 @@ def simulate(
             progress((first + ticks) / total)
     names = machine.axis_names
     trace = _trace(machine, setpoints, record, record_ticks * h)
-    _check_standing(trace, names, drives)
+    _check_standing(trace, machine, drives)
     return Run(
         trace,
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
@@ -146,24 +149,37 @@ def simulate(
     )
 
 
+def _sag(machine: Machine, held_force: np.ndarray) -> np.ndarray:
+    """Following error (axis,) [m, rad] with which a P speed controller holds a force at rest: F r^2 / (Kp Kv)."""
+    return np.array(
+        [
+            0.0
+            if axis.has_speed_integral
+            else force * axis.ratio**2 / (axis.loops.speed_gain_nm_s_per_rad * axis.loops.position_gain_per_s)
+            for axis, force in zip(machine.axes, held_force)
+        ]
+    )
+
+
 def _check_held(machine: Machine, state: cascade.DriveState, drives: cascade.Drives) -> None:
     """An axis that its current limit cannot hold at rest would fall from the first tick on."""
     for a in np.flatnonzero(np.abs(state.current) > drives.peak_current):
         raise InputError(
-            f"axis {machine.axes[a].name} cannot be held at its start: that takes {abs(state.current[a]):.3g} A, its current limit is "
-            f"{drives.peak_current[a]:.3g} A; raise the limit or lower what it carries"
+            f"axis {machine.axes[a].name} cannot be held at its start: that takes {abs(state.current[a]):.3g} {machine.axes[a].effort_unit}, "
+            f"its {machine.axes[a].effort} limit is {drives.peak_current[a]:.3g} {machine.axes[a].effort_unit}; "
+            "raise the limit or lower what it carries"
         )
 
 
-def _check_standing(trace: Trace, names: tuple[str, ...], drives: cascade.Drives) -> None:
+def _check_standing(trace: Trace, machine: Machine, drives: cascade.Drives) -> None:
     """An axis that goes from one current limit to the other and back after its last set point does not stand: its loops are unstable."""
-    for a, name in enumerate(names):
+    for a, (name, effort) in enumerate((axis.name, axis.effort) for axis in machine.axes):
         moving = np.flatnonzero(np.abs(np.diff(trace.get(name, "setpoint"))) > SETPOINT_ROUNDING)
-        after = trace.get(name, "current_setpoint")[moving[-1] + 1 if moving.size else 0 :]
+        after = trace.get(name, "current_setpoint" if effort == "current" else effort)[moving[-1] + 1 if moving.size else 0 :]
         turns = np.diff(np.sign(after[np.abs(after) >= drives.peak_current[a]]))
         if np.count_nonzero(turns) >= SWINGS_AT_REST:
             raise SimulationError(
-                f"axis {name} swings between its current limits although its set point stands still: its loops are unstable; "
+                f"axis {name} swings between its {effort} limits although its set point stands still: its loops are unstable; "
                 "lower its gains or the size of its effects",
                 trace,
             )
@@ -186,7 +202,8 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, reco
     if rng is None:
         noise = np.zeros((0, 0, 0))
     else:
-        noise = rng.standard_normal((ticks, len(noises), 3)) * [[n.position, n.speed, n.current] for n in noises]
+        seen = [n.motor if axis.encoder == "motor" else n.position for n, axis in zip(noises, machine.axes)]
+        noise = rng.standard_normal((ticks, len(noises), 3)) * [[q, n.speed, n.current] for q, n in zip(seen, noises)]
     return loop.Sensing(
         noise=noise,
         recorded=recorded,
@@ -204,5 +221,9 @@ def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: f
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]
         for c, channel in enumerate(loop.RECORDED):
+            if axis.effort != "current" and channel in ("current", "current_setpoint"):
+                continue  # an axis without current: its command, a voltage or the torque
             signals[axis.name, channel] = record[:, a, c]
+        if axis.effort == "voltage":
+            signals[axis.name, axis.effort] = record[:, a, loop.RECORDED.index("current")]
     return Trace(time, signals, machine.kinds)

@@ -18,7 +18,8 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
     for axis in machine.axes:
         trace = run.trace
         error = trace.get(axis.name, "setpoint") - trace.get(axis.name, "position")
-        current, speed = trace.get(axis.name, "current"), trace.get(axis.name, "velocity")
+        effort, speed = trace.get(axis.name, axis.effort), trace.get(axis.name, "velocity")
+        per = axis.effort_unit.lower()
         units = AXIS_UNITS[axis.kind]
         unit, factor = units.error
         speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", deg_from_rad(1.0))
@@ -29,9 +30,11 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
             "speed_max": float(np.abs(speed).max() * speed_factor),
             "speed_unit": speed_unit,
             "speed_limit_used": float(np.abs(speed).max() / axis.max_velocity),
-            "current_max_a": float(np.abs(current).max()),
-            "current_rms_a": float(np.sqrt(np.mean(current**2))),
-            "current_limit_a": axis.motor.peak_current_a,
+            "effort": axis.effort,
+            "effort_unit": axis.effort_unit,
+            f"{axis.effort}_max_{per}": float(np.abs(effort).max()),
+            f"{axis.effort}_rms_{per}": float(np.sqrt(np.mean(effort**2))),
+            f"{axis.effort}_limit_{per}": axis.motor.peak_current_a,
             "current_limited_s": run.current_limited_s[axis.name],
             "voltage_limited_s": run.voltage_limited_s[axis.name],
         }
@@ -42,7 +45,9 @@ def summary_table(summary: dict[str, Any]) -> str:
     """The same as a table for people."""
     rows = []
     for name, a in summary["axes"].items():
-        limits = [f"current {a['current_limited_s'] * 1e3:.1f} ms"] * (a["current_limited_s"] > 0)
+        effort, unit = a["effort"], a["effort_unit"]
+        largest, limit = (a[f"{effort}_{what}_{unit.lower()}"] for what in ("max", "limit"))
+        limits = [f"{effort} {a['current_limited_s'] * 1e3:.1f} ms"] * (a["current_limited_s"] > 0)
         limits += [f"voltage {a['voltage_limited_s'] * 1e3:.1f} ms"] * (a["voltage_limited_s"] > 0)
         limits += ["speed"] * (a["speed_limit_used"] > 1.0)
         rows.append(
@@ -52,12 +57,14 @@ def summary_table(summary: dict[str, Any]) -> str:
                 f"{a['following_error_rms']:.2f} {a['following_error_unit']}",
                 f"{a['speed_max']:.3f} {a['speed_unit']}",
                 f"{a['speed_limit_used'] * 100:.0f} %",
-                f"{a['current_max_a']:.2f} A",
-                f"{a['current_max_a'] / a['current_limit_a'] * 100:.0f} %",
+                f"{largest:.2f} {unit}",
+                f"{largest / limit * 100:.0f} %",
                 ", ".join(limits) or "-",
             ]
         )
-    heading = ["axis", "following error max", "rms", "speed max", "of limit", "current max", "of limit", "limits met"]
+    efforts = {a["effort"] for a in summary["axes"].values()}
+    commanded = f"{efforts.pop()} max" if len(efforts) == 1 else "command max"
+    heading = ["axis", "following error max", "rms", "speed max", "of limit", commanded, "of limit", "limits met"]
     return table(heading, rows)
 
 

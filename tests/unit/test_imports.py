@@ -10,6 +10,7 @@ LAYERS = (
     ("errors", "colours", "compiled", "progress"),
     ("units", "moves", "native"),
     ("machine_keys",),
+    ("machine_axis",),
     ("machine", "trace"),
     ("cascade", "plant", "terms", "setpoints", "kinematics", "poses"),
     ("loop", "program"),

@@ -27,6 +27,7 @@ from twin.trace import Trace
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 REVERSAL_S = 0.06
 SMOOTH_S = 0.025
+_MOTION = ("velocity", "motor_position", "position")
 DRIFT_S = 0.2
 
 
@@ -72,9 +73,9 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine]) -> l
         for name in moving:
             axis = view.machine.axis(name)
             for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
-                if not all(view.trace.has(name, s) for s in ("velocity", "current")):
+                if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in _MOTION):
                     continue
-                if block == "speed controller" and not view.trace.has(name, "velocity_setpoint"):
+                if block == "speed controller" and not all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint")):
                     continue
                 measured, index = law(view, axis, view.trace)
                 expected, _ = law(view, axis, noisy)
@@ -93,7 +94,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     every = max(1, round(machine.position_cycle / trace.period))
     command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
-    current = trace.get(axis.name, "current")[:count]
+    current = trace.get(axis.name, axis.effort)[:count]
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
     predicted = _run_speed_loop(
         drives,
@@ -101,7 +102,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         trace.get(axis.name, "velocity_setpoint")[:count] / axis.ratio,
         np.repeat(command.torque_feedforward[:, 0], every)[:count],
         trace.get(axis.name, "velocity")[:count] / axis.ratio,
-        ticks,
+        (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
     )
     error = current - predicted
     error = error - _moving_mean(error, round(DRIFT_S / trace.period))
@@ -110,8 +111,12 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
 
 
 @compiled
-def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks):  # type: ignore[no-untyped-def]
-    """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated."""
+def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of):  # type: ignore[no-untyped-def]
+    """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated.
+
+    `ticks_of` a sample, a speed cycle, a current cycle.
+    """
+    ticks, speed_ticks, current_ticks = ticks_of
     out = np.empty(len(speed))
     for k in range(len(speed)):
         out[k] = state.current[0]
@@ -120,8 +125,13 @@ def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, sp
         following = speed[min(k + 1, len(speed) - 1)]
         for n in range(ticks):
             w = speed[k] + (following - speed[k]) * n / ticks
-            speed_controller(0, drives, state, w)
-            current_controller(0, drives, state, state.current_setpoint[0], state.current[0])
+            tick = k * ticks + n
+            if tick % speed_ticks == 0:
+                speed_controller(0, drives, state, w)
+            if tick % current_ticks == 0:
+                current_controller(0, drives, state, state.current_setpoint[0], state.current[0])
+            if n == 0 and not drives.current_loop[0]:
+                out[k] = state.current[0]  # a command is recorded when it is given
             winding(0, drives, state, w)
     return out
 
@@ -135,10 +145,15 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
     window = max(7, round(SMOOTH_S / trace.period) | 1)
     if count < 2 * window:
         return np.zeros(0), np.zeros(0, int)
-    speed = trace.get(axis.name, "velocity")[:count]
+    if view.trace.has(axis.name, "velocity"):
+        speed = trace.get(axis.name, "velocity")[:count]
+    else:
+        speed = np.gradient(
+            trace.get(axis.name, next(s for s in ("motor_position", "position") if view.trace.has(axis.name, s)))[:count], trace.period
+        )
     v = savgol_filter(speed, window, 2)
     acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
-    drive = savgol_filter(trace.get(axis.name, "current")[:count], window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    drive = savgol_filter(trace.get(axis.name, axis.effort)[:count], window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
     inertia, bias = _inertia_and_bias(view, axis, a, count)
     force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
     slow = _moving_minimum(np.abs(v), window)
@@ -208,8 +223,8 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
         "motor turn (sin)": np.sin(angle),
         "motor turn (cos)": np.cos(angle),
     }
-    if view.trace.has(name, "current"):
-        regressors["current"] = view.trace.get(name, "current")[index]
+    if view.trace.has(name, axis.effort):
+        regressors["current"] = view.trace.get(name, axis.effort)[index]
     for other in others:
         if other != name and view.moves(other):
             regressors[f"a of {other}"] = view.motion.acceleration[index, view.machine.axis_names.index(other)]

@@ -165,7 +165,7 @@ class _Lines:
         for (run, name), _ in self.channels.items():
             trace = self.group.views[run].trace
             if name == "current":
-                level = max(level, float(np.quantile(np.abs(trace.get(self.axis.name, "current")), 0.9995)))
+                level = max(level, float(np.quantile(np.abs(trace.get(self.axis.name, self.axis.effort)), 0.9995)))
         level = level or 0.3 * self.axis.motor.peak_current_a
         return [share * level for share in CLIPPED]
 

@@ -126,13 +126,19 @@ def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str
         row = []
         for block, signals in BLOCKS_NEED.items():
             place = placed.get((axis, block))
-            seen = any(_moves(run, axis) and all(run.trace.has(axis, s) for s in signals) for run in diagnosis.campaign.runs)
+            seen = any(_moves(run, axis) and _has_all(diagnosis, run, axis, signals) for run in diagnosis.campaign.runs)
             if place:
                 row.append(("place", float(place["share"]), float(place.get("level", 0.0))))
             else:
                 row.append(("healthy" if seen else "unseen", 0.0, 0.0))
         rows.append(row)
     return axes, rows
+
+
+def _has_all(diagnosis: Diagnosis, run: MeasuredRun, axis: str, signals: Sequence[str]) -> bool:
+    """Are these signals recorded? The command of an axis without current loop stands for its current."""
+    effort = diagnosis.machine.axis(axis).effort
+    return all(run.trace.has(axis, effort if s == "current" else s) for s in signals)
 
 
 def _moves(run: MeasuredRun, axis: str) -> bool:

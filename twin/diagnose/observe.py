@@ -2,11 +2,12 @@
 
 Channels cut the loop where the recorded signals allow it, so that a fault shows in its own block:
 
-    controller   speed set point minus Kv (s(t - d) - x) - a_v ds/dt: measured inputs in, measured output compared
+    controller   the control law: measured inputs in, measured output compared (`twin.diagnose.control_law`)
     windup       motor position minus scale where the set point moves: transmission and measurement
     position     scale (the motor encoder where there is no scale), closed loop
     velocity     motor speed, closed loop
-    current      where the set point moves: speed controller, current loop and mechanics, closed loop
+    current      where the set point moves: speed controller, current loop and mechanics, closed loop; of an axis without
+                 current loop its command, a voltage or a torque
 
 At rest the current of an axis that sticks, and the place of a rotor inside a gap, are history and chance.
 Axes that the mass matrix does not couple are looked at apart.
@@ -22,6 +23,7 @@ import mujoco
 import numpy as np
 
 from twin.campaign import MeasuredRun
+from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.gap import is_moving
@@ -31,7 +33,6 @@ from twin.reduced import Motion, ReducedPlant
 from twin.run import simulate
 from twin.setpoints import Setpoints, setpoints_of
 from twin.trace import Trace
-from twin.units import AXIS_UNITS
 
 CHANNELS = ("controller", "windup", "position", "velocity", "current")
 REALISATIONS = 4
@@ -42,9 +43,6 @@ Variant = Callable[[Machine], Machine]
 
 ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
-
-CONTROLLER_FLOOR = 0.01
-"""What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
 
 BREAK_AWAY_S = 0.06
 """Time after break-away in which a position still shows where it was stuck."""
@@ -222,12 +220,9 @@ def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace
-        if measured.has(name, "position") and measured.has(name, "velocity_setpoint"):
-            every = max(1, round(view.machine.position_cycle / measured.period))
-            command, delayed, _ = view.reference(name)
-            following = delayed - trace.get(name, "position")[:count]
-            error = trace.get(name, "velocity_setpoint")[:count] - command - axis.loops.position_gain_per_s * following
-            out[name, "controller"] = error[::every]
+        error = law_error(trace, view, axis)
+        if error is not None:
+            out[name, "controller"] = error
         moving = view.reference(name)[2]
         if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > ENOUGH:
             out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[:count][moving]
@@ -237,8 +232,8 @@ def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[
                 break
         if measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")[:count]
-        if measured.has(name, "current") and moving.sum() > ENOUGH:
-            out[name, "current"] = trace.get(name, "current")[:count][moving]
+        if measured.has(name, axis.effort) and moving.sum() > ENOUGH:
+            out[name, "current"] = trace.get(name, axis.effort)[:count][moving]
     return out
 
 
@@ -332,8 +327,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             residual = values - expected
             if key[1] == "controller":
                 axis = view.machine.axis(key[0])
-                least = CONTROLLER_FLOOR * view.machine.noise(axis).speed or 1e-9
-                sigma = np.full(len(values), max(_rounding(view.trace, axis, "velocity_setpoint") / np.sqrt(12.0), least))
+                sigma = np.full(len(values), law_sigma(view, axis))
                 channels.append(Channel(r, *key, residual, sigma, 1.0))
                 continue
             jitter = np.var([c[key] for c in clean], axis=0, ddof=1)
@@ -396,16 +390,6 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> 
 
 _NOISIER = 5.0
 """A record this much rougher than expected is no longer taken for sensor noise."""
-
-
-def _rounding(trace: Trace, axis: Axis, signal: str) -> float:
-    """Step of the decimal grid on which a recorded signal lies, in SI (0: none seen)."""
-    factor = AXIS_UNITS[axis.kind].speed[1]
-    values = trace.get(axis.name, signal) * factor
-    for digits in range(1, 7):
-        if np.all(np.abs(values * 10**digits - np.rint(values * 10**digits)) < 1e-4):
-            return 10.0**-digits / factor
-    return 0.0
 
 
 def _correlation(normed: np.ndarray) -> float:

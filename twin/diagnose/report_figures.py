@@ -129,13 +129,13 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
             wide = {"linewidth": 4.0, "alpha": 0.35} if name == "measured" else {"linewidth": 1.3}
             ax.plot(time, values[shown], color=colour, label=name, **wide)
         ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
-    signal = _gap_signal(run.trace, axis.name, stretch.block)
+    signal = _gap_signal(run.trace, axis, stretch.block)
     unit, factor = gap_unit(axis, signal)
     noise = sensor_noise(diagnosis.machine, axis, signal) * factor
     parts[-1].axhspan(-2 * noise, 2 * noise, color="#d5dae1", zorder=0, label="noise of the sensor (95 %)")
     for name, colour, trace in series[1:]:
         difference = (run.trace.get(axis.name, signal) - trace.get(axis.name, signal)) * factor
-        if signal == "current":
+        if signal == axis.effort:
             difference = np.where(is_moving(run.trace, axis), difference, np.nan)
         parts[-1].plot(time, difference[shown], color=colour, linewidth=1.3, label=f"measured − {name}")
     parts[-1].set_ylabel(f"gap of {signal.replace('_', ' ')} [{unit}]", fontsize=9)
@@ -157,8 +157,8 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
         panels.append(("following error", "following error"))
     if block in ("transmission", "measurement") and measured.has(axis.name, "position") and measured.has(axis.name, "motor_position"):
         panels.append(("motor − scale", "windup"))
-    elif measured.has(axis.name, "current"):
-        panels.append(("current", "current"))
+    elif measured.has(axis.name, axis.effort):
+        panels.append((axis.effort, axis.effort))
     return panels or [("position", "motor_position" if measured.has(axis.name, "motor_position") else "setpoint")]
 
 
@@ -174,10 +174,10 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
     return trace.get(axis.name, signal) * factor, unit
 
 
-def _gap_signal(measured: Trace, axis: str, block: str) -> str:
+def _gap_signal(measured: Trace, axis: Axis, block: str) -> str:
     """The signal whose gap is drawn: the current where the mechanics are at fault, else the position."""
-    first = ("current",) if block in ("mechanics", "current loop", "speed controller") else ()
-    return next(s for s in (*first, "position", "motor_position", "velocity", "current") if measured.has(axis, s))
+    first = (axis.effort,) if block in ("mechanics", "current loop", "speed controller") else ()
+    return next(s for s in (*first, "position", "motor_position", "velocity", axis.effort) if measured.has(axis.name, s))
 
 
 def _plain(ax: Axes) -> None:

@@ -41,6 +41,19 @@ _AXIS_FIELDS = {
     "viscous_friction": "viscous_friction_nm_s_per_rad",
 }
 
+_OF_MOTOR = ("torque_constant_nm_per_a", "resistance_ohm", "inductance_h")
+
+
+def _has(axis: Axis, quantity: str) -> bool:
+    """Has this axis a quantity that could deviate?"""
+    return {
+        "torque_constant": axis.effort != "torque",
+        "resistance": axis.has_current_loop,
+        "inductance": axis.has_current_loop,
+        "rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0,
+        "moving_mass": axis.moving_mass_kg is not None,
+    }.get(quantity, True)
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -84,9 +97,10 @@ class Nuisance:
         if self.quantity in NORMAL:
             return []
         if self.quantity == "rotor_inertia":
-            return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_and")]
+            return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_")]
         name = _AXIS_FIELDS[self.quantity]
-        return [f"axis.{self.owner}.motor.{name}" if name in table["motor"] else f"axis.{self.owner}.{name}"]
+        part = "motor." if name in _OF_MOTOR else ""
+        return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
 
 
 LEAST_SHARE = 0.01
@@ -116,7 +130,7 @@ def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
     for name in axes:
         axis = machine.axis(name)
         for quantity in _AXIS_FIELDS:
-            if quantity != "moving_mass" or axis.moving_mass_kg is not None:
+            if _has(axis, quantity):
                 found.append(Nuisance(name, quantity))
     if any(machine.axis(name).kind == "rotary" for name in axes):
         found += [Nuisance(body.name, "body") for body in machine.bodies]

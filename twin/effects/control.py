@@ -71,7 +71,7 @@ def speed_gain(change: Change, axis: Axis, factor: float) -> None:
     change.scale(axis, speed_gain_nm_s_per_rad=factor)
 
 
-@effect(block="speed controller", parameters=(_factor(0.3, 10.0, (0.5, 2.2)),))
+@effect(block="speed controller", axes="integral", parameters=(_factor(0.3, 10.0, (0.5, 2.2)),))
 def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     """Integral time of the speed controller off nominal.
 

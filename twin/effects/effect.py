@@ -65,6 +65,8 @@ class Parameter:
 
     def unit(self, axis: Axis) -> str:
         """Unit at this axis."""
+        if self.quantity == "current":
+            return axis.effort_unit
         return QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1]
 
     def usual_range(self, machine: Machine, axis: Axis) -> tuple[float, float]:
@@ -111,6 +113,10 @@ EFFECTS: dict[str, Effect] = {}
 AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     "all": ("any axis", lambda machine, axis: True),
     "linear": ("linear axes", lambda machine, axis: axis.kind == "linear"),
+    "integral": ("axes whose speed controller has an integral part", lambda machine, axis: axis.has_speed_integral),
+    "turning motor": ("axes with a screw or a gear", lambda machine, axis: axis.kind == "rotary" or axis.ratio != 1.0),
+    "transmission": ("axes with a rotor of their own behind a screw or a gear", lambda machine, axis: axis.rotor_inertia_kg_m2 > 0.0),
+    "scale": ("axes with a measuring system at the load", lambda machine, axis: axis.encoder == "scale"),
     "full turn": (
         "rotary axes that turn fully round",
         lambda machine, axis: axis.kind == "rotary" and axis.travel[1] - axis.travel[0] > 6.28,

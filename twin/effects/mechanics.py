@@ -107,6 +107,7 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
 
 @effect(
     block="mechanics",
+    axes="turning motor",
     parameters=(
         Parameter("amplitude_nm", "torque", 0.0, 10.0, (0.04, 0.3), neutral=0.0, logarithmic=True),
         Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True),

@@ -33,6 +33,7 @@ loop closed on the load over a spring swings up by itself below Kv x load, and a
 
 @effect(
     block="transmission",
+    axes="transmission",
     parameters=(
         Parameter(
             "clearance", "length", 0.0, 1e-2,
@@ -65,6 +66,7 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
 
 @effect(
     block="transmission",
+    axes="transmission",
     parameters=(
         Parameter("stiffness", "stiffness", 1e3, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
         Parameter(
@@ -107,6 +109,7 @@ def lead_error(change: Change, axis: Axis, fraction: float) -> None:
 
 @effect(
     block="transmission",
+    axes="turning motor",
     parameters=(
         Parameter(
             "amplitude", "length", 0.0, 1e-3,

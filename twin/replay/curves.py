@@ -72,8 +72,8 @@ def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
     parts: dict[str, np.ndarray] = {}
     if trace.has(axis.name, "torque"):
         parts["motor"] = trace.get(axis.name, "torque")
-    elif trace.has(axis.name, "current"):
-        parts["motor"] = axis.motor.torque_constant_nm_per_a * trace.get(axis.name, "current")
+    elif trace.has(axis.name, axis.effort):
+        parts["motor"] = axis.motor.torque_constant_nm_per_a * trace.get(axis.name, axis.effort)
     for part in ("friction", "gravity", "feedforward"):
         if trace.has(axis.name, f"torque_{part}"):
             parts[part] = trace.get(axis.name, f"torque_{part}")
@@ -88,7 +88,7 @@ def not_recorded(trace: Trace, machine: Machine) -> list[str]:
     for axis in machine.axes:
         if axis.name not in trace.axes:
             continue
-        lacking = [s for s in ("setpoint", "position", "velocity", "velocity_setpoint", "current") if not trace.has(axis.name, s)]
+        lacking = [s for s in ("setpoint", "position", "velocity", "velocity_setpoint", axis.effort) if not trace.has(axis.name, s)]
         lacking += [f"torque_{part}" for part in ("friction", "gravity", "feedforward") if not trace.has(axis.name, f"torque_{part}")]
         if lacking:
             lines.append(f"{axis.name}: {', '.join(lacking)}")
@@ -135,6 +135,8 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, first: bool, a
 
 def _limits(axis: Axis, time: np.ndarray) -> Iterator[Curve]:
     """Current limits as two straight lines."""
+    if axis.effort != "current":
+        return
     ends = time[[0, -1]]
     for sign, word in ((1.0, "upper"), (-1.0, "lower")):
         limit = np.full(2, sign * axis.motor.peak_current_a)

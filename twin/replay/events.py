@@ -73,7 +73,7 @@ def find_events(machine: Machine, trace: Trace, contour_error: np.ndarray | None
 def _limits(axis: Axis, trace: Trace) -> Iterator[Event]:
     speed_unit, per_si = AXIS_UNITS[axis.kind].speed
     checked = (
-        ("current limit", "current", axis.motor.peak_current_a, "A", 1.0),
+        (f"{axis.effort} limit", axis.effort, axis.motor.peak_current_a, axis.effort_unit, 1.0),
         ("speed limit", "velocity", axis.max_velocity, speed_unit, per_si),
     )
     for kind, signal, limit, unit, factor in checked:

@@ -124,11 +124,14 @@ def _axis_responses(machine: Machine, run: Run, add: Any) -> None:
         unit = "um" if axis.kind == "linear" else "arcsec"
         add(f"following_error_max_{axis.name}_{unit}", a["following_error_max"])
         add(f"following_error_rms_{axis.name}_{unit}", a["following_error_rms"])
-        add(f"current_max_{axis.name}_a", a["current_max_a"])
-        add(f"current_rms_{axis.name}_a", a["current_rms_a"])
-        add(f"current_limit_used_{axis.name}", a["current_max_a"] / a["current_limit_a"])
+        effort, unit = axis.effort, axis.effort_unit.lower()
+        largest, rms, limit = (a[f"{effort}_{what}_{unit}"] for what in ("max", "rms", "limit"))
+        add(f"{effort}_max_{axis.name}_{unit}", largest)
+        add(f"{effort}_rms_{axis.name}_{unit}", rms)
+        add(f"{effort}_limit_used_{axis.name}", largest / limit)
         add(f"speed_limit_used_{axis.name}", a["speed_limit_used"])
-        add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * a["current_rms_a"] ** 2)
+        if axis.has_current_loop:
+            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * rms**2)
         error = np.abs(setpoint - run.trace.get(axis.name, "position"))
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
         outside = np.flatnonzero(error[last:] > SETTLED[axis.kind])

@@ -1,0 +1,100 @@
+"""The control law held against what the controller saw: set point and position in, what it made of them out.
+
+Where a speed set point is recorded it is the output of the position controller:
+
+    e = v* - Kv (s(t - d) - q) - a_v ds/dt
+
+Where both controllers are P and the record has a sample at each of their cycles, their command u is the output of both:
+
+    e = u K / Kp - (Kv (s(t - d) - q) + a_v ds/dt - w),    w the speed that they differentiate from q
+
+e in axis units a second; q the measuring system that closes the loop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.machine import Axis
+from twin.trace import Trace
+from twin.units import AXIS_UNITS
+
+if TYPE_CHECKING:
+    from twin.diagnose.observe import RunView
+
+FLOOR = 0.01
+"""What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
+
+SAME_PERIOD = 1e-3
+AT_LIMIT = 0.999
+
+
+def closed_on(trace: Trace, axis: Axis) -> str:
+    """The recorded signal that closes the position loop."""
+    return "motor_position" if axis.encoder == "motor" and trace.has(axis.name, "motor_position") else "position"
+
+
+def law_error(trace: Trace, view: RunView, axis: Axis) -> np.ndarray | None:
+    """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it."""
+    measured, name = view.trace, axis.name
+    signal = closed_on(measured, axis)
+    if not measured.has(name, signal):
+        return None
+    count = len(measured.time)
+    command, delayed, _ = view.reference(name)
+    position = trace.get(name, signal)[:count]
+    wanted = command + axis.loops.position_gain_per_s * (delayed - position)
+    if measured.has(name, "velocity_setpoint"):
+        every = max(1, round(view.machine.position_cycle / measured.period))
+        return (trace.get(name, "velocity_setpoint")[:count] - wanted)[::every]
+    if not _shows_command(view, axis):
+        return None
+    u = trace.get(name, axis.effort)[:count]
+    told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    error = u * told * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - _differentiated(position, view, axis))
+    error[np.abs(u) > AT_LIMIT * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
+    error[: axis.loops.speed_mean_cycles + 1] = 0.0  # and the first ones not where the axis was before
+    return error
+
+
+def law_sigma(view: RunView, axis: Axis) -> float:
+    """What rounding of the record leaves of e (standard deviation)."""
+    noise = view.machine.noise(axis)
+    least = FLOOR * noise.speed or 1e-9
+    if view.trace.has(axis.name, "velocity_setpoint"):
+        return max(_rounding(view.trace, axis) / np.sqrt(12.0), least)
+    # the controller may have seen one count of its encoder more or less than the record holds
+    resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
+    return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
+
+
+def _shows_command(view: RunView, axis: Axis) -> bool:
+    """Is the command recorded at each cycle of two P controllers that differentiate the position?"""
+    machine, period = view.machine, view.trace.period
+    cycles = (machine.speed_cycle, machine.position_cycle)
+    return (
+        not axis.has_speed_integral
+        and axis.loops.speed_mean_cycles > 0
+        and axis.loops.speed_filter_time_s == 0.0
+        and axis.loops.torque_feedforward == 0.0
+        and view.trace.has(axis.name, axis.effort)
+        and all(abs(cycle / period - 1.0) < SAME_PERIOD for cycle in cycles)
+    )
+
+
+def _differentiated(position: np.ndarray, view: RunView, axis: Axis) -> np.ndarray:
+    n = axis.loops.speed_mean_cycles
+    before = np.concatenate([np.full(n, position[0]), position[:-n]])
+    return (position - before) / (n * view.machine.speed_cycle)
+
+
+def _rounding(trace: Trace, axis: Axis) -> float:
+    """Step of the decimal grid on which the recorded speed set point lies, in SI (0: none seen)."""
+    factor = AXIS_UNITS[axis.kind].speed[1]
+    values = trace.get(axis.name, "velocity_setpoint") * factor
+    for digits in range(1, 7):
+        if np.all(np.abs(values * 10**digits - np.rint(values * 10**digits)) < 1e-4):
+            return 10.0**-digits / factor
+    return 0.0
