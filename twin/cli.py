@@ -49,6 +49,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from twin.exam.command import add_exam_arguments, exam_command
     from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
     from twin.readers import add_import_arguments, import_command
     from twin.regress import add_regress_arguments, regress_command
@@ -115,6 +116,9 @@ def build_parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
     diagnose.add_argument("--quick", action="store_true", help="fewer candidates, one look: an answer in seconds")
     diagnose.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
+
+    exam = add("exam", exam_command, "diagnose sealed campaigns of a second plant, open the seals, score")
+    add_exam_arguments(exam)
 
     cut = add("cut", cut_command, "cut the part along the followed tool path: where the mark is and how deep")
     add_cut_arguments(cut)

@@ -62,6 +62,11 @@ def is_scaled(parameter: Parameter) -> bool:
     return parameter.neutral is not None and math.isfinite(parameter.neutral)
 
 
+def is_spring(effect: Effect) -> bool:
+    """True where the size is a stiffness: what the effect does is about in proportion to 1 / stiffness."""
+    return size_parameter(effect).name == "stiffness"
+
+
 def starts_of(group: Group, machine: Machine, residual: np.ndarray) -> list[Start]:
     """All starts of all effects on the axes of a group; `residual` (row,) weighted, for the spectra."""
     starts = []
@@ -266,6 +271,15 @@ def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:
         if len(chosen) == PEAKS:
             break
     return chosen or [float(values[int(np.argmax(power))])]
+
+
+def softened(start: Start, machine: Machine, share: float) -> Setting:
+    """The setting of a spring that gives `share` as much as the start's; what else is fitted to a stiffness follows it."""
+    first = start.settings[0]
+    fitted = {p.name for p in start.effect.parameters if p.fitted is not None}
+    values = {name: value for name, value in first.parameters.items() if name not in fitted}
+    values["stiffness"] /= share
+    return _start(start.effect, machine, machine.axis(first.axis), first.from_axis, values).settings[0]
 
 
 def combine(start: Start, sizes: Sequence[float]) -> Setting:

@@ -20,7 +20,7 @@ from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, settings_of, with_effects
 from twin.errors import InputError
-from twin.gap import COMPARED, Prediction, SignalGap, gap_of, predict_campaign
+from twin.gap import COMPARED, REALISATIONS, Prediction, SignalGap, gap_of, predict_campaign
 from twin.machine import Machine
 from twin.setpoints import check_travel, setpoints_of
 
@@ -419,7 +419,8 @@ def _held_out_gaps(
     campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool
 ) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
-    before = predict_campaign(machine, campaign.runs, realisations=2)
+    realisations = 2 if quick else REALISATIONS
+    before = predict_campaign(machine, campaign.runs, realisations=realisations)
     predictions: dict[str, dict[str, Prediction]] = {"before": before, "after": {}}
     gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]] = {"before": {}, "after": {}}
     for run in campaign.runs:
@@ -437,7 +438,7 @@ def _held_out_gaps(
             most = WIDEST * machine.parameter_tolerance
             variant = tuned(f.tuning.nuisances, np.clip(deviations, -most, most))(variant)
         runs: list[MeasuredRun] = [campaign.runs[i] for i in fold]
-        after = predict_campaign(with_added(variant, settings), runs, realisations=1 if quick else 2)
+        after = predict_campaign(with_added(variant, settings), runs, realisations=1 if quick else realisations)
         if quick:  # one realisation has no scatter of its own
             after = {name: replace(prediction, scatter=before[name].scatter) for name, prediction in after.items()}
         predictions["after"] |= after

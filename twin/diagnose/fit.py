@@ -22,10 +22,16 @@ from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine import Axis, Machine
 
 STEPS = 4
 """Gauss-Newton steps at most."""
+
+RUN_S = 15.0
+"""Length of a run for which a frequency is known to a part of a wave."""
+
+IN_STEP = 0.5
+"""A step of 1 shifts the far end of a wave by this many waves at most; slopes are taken over a tenth of it."""
 
 CONVERGED = 0.02
 """A step that lowers the loss by less than this (in units of a likelihood) is the last."""
@@ -69,13 +75,26 @@ def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]
             low, high = p.usual_range(machine, axis)
             by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.name == "factor")
             if by_ratio:
-                free.append(Free(i, p, True, 0.15))
+                free.append(Free(i, p, True, min(0.15, IN_STEP / _waves(setting, p, axis))))
             elif p.periodic:
                 free.append(Free(i, p, False, 0.3))
             else:
                 span = high - low if math.isfinite(high - low) and high > low else abs(value) or 1.0
                 free.append(Free(i, p, False, 0.2 * span if not is_scaled(p) else max(0.1 * span, 1e-12)))
     return free
+
+
+def _waves(setting: Setting, parameter: Parameter, axis: Axis) -> float:
+    """How often a wave repeats over a run: a step that shifts its far end by more than part of a wave has no slope."""
+    value = setting.parameters[parameter.name]
+    low, high = axis.travel
+    reach = min(high - low, 2.0 * math.pi if axis.kind == "rotary" else math.inf)
+    repeats = {
+        ("periodic_disturbance", "frequency_hz"): value * RUN_S,
+        ("torque_ripple", "periods_per_rev"): value * reach / (2.0 * math.pi * axis.ratio),
+        ("position_dependent_friction", "wavelength"): reach / max(value, 1e-9),
+    }
+    return max(repeats.get((setting.effect.name, parameter.name), 0.0), 1e-9)
 
 
 @dataclass

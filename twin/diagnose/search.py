@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, combine, is_scaled, size_parameter, starts_of
+from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import Fit, answer, fit_effects, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL
@@ -41,7 +41,7 @@ are of a model that is not right, and stand for nothing."""
 NEAR_NOISE = 0.02
 """Excess over noise up to which a residual counts as noise, and evidence alone decides."""
 
-IMPERFECT = 1e-3
+IMPERFECT = 4e-3
 """Share of what noise makes that imperfections without a law (cogging, a little Stribeck) may imitate."""
 
 STANDS_OUT = 1.3
@@ -55,6 +55,9 @@ QUIET = 1.2
 
 PRICE = 2.0
 """Log likelihood that each further free parameter costs."""
+
+SOFTENED = (0.05, 2.0)
+"""How much less or more than its start a spring may give in screening."""
 
 SMALLEST, LARGEST = 0.12, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
@@ -240,6 +243,9 @@ def _screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -
     with_target = np.array([tuning.product(c, target) for c in columns])
     if not np.all(np.isfinite(inner)) or not np.all(np.diag(inner) > 1e-9):
         return None
+    if is_spring(start.effect):
+        share = float(np.clip(with_target[0] / inner[0, 0], *SOFTENED))
+        return share * float(with_target[0] - 0.5 * share * inner[0, 0]), softened(start, found.group.views[0].machine, share)
     if not is_scaled(size):
         return float(with_target[0] - 0.5 * inner[0, 0]), setting
     sizes = np.linalg.solve(inner + 1e-12 * np.eye(len(inner)), with_target)

@@ -5,6 +5,7 @@ Only checks and the examination use this; diagnosis never reads a truth.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 import tomllib
 from typing import Any
@@ -23,9 +24,9 @@ _AXIS_KEYS = {
 }
 
 
-def true_machine(machine: Machine, truth: str | Path) -> Machine:
-    """The machine with the factors on its parameters and the effects that a `truth.toml` lists."""
-    document = tomllib.loads(Path(truth).read_text(encoding="utf-8"))
+def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Machine:
+    """The machine with the factors on its parameters and the effects that a `truth.toml` lists (its path or its content)."""
+    document = truth if isinstance(truth, Mapping) else tomllib.loads(Path(truth).read_text(encoding="utf-8"))
     values: dict[str, Any] = {}
     for axis, factors in document.get("parameter", {}).items():
         if axis == "bodies":

@@ -1,0 +1,116 @@
+"""Three simpler methods on the same campaign, to see what the diagnosis adds.
+
+    re-tuning           no effect is known: "none" where re-tuning within the tolerance leaves noise, else "unknown"
+    nearest signature   the start of any effect whose simulated answer lies nearest in direction to the nominal twin's
+                        residual, the toleranced parameters taken as exactly nominal
+    sparse regression   the force residual (current times torque constant, measured minus nominal twin) of each axis regressed
+                        on the textbook terms of mechanics, one at a time by orthogonal matching pursuit; the first one is named
+
+Each answers {"verdict": ..., "effect": ..., "axis": ...}.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.observe import Channel, Group
+from twin.diagnose.search import Found, expected_loss
+
+NOTICED = 0.12
+"""Excess of the mean square over noise from which these methods say that something is there."""
+
+NOTHING: dict[str, Any] = {"verdict": "none", "effect": None, "axis": None}
+
+
+def baselines_of(found: Sequence[Found]) -> dict[str, dict[str, Any]]:
+    """Answer of each method by its name."""
+    return {"re-tuning": _retuning(found), "nearest signature": _nearest(found), "sparse regression": _sparse(found)}
+
+
+def _retuning(found: Sequence[Found]) -> dict[str, Any]:
+    left = any(f.retuned.loss > (1.0 + NOTICED) * expected_loss(f.group) for f in found)
+    return {**NOTHING, "verdict": "unknown" if left else "none"}
+
+
+def _shows(f: Found) -> bool:
+    return 0.5 * float(f.rigid.residual @ f.rigid.residual) > (1.0 + NOTICED) * expected_loss(f.rigid)
+
+
+def _nearest(found: Sequence[Found]) -> dict[str, Any]:
+    best, said = 0.0, NOTHING
+    for f in found:
+        if not _shows(f):
+            continue
+        residual = f.rigid.residual
+        for key, (answer, _) in f.answers.items():
+            square = float(answer @ answer)
+            explained = float(answer @ residual) ** 2 / square if square > 1e-9 else 0.0
+            if explained > best:
+                start = ast.literal_eval(key)
+                best, said = explained, {"verdict": "effect", "effect": start["name"], "axis": start["axis"]}
+    return said
+
+
+def _sparse(found: Sequence[Found]) -> dict[str, Any]:
+    best, said = 0.0, NOTHING
+    for f in found:
+        for axis in f.group.axes:
+            channels = [c for c in f.rigid.channels if c.axis == axis and c.name == "current"]
+            if not channels or not _shows(f):
+                continue
+            residual = np.concatenate([c.residual / c.sigma for c in channels])
+            if float(np.mean(residual**2)) < 1.0 + NOTICED:
+                continue
+            for effect, terms in _terms(f.rigid, channels).items():
+                columns = terms / np.concatenate([c.sigma for c in channels])[:, None]
+                closed = float(residual @ columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])
+                if closed > best:
+                    best, said = closed, {"verdict": "effect", "effect": effect, "axis": axis}
+    return said
+
+
+def _terms(group: Group, channels: Sequence[Channel]) -> dict[str, np.ndarray]:
+    """Candidate terms (sample, columns) of the force residual of one axis, by the effect that they stand for."""
+    parts: list[dict[str, np.ndarray]] = []
+    for c in channels:
+        view = group.views[c.run]
+        moving = view.reference(c.axis)[2]
+        a = view.machine.axis_names.index(c.axis)
+        axis = view.machine.axis(c.axis)
+        count = len(view.trace.time)
+        q, v, acceleration = (m[:count, a][moving] for m in (view.motion.position, view.motion.speed, view.motion.acceleration))
+        slow = 4e-3 if axis.kind == "linear" else math.radians(4.0)
+        current = view.trace.get(c.axis, "current")[moving]
+        turn = q / axis.ratio
+        row = {
+            "coulomb_friction": np.sign(v)[:, None],
+            "viscous_friction": v[:, None],
+            "viscous_asymmetry": np.abs(v)[:, None],
+            "inertia": acceleration[:, None],
+            "constant_force": np.ones((len(v), 1)),
+            "stribeck": (np.sign(v) * np.exp(-np.abs(v) / slow))[:, None],
+            "torque_constant": current[:, None],
+        }
+        for n in range(4, 13):
+            row[f"torque_ripple {n}"] = np.stack([np.sin(n * turn), np.cos(n * turn)], axis=1)
+        for b, other in enumerate(view.machine.axes):
+            if other.kind == "linear" and axis.kind == "linear" and b != a:
+                row[f"cross_axis_coupling {other.name}"] = view.motion.acceleration[:count, b][moving][:, None]
+        parts.append(row)
+    stacked = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    best: dict[str, np.ndarray] = {}
+    residual = np.concatenate([c.residual for c in channels])
+    for name, columns in stacked.items():  # one order, one source: the one that fits best
+        effect = name.split()[0]
+        if effect not in best or _closed(columns, residual) > _closed(best[effect], residual):
+            best[effect] = columns
+    return best
+
+
+def _closed(columns: np.ndarray, residual: np.ndarray) -> float:
+    return float(residual @ columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])

@@ -1,0 +1,44 @@
+"""The process that is examined: one campaign and one machine file in, one diagnosis out. It is told nothing else.
+
+    python -m twin.exam.candidate CAMPAIGN MACHINE OUT [--quick]
+
+Writes diagnosis.json and machine.toml as `twin diagnose` does, and baselines.json: what simpler methods say of the same campaign.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import sys
+
+from twin.campaign import read_campaign
+from twin.diagnose import diagnose
+from twin.errors import TwinError
+from twin.machine import load_machine, write_machine
+
+from .baselines import baselines_of
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m twin.exam.candidate", description="diagnose one campaign of an examination")
+    parser.add_argument("campaign", type=Path)
+    parser.add_argument("machine", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    try:
+        machine = load_machine(given.machine)
+        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick)
+    except TwinError as error:
+        print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    given.out.mkdir(parents=True, exist_ok=True)
+    write_machine(diagnosis.corrected, given.out / "machine.toml")
+    (given.out / "baselines.json").write_text(json.dumps(baselines_of(diagnosis.found), indent=1) + "\n", encoding="utf-8")
+    (given.out / "diagnosis.json").write_text(json.dumps(diagnosis.document(), indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""What an examination asks: the list of cases, by stratum, from a seed. The answer to a question is drawn later, by `draw`.
+
+usual             one effect of usual size, every effect of the library in turn
+a fifth           one effect of a fifth of that size
+scale and current one effect, only set point, scale and current recorded
+programs only     one effect, three part programs and no test run
+two, three        effects at once
+healthy           no effect
+outside           one effect that the library does not have
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .effects import LIBRARY
+from .outside import OUTSIDE
+from .parameters import Richness
+
+RICHNESS = {"off": Richness.off(), "small": Richness.small(), "full": Richness()}
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """A kind of case: how it is drawn, and its share of an examination."""
+
+    name: str
+    kind: str
+    share: float
+    scale: float = 1.0
+    signals: str = "full"
+    runs: str = "all"
+
+
+STRATA = (
+    Stratum("usual", "single", 29 / 100),
+    Stratum("a fifth", "single", 17 / 100, scale=0.2),
+    Stratum("scale and current", "single", 10 / 100, signals="scale and current"),
+    Stratum("programs only", "single", 9 / 100, runs="program"),
+    Stratum("two", "pair", 10 / 100),
+    Stratum("three", "triple", 2 / 100),
+    Stratum("healthy", "healthy", 13 / 100),
+    Stratum("outside", "outside", 10 / 100),
+)
+
+
+@dataclass(frozen=True)
+class Question:
+    """One case to be drawn: its number, stratum, seed, and what is fixed about it."""
+
+    number: int
+    stratum: Stratum
+    seed: int
+    effect: str | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.number:04d}"
+
+
+def questions_of(seed: int, cases: int) -> list[Question]:
+    """`cases` questions: strata by their shares, effects of a stratum in a shuffled round, order shuffled."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 50]))
+    chosen = [(stratum, effect) for stratum, count in zip(STRATA, _counts(cases)) for effect in _effects(stratum, count, rng)]
+    order = rng.permutation(len(chosen))
+    seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
+    return [Question(i, chosen[k][0], int(seeds[i]), chosen[k][1]) for i, k in enumerate(order)]
+
+
+def _counts(cases: int) -> list[int]:
+    """Cases of each stratum: largest remainders."""
+    exact = np.array([s.share for s in STRATA]) / sum(s.share for s in STRATA) * cases
+    counts = np.floor(exact).astype(int)
+    for k in np.argsort(counts - exact)[: cases - counts.sum()]:
+        counts[k] += 1
+    return counts.tolist()
+
+
+def _effects(stratum: Stratum, count: int, rng: np.random.Generator) -> list[str | None]:
+    """Every effect once before any comes again; None where several are drawn together or none is."""
+    library = {"single": LIBRARY, "outside": OUTSIDE}.get(stratum.kind)
+    if library is None:
+        return [None] * count
+    names: list[str | None] = []
+    while len(names) < count:
+        names += [str(n) for n in rng.permutation(list(library))]
+    return names[:count]

@@ -1,0 +1,210 @@
+"""The report of an examination: the score against its targets, pictures, and every case that went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
+from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
+
+from .score import label_of
+
+Document = Mapping[str, Any]
+
+
+def write_exam_report(document: Document, path: Path) -> None:
+    """Write the page."""
+    s = document["score"]
+    usual = next((t for t in s["targets"] if t["what"].startswith("first named right") and "value" in t), None)
+    lead = f"{s['cases']} machines with sealed faults, drawn on a second plant and diagnosed by a process that saw only their traces. " + (
+        f"The effect and its axis were named first in {usual['right']} of {usual['of']} cases of usual size." if usual else ""
+    )
+    write_page(path, "Examination of the diagnosis", lead, sections_of(document))
+
+
+def sections_of(document: Document) -> list[Section]:
+    """Every section that has something to show."""
+    s, marks = document["score"], [m for m in document["marks"] if "failed" not in m]
+    same = s["same_parameters"]
+    sections = [
+        Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])]),
+        Section(
+            "Against simpler methods",
+            ["First-named right by kind of case. Re-tuning knows no effect; the nearest signature compares directions without "
+             "re-tuning; sparse regression sees forces alone."],
+            figures=[_baselines(s["strata"])],
+        ),
+        Section("What was taken for what", figures=[_confusion(s["confusion"])]),
+    ]  # fmt: skip
+    if any(len(m["true"]) == 1 for m in marks):
+        sections.append(
+            Section(
+                "How small an effect is found",
+                [
+                    "Size over noise: what the effect alone changes on its axis, RMS over signals and runs, in multiples of what noise makes."
+                ],
+                figures=[_detection(marks)],
+            )
+        )
+    sections.append(Section("How far the gap shrinks", figures=[_gaps(marks)]))
+    if s["calibration"]:
+        sections.append(Section("Whether a probability can be believed", figures=[_calibration(s["calibration"])]))
+    wrong = [m for m in document["marks"] if "failed" in m or not m["exact"]]
+    sections.append(
+        Section("Cases that are not exactly right", tables=[_wrong(wrong)] if wrong else [], paragraphs=[] if wrong else ["None."])
+    )
+    level = (
+        "" if same["level"] is None else f" With the same parameters twin and plant differ by {same['level']:.2f} times the noise (RMS): "
+    )
+    level += ", ".join(f"{axis} {value:.3g}" for axis, value in same["position_rms"].items()) + (" um or arcsec." if level else "")
+    sections.append(
+        Section(
+            "How it was sealed",
+            [
+                f"Seed {document['seed']}, richness {document['richness']}. The SHA-256 of all truths, told before the first diagnosis: "
+                f"{document['seal']}. The truths stayed in the memory of the examining process until all answers were written." + level
+            ],
+        )
+    )
+    return sections
+
+
+def _asked(targets: Sequence[Document]) -> list[Document]:
+    return [t for t in targets if "value" in t]
+
+
+def _target_table(targets: Sequence[Document]) -> Table:
+    from .command import target_text
+
+    rows = []
+    for t in targets:
+        value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
+        interval = f"{t['low']:.0%} to {t['high']:.0%}" if "low" in t else ""
+        share = f"{t['value']:.0%}" if "right" in t else ""
+        rows.append([t["what"], value, share, interval, target_text(t["target"]), {True: "met", False: "missed", None: ""}[t["met"]]])
+    missed = frozenset(i for i, t in enumerate(targets) if t["met"] is False)
+    return Table(["", "measured", "share", "95 % interval", "target", ""], rows, marked=missed)
+
+
+def _targets(targets: Sequence[Document]) -> Figure:
+    shares = [t for t in _asked(targets) if "right" in t]
+    figure, panels = new_figure(1, 1, height=0.36 * max(len(shares), 1) + 0.9)
+    ax = panels[0, 0]
+    for i, t in enumerate(reversed(shares)):
+        colour = GREEN if t["met"] else RED
+        ax.plot([t["low"], t["high"]], [i, i], color=colour, linewidth=5, alpha=0.35, solid_capstyle="butt")
+        ax.plot(t["value"], i, "o", color=colour, markersize=7)
+        for edge in t["target"] if isinstance(t["target"], (list, tuple)) else [t["target"]]:
+            ax.plot([edge, edge], [i - 0.35, i + 0.35], color="#1c2430", linewidth=1.6)
+    ax.set_yticks(range(len(shares)), [t["what"] for t in reversed(shares)])
+    ax.set_xlim(0, 1.02)
+    ax.set_xlabel("share of cases")
+    return Figure(figure_svg(figure), "Dot: measured. Band: 95 % interval of a share (Wilson). Black stroke: target.")
+
+
+def _baselines(strata: Document) -> Figure:
+    names = list(strata)
+    methods = next((list(r["baselines"]) for r in strata.values() if r["baselines"]), [])
+    figure, panels = new_figure(1, 1, height=2.9)
+    ax = panels[0, 0]
+    width = 0.8 / (len(methods) + 1)
+    for k, (label, colour) in enumerate(zip(["diagnosis", *methods], [BLUE, SOFT, AMBER, "#b9a6d3"])):
+        values = [(r["first"] if k == 0 else r["baselines"].get(label, 0)) / max(r["cases"], 1) for r in strata.values()]
+        ax.bar(np.arange(len(names)) + (k - len(methods) / 2) * width, values, width, color=colour, label=label)
+    ax.set_xticks(range(len(names)), [f"{n}\n({r['cases']})" for n, r in strata.items()])
+    ax.set_ylim(0, 1.05)
+    ax.set_ylabel("first-named right")
+    ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return Figure(
+        figure_svg(figure),
+        "Share first-named right; in brackets the number of cases. For healthy machines and faults outside the library: the verdict.",
+    )
+
+
+def _confusion(table: Document) -> Figure:
+    true = list(table)
+    said = sorted({s for row in table.values() for s in row}, key=lambda s: (s not in true, true.index(s) if s in true else 0, s))
+    counts = np.array([[table[t].get(s, 0) for s in said] for t in true], dtype=float)
+    figure, panels = new_figure(1, 1, height=0.235 * len(true) + 2.2, width=11.5)
+    ax = panels[0, 0]
+    ax.grid(False)
+    ax.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1.3, aspect="auto")
+    for i, j in zip(*np.nonzero(counts)):
+        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color="#1c2430" if said[j] == true[i] else RED)
+    ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
+    ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
+    ax.set_xlabel("said first")
+    ax.set_ylabel("was there")
+    return Figure(
+        figure_svg(figure),
+        "Single effects, healthy machines and faults outside the library; cases by what was there and what was said first.",
+    )
+
+
+def _detection(marks: Sequence[Document]) -> Figure:
+    single = [m for m in marks if len(m["true"]) == 1]
+    names = sorted({label_of(m) for m in single}, reverse=True)
+    figure, panels = new_figure(1, 1, height=0.22 * len(names) + 1.0)
+    ax = panels[0, 0]
+    for good, colour, marker, text in ((True, GREEN, "o", "exactly right"), (False, RED, "x", "not exactly right")):
+        rows = [m for m in single if m["exact"] == good]
+        ax.plot([max(m["gap"]["size"], 1e-2) for m in rows], [names.index(label_of(m)) for m in rows], marker, color=colour, label=text)
+    ax.set_xscale("log")
+    ax.axvline(1.0, color=SOFT, linewidth=1)
+    ax.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=8)
+    ax.set_xlabel("size over noise")
+    ax.legend(loc="lower right")
+    return Figure(figure_svg(figure), "Every single effect by its size over noise; at the line it moves the signals as much as noise does.")
+
+
+def _gaps(marks: Sequence[Document]) -> Figure:
+    rows = sorted((m["gap"] for m in marks if m["true"]), key=lambda g: g["before"])
+    figure, panels = new_figure(1, 1, height=2.8)
+    ax = panels[0, 0]
+    for key, colour, marker in (("before", RED, "o"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
+        ax.plot(
+            [i for i, g in enumerate(rows) if key in g], [g[key] for g in rows if key in g], marker, color=colour, markersize=5, label=key
+        )
+    ax.set_yscale("log")
+    ax.axhline(1.0, color="#1c2430", linewidth=1)
+    ax.set_xlabel("cases with effects, by the gap of the nominal machine")
+    ax.set_ylabel("gap over noise")
+    ax.legend(ncols=3, loc="upper left")
+    text = "Gap on runs that only the examination knows. Before: machine file. After: corrected machine. Floor: the true parameters and effects in the twin."
+    return Figure(figure_svg(figure), text)
+
+
+def _calibration(bins: Sequence[Document]) -> Figure:
+    figure, panels = new_figure(1, 1, width=5.0, height=3.2)
+    ax = panels[0, 0]
+    ax.plot([0, 1], [0, 1], color=SOFT, linewidth=1)
+    for b in bins:
+        ax.plot([b["said"], b["said"]], [b["low"], b["high"]], color=BLUE, linewidth=3, alpha=0.3)
+        ax.plot(b["said"], b["value"], "o", color=BLUE)
+        ax.annotate(str(b["of"]), (b["said"], b["value"]), textcoords="offset points", xytext=(-14, -3), fontsize=8)
+    ax.set_xlabel("probability told")
+    ax.set_ylabel("share that was there")
+    ax.set_xlim(0, 1.02)
+    ax.set_ylim(0, 1.05)
+    return Figure(
+        figure_svg(figure),
+        "Effects named, by the probability told with them; numbers: how many. On the line a probability means what it says.",
+    )
+
+
+def _wrong(marks: Sequence[Document]) -> Table:
+    rows = []
+    for m in marks:
+        there = ", ".join(f"{n} {a}" for n, a in m["true"]) or ", ".join(f"{n} {a} ({b})" for n, a, b in m["outside"]) or "nothing"
+        if "failed" in m:
+            rows.append([m["case"], m["stratum"], there, f"not diagnosed: {m['failed']}", ""])
+            continue
+        named = ", ".join(f"{n} {a}" for n, a in m["named"])
+        said = f"{m['verdict']}{': ' + named if named else ''}"
+        size = f"{m['gap']['size']:.2g}" if "size" in m["gap"] else ""
+        rows.append([m["case"], m["stratum"], there, said, size])
+    return Table(["case", "stratum", "was there", "was said", "size over noise"], rows, left=4)

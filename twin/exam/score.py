@@ -1,0 +1,214 @@
+"""The score of an examination: shares with their intervals, targets, confusion, calibration, detection limits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+
+Mark = Mapping[str, Any]
+
+TARGETS = (
+    # what, stratum, least (or "at most" where negative)
+    ("first named right, usual size", 0.95),
+    ("exactly right, usual size", 0.90),
+    ("exactly right, a fifth of usual size", 0.85),
+    ("right or rightly ambiguous, scale and current only", 0.80),
+    ("right or rightly ambiguous, programs only", 0.80),
+    ("both right, two effects", 0.75),
+    ("healthy recognised", 0.98),
+    ("outside the library recognised", 0.75),
+    ("median parameter error", -0.06),
+    ("intervals cover the truth", (0.88, 0.99)),
+    ("gap after over floor, median", -1.3),
+    ("Brier score", -0.08),
+)
+
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if trials == 0:
+        return 0.0, 1.0
+    z, p = 1.96, successes / trials
+    middle, half = p + z * z / (2 * trials), z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials**2))
+    return (middle - half) / (1 + z * z / trials), (middle + half) / (1 + z * z / trials)
+
+
+def score(marks: Sequence[Mark]) -> dict[str, Any]:
+    """Everything that `exam.json` says beside the marks themselves."""
+    told = [m for m in marks if "failed" not in m]
+    of = {name: [m for m in told if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
+    lost = {name: sum(m["stratum"] == name and "failed" in m for m in marks) for name in of}
+
+    def share(stratum: str, key: str) -> dict[str, Any] | None:
+        """A case that could not be diagnosed counts as wrong."""
+        rows = of.get(stratum, [])
+        n = len(rows) + lost.get(stratum, 0)
+        return _share(sum(m[key] for m in rows), n) if n else None
+
+    parameters = [p for m in told for p in m["parameters"]]
+    ratios = [m["gap"]["after"] / m["gap"]["floor"] for m in told if m["true"] and "floor" in m["gap"]]
+    probabilities = [(p, right) for m in told for p, right in m["probabilities"]]
+    values: dict[str, Any] = {
+        "first named right, usual size": share("usual", "first"),
+        "exactly right, usual size": share("usual", "exact"),
+        "exactly right, a fifth of usual size": share("a fifth", "exact"),
+        "right or rightly ambiguous, scale and current only": share("scale and current", "first_or_ambiguous"),
+        "right or rightly ambiguous, programs only": share("programs only", "first_or_ambiguous"),
+        "both right, two effects": share("two", "exact"),
+        "healthy recognised": share("healthy", "exact"),
+        "outside the library recognised": share("outside", "exact"),
+        "median parameter error": {"value": float(np.median([p["error"] for p in parameters])), "of": len(parameters)}
+        if parameters
+        else None,
+        "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
+        "gap after over floor, median": {"value": float(np.median(ratios)), "of": len(ratios)} if ratios else None,
+        "Brier score": {"value": float(np.mean([(p - right) ** 2 for p, right in probabilities])), "of": len(probabilities)}
+        if probabilities
+        else None,
+    }
+    return {
+        "cases": len(marks),
+        "failed": len(marks) - len(told),
+        "targets": [
+            {"what": what, "target": target, **(values[what] or {}), "met": _met(values[what], target)} for what, target in TARGETS
+        ],
+        "strata": {
+            name: {
+                "cases": len(rows) + lost[name],
+                **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")},
+                "baselines": {b: sum(m["baselines"][b]["first"] for m in rows) for b in (rows[0]["baselines"] if rows else ())},
+            }
+            for name, rows in of.items()
+        },
+        "macro_f1": macro_f1(told),
+        "confusion": confusion(told),
+        "calibration": calibration(probabilities),
+        "by_size": by_size(told),
+        "detection": detection(told),
+        "gap": _gaps(told),
+        "same_parameters": _same_parameters(told),
+    }
+
+
+def _share(successes: int, trials: int) -> dict[str, Any]:
+    low, high = wilson(successes, trials)
+    return {"value": successes / trials, "right": int(successes), "of": trials, "low": low, "high": high}
+
+
+def _met(value: Mapping[str, Any] | None, target: float | tuple[float, float]) -> bool | None:
+    if value is None:
+        return None
+    v = value["value"]
+    if isinstance(target, tuple):
+        return bool(target[0] <= v <= target[1])
+    return bool(v <= -target) if target < 0 else bool(v >= target)
+
+
+def label_of(m: Mark) -> str:
+    """What there was, in a word."""
+    return "outside the library" if m["outside"] else m["true"][0][0] if m["true"] else "none"
+
+
+def answer_of(m: Mark) -> str:
+    """What was said, in a word: on another axis it is no right answer."""
+    if m["verdict"] == "none":
+        return "none"
+    if not m["named"] or (m["outside"] and m["verdict"] == "unknown"):
+        return "outside the library" if m["verdict"] == "unknown" else "none"
+    name, axis = m["named"][0]
+    same = any(t[0] == name for t in m["true"])
+    return name if [name, axis] in m["true"] or not same else f"{name}, other axis"
+
+
+def _one_each(marks: Iterable[Mark]) -> list[Mark]:
+    return [m for m in marks if len(m["true"]) <= 1]
+
+
+def macro_f1(marks: Sequence[Mark]) -> float:
+    """Mean over what there was (each effect, none, outside the library) of 2 tp / (2 tp + fp + fn)."""
+    pairs = [(label_of(m), answer_of(m)) for m in _one_each(marks)]
+    labels = sorted({true for true, _ in pairs})
+    scores = []
+    for label in labels:
+        hit = sum(t == s == label for t, s in pairs)
+        wrong = sum((t == label) != (s == label) for t, s in pairs)
+        scores.append(2 * hit / (2 * hit + wrong))
+    return float(np.mean(scores)) if scores else 0.0
+
+
+def confusion(marks: Sequence[Mark]) -> dict[str, dict[str, int]]:
+    """What there was -> what was said -> how often."""
+    table: dict[str, Counter[str]] = {}
+    for m in _one_each(marks):
+        table.setdefault(label_of(m), Counter())[answer_of(m)] += 1
+    return {true: dict(said.most_common()) for true, said in sorted(table.items())}
+
+
+def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
+    """Of the effects named with a probability in each bin, the share that was there."""
+    rows = []
+    for low, high in itertools.pairwise(BINS):
+        inside = [(p, right) for p, right in probabilities if low <= p < high or (high == 1.0 and p == 1.0)]
+        if inside:
+            said = float(np.mean([p for p, _ in inside]))
+            rows.append({"said": said, **_share(sum(right for _, right in inside), len(inside))})
+    return rows
+
+
+def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
+    """Share exactly right of single effects over how far they stand out of the noise."""
+    rows = []
+    edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
+    single = [m for m in marks if len(m["true"]) == 1]
+    for low, high in itertools.pairwise(edges):
+        inside = [m for m in single if low <= m["gap"]["size"] < high]
+        if inside:
+            rows.append({"from": low, "to": high if math.isfinite(high) else None, **_share(sum(m["exact"] for m in inside), len(inside))})
+    return rows
+
+
+def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
+    """Of each effect: the smallest size over noise that was exactly right, and the largest that was not."""
+    out: dict[str, dict[str, Any]] = {}
+    for m in marks:
+        if len(m["true"]) == 1:
+            row = out.setdefault(m["true"][0][0], {"cases": 0, "right": 0, "smallest_right": None, "largest_missed": None})
+            size = m["gap"]["size"]
+            row["cases"] += 1
+            row["right"] += m["exact"]
+            key, better = ("smallest_right", min) if m["exact"] else ("largest_missed", max)
+            row[key] = size if row[key] is None else better(row[key], size)
+    return dict(sorted(out.items()))
+
+
+def _gaps(marks: Sequence[Mark]) -> dict[str, Any]:
+    with_effect = [m["gap"] for m in marks if m["true"] and "floor" in m["gap"]]
+
+    def median(pick: Callable[[Mapping[str, float]], float]) -> float | None:
+        return float(np.median([pick(g) for g in with_effect])) if with_effect else None
+
+    return {
+        "unit": "multiples of what noise alone makes, on the exam's own runs; medians over cases with effects",
+        "before": median(lambda g: g["before"]),
+        "after": median(lambda g: g["after"]),
+        "floor": median(lambda g: g["floor"]),
+    }
+
+
+def _same_parameters(marks: Sequence[Mark]) -> dict[str, Any]:
+    """Twin against plant with the same parameters: what the two models differ by."""
+    healthy = [m["gap"] for m in marks if "same_parameters" in m["gap"]]
+    axes = sorted({a for g in healthy for a in g["same_parameters"]})
+    return {
+        "cases": len(healthy),
+        "level": float(np.median([g["floor"] for g in healthy])) if healthy else None,
+        "position_rms": {a: float(np.median([g["same_parameters"][a] for g in healthy])) for a in axes},
+        "unit": "level in multiples of noise; position RMS in um (X, Y, Z) and arcsec (A, C)",
+    }
