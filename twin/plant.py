@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import functools
 import math
 from pathlib import Path
 
@@ -39,7 +40,12 @@ class Plant:
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF file; errors in one line."""
+    """Parse an MJCF file, or copy what was read of it before; errors in one line."""
+    return _parsed(path, path.stat().st_mtime_ns if path.is_file() else 0).copy()
+
+
+@functools.lru_cache(maxsize=8)
+def _parsed(path: Path, _modified_ns: int) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:

@@ -28,6 +28,9 @@ _OVERLAP = 40
 _KEEP_SPLINE = 100_000
 """Samples up to which one spline is kept for the whole run."""
 
+_MOST_DELAYS = 64
+"""Delays whose positions are remembered at once."""
+
 TRAVEL_TOLERANCE = 1e-9
 """Set points may exceed the travel by rounding only [m or rad]."""
 
@@ -62,10 +65,14 @@ class Setpoints:
             return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
         out = []
         for delay in delays:
-            if (period, delay) not in self._cycles:
+            known = self._cycles.get((period, delay))
+            if known is None:
                 total = int(np.ceil(self.duration / period)) + 2
-                self._cycles[period, delay] = self.at(np.arange(total) * period - delay)
-            out.append(self._cycles[period, delay][first : first + count])
+                known = self.at(np.arange(total) * period - delay)
+                if len(self._cycles) >= _MOST_DELAYS:  # where the delay itself is varied or fitted
+                    self._cycles.clear()
+                self._cycles[period, delay] = known
+            out.append(known[first : first + count])
         return out
 
     @functools.cached_property

@@ -16,6 +16,7 @@ Points are (sample, 3) in the part frame [m], tool axes (sample, 3) unit vectors
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 from numba import njit
 import numpy as np
@@ -30,6 +31,8 @@ SHORTEST_WINDOW = 0.1
 """Seconds before and after that are searched at least."""
 ARM = 0.1
 """Lever that turns an angle into a length where poses are compared [m]."""
+COARSE = 16
+"""Vertices of a window that are looked at first: they only tell which segments need no look."""
 LAGS = 4.0
 """The window is this many times the lag 1 / Kv of the slowest position controller: beyond it an axis is not following."""
 
@@ -139,16 +142,44 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
 
     Fills nearest (n, k), distance (n,) and where (n,), the place along the path in samples.
     """
+    longest = 0.0
+    for j in range(len(path) - 1):
+        square = 0.0
+        for c in range(path.shape[1]):
+            square += (path[j + 1, c] - path[j, c]) ** 2
+        longest = max(longest, math.sqrt(square))
+    guess = 0
     for i in range(len(points)):
+        last = max(high[i], low[i] + 1)
+        # some vertex of the window bounds the distance from above: the nearest one of a few, and of where the last point ended
+        reach = np.inf
+        for m in range(COARSE + 1):
+            j = min(max(guess, low[i]), last) if m == COARSE else low[i] + m * (last - low[i]) // COARSE
+            j = min(j, len(path) - 1)
+            square = 0.0
+            for c in range(points.shape[1]):
+                square += (points[i, c] - path[j, c]) ** 2
+            reach = min(reach, square)
+        reach = math.sqrt(reach) * (1.0 + 1e-9) + 1e-12
+        far = (reach + longest) ** 2 * (1.0 + 1e-9) if longest > 0.0 else np.inf
         best = np.inf
-        for j in range(low[i], max(high[i], low[i] + 1)):
+        j = low[i] - 1
+        while j + 1 < last:
+            j += 1
             k = min(j + 1, len(path) - 1)
             length = 0.0
             along = 0.0
+            square = 0.0
             for c in range(points.shape[1]):
+                a = points[i, c] - path[j, c]
                 b = path[k, c] - path[j, c]
+                square += a * a
                 length += b * b
-                along += (points[i, c] - path[j, c]) * b
+                along += a * b
+            # segments that the path cannot bring within the bound are passed over
+            if square > far:
+                j += int((math.sqrt(square) - reach) / longest) - 1
+                continue
             part = min(1.0, max(0.0, along / length)) if length > 0.0 else 0.0
             square = 0.0
             for c in range(points.shape[1]):
@@ -156,6 +187,7 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
             if square < best:
                 best = square
                 where[i] = j + part
+        guess = int(where[i])
         j = min(int(where[i]), len(path) - 1)
         k = min(j + 1, len(path) - 1)
         for c in range(points.shape[1]):

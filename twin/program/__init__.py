@@ -4,6 +4,17 @@ from twin.program.budget import ErrorBudget, error_budget
 from twin.program.interpolator import interpolate
 from twin.program.moves import Move, Moves, Program
 from twin.program.plot import plot_budget, plot_feed
-from twin.program.read import read_program
+from twin.program.read import PROGRAM_ENDINGS, read_program
 
-__all__ = ["ErrorBudget", "Move", "Moves", "Program", "error_budget", "interpolate", "plot_budget", "plot_feed", "read_program"]
+__all__ = [
+    "PROGRAM_ENDINGS",
+    "ErrorBudget",
+    "Move",
+    "Moves",
+    "Program",
+    "error_budget",
+    "interpolate",
+    "plot_budget",
+    "plot_feed",
+    "read_program",
+]

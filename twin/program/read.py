@@ -10,6 +10,8 @@ from twin.program.moves import Program
 
 GCODE = (".mpf", ".spf", ".ngc", ".nc", ".iso")
 APT = (".apt", ".cls", ".cl", ".aptsource")
+PROGRAM_ENDINGS = (*GCODE, *APT)
+"""What a file that is a part program ends in."""
 
 
 def read_program(path: str | Path, machine: Machine) -> Program:
@@ -24,4 +26,4 @@ def read_program(path: str | Path, machine: Machine) -> Program:
         from twin.program.apt import read_apt
 
         return read_apt(path, machine)
-    raise InputError(f"{path}: '{ending}' is no ending of a program; {nearest(ending, (*GCODE, *APT))}")
+    raise InputError(f"{path}: '{ending}' is no ending of a program; {nearest(ending, PROGRAM_ENDINGS)}")

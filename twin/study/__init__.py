@@ -1,14 +1,20 @@
 """Design studies: vary numbers of the machine file, run programs or set points, tell what each number buys.
 
-spec.py       the study file: factors, design, runs, responses
-design.py     factors -> table of variants
-evaluate.py   one variant -> its responses (the only part that simulates; runs on threads or on a cluster)
-store.py      results in SQLite, one row committed as it arrives
+    study file -> variants -> evaluate, on threads or a cluster -> store -> results -> report, best machine
+
+spec.py       the study file: factors, ties, design, runs, responses
+paths.py      numbers of a machine by path
+design.py     factors -> table of variants -> machines
+evaluate.py   one variant -> its responses (the only part that simulates)
 carry_out.py  variants -> store, on any `concurrent.futures` executor
-answers.py    table -> main effects, sensitivity indices, Pareto front, surrogate
-output.py     table, plots, report, best machine
+store.py      results in SQLite, one row committed as it arrives
+answers.py    main effects, sensitivity indices, Pareto front, surrogate: numbers in, numbers out
+results.py    rows of a study -> its answers; the table; the surrogate of a finished study
+report.py     findings in words, figures, HTML
+output.py     all that is written
 """
 
+from twin.study.results import surrogate_from
 from twin.study.spec import Study, read_study
 
-__all__ = ["Study", "read_study"]
+__all__ = ["Study", "read_study", "surrogate_from"]

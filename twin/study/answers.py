@@ -7,22 +7,31 @@ surrogate is that quadratic or a thin-plate spline, whichever predicts left-out 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import itertools
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import t as student
 
 FOLDS = 5
+"""Parts into which the variants are divided; each is left out once."""
+LEAST_ROWS = 6
+"""Fewer variants carry no surrogate."""
+GLOBAL_SPLINE = 600
+"""Variants up to which a spline goes through all of them at once; beyond, each point sees its nearest NEIGHBOURS."""
+NEIGHBOURS = 60
 NO_EFFECT = 1e-9
 """A response that changes by less than this (relative) over all variants does not depend on any factor."""
+SURE = 1e-3
+"""Chance of error at which a factor is said to move some response, where no two variants differ in it alone."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Half the change of a response from the low to the high end of a factor (or of two together), with its 95 % interval."""
+    """Half the change of a response from the low to the high end of a factor (or of two together), with its 95 % interval (NaN: no residual)."""
 
     factors: tuple[str, ...]
     value: float
@@ -32,102 +41,12 @@ class Effect:
 
 @dataclass(frozen=True)
 class Surrogate:
-    """A function fitted to the table: `error` is the RMS over left-out variants, in the response's unit."""
+    """A function of factors (point, factor) fitted to the table: `error` is the RMS over left-out variants, in the response's unit."""
 
     kind: str
     error: float
     spread: float
     predict: Callable[[np.ndarray], np.ndarray]
-
-
-def scaled(table: np.ndarray) -> np.ndarray:
-    """Factors (variant, factor) scaled to -1 .. 1; a constant one is 0."""
-    low, high = table.min(axis=0), table.max(axis=0)
-    return np.where(high > low, (2.0 * table - low - high) / np.where(high > low, high - low, 1.0), 0.0)
-
-
-def terms_of(count: int, rows: int, levels: np.ndarray) -> list[tuple[int, ...]]:
-    """Terms of the quadratic that the rows can carry: the constant, factors, pairs, squares of factors with three levels."""
-    varying = [i for i in range(count) if levels[i] > 1]
-    terms: list[tuple[int, ...]] = [(), *((i,) for i in varying)]
-    pairs = list(itertools.combinations(varying, 2))
-    squares = [(i, i) for i in varying if levels[i] > 2]
-    for more in (pairs, squares):
-        if len(terms) + len(more) < rows:
-            terms += more
-    return terms
-
-
-def _columns(x: np.ndarray, terms: list[tuple[int, ...]]) -> np.ndarray:
-    return np.column_stack([np.prod(x[:, list(term)], axis=1) if term else np.ones(len(x)) for term in terms])
-
-
-def effects_of(names: list[str], table: np.ndarray, y: np.ndarray) -> list[Effect]:
-    """Main effects and interactions of one response, largest first."""
-    x = scaled(table)
-    levels = np.array([len(np.unique(column)) for column in table.T])
-    terms = terms_of(len(names), len(y), levels)
-    design = _columns(x, terms)
-    solution, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
-    free = len(y) - rank
-    variance = float(np.sum((y - design @ solution) ** 2)) / free if free > 0 else np.nan
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(design.T @ design)) * variance, 0.0))
-    width = student.ppf(0.975, free) * deviation if free > 0 else np.full(len(terms), np.nan)
-    found = [
-        Effect(tuple(names[i] for i in term), float(b), float(b - w), float(b + w))
-        for term, b, w in zip(terms, solution, width)
-        if term and not (len(term) == 2 and term[0] == term[1])
-    ]
-    return sorted(found, key=lambda e: -abs(e.value))
-
-
-def sobol_of(problem: dict, y: np.ndarray) -> dict[str, list[float]]:  # type: ignore[type-arg]
-    """First-order and total Sobol indices with 95 % intervals, in the order of the factors."""
-    from SALib.analyze import sobol
-
-    found = sobol.analyze(problem, y, calc_second_order=False, seed=1, print_to_console=False)
-    return {key: np.asarray(found[key], float).tolist() for key in ("S1", "S1_conf", "ST", "ST_conf")}
-
-
-def pareto_front(values: np.ndarray) -> np.ndarray:
-    """True for the rows (variant, response) that no other row beats in everything; all are to be small."""
-    front = np.ones(len(values), bool)
-    for i, row in enumerate(values):
-        front[i] = not np.any(np.all(values <= row, axis=1) & np.any(values < row, axis=1))
-    return front
-
-
-def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
-    """The better of quadratic and thin-plate spline by variants left out; None with too few of them."""
-    if len(y) < 6:
-        return None
-    low, high = table.min(axis=0), table.max(axis=0)
-
-    def unit(points: np.ndarray) -> np.ndarray:
-        return np.where(high > low, (2.0 * points - low - high) / np.where(high > low, high - low, 1.0), 0.0)
-
-    levels = np.array([len(np.unique(column)) for column in table.T])
-
-    def quadratic(rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        terms = terms_of(table.shape[1], len(rows), levels)
-        solution = np.linalg.lstsq(_columns(unit(table[rows]), terms), y[rows], rcond=None)[0]
-        return lambda points: _columns(unit(points), terms) @ solution
-
-    def spline(rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        inner = RBFInterpolator(unit(table[rows]), y[rows], kernel="thin_plate_spline", degree=1)
-        return lambda points: inner(unit(points))
-
-    fold = np.random.default_rng(0).permutation(len(y)) % FOLDS
-    best: Surrogate | None = None
-    for kind, make in (("quadratic", quadratic), ("thin-plate spline", spline)):
-        try:
-            left_out = np.concatenate([make(np.flatnonzero(fold != k))(table[fold == k]) - y[fold == k] for k in range(FOLDS)])
-            error = float(np.sqrt(np.mean(left_out**2)))
-            if best is None or error < best.error:
-                best = Surrogate(kind, error, float(np.std(y)), make(np.arange(len(y))))
-        except (np.linalg.LinAlgError, ValueError):  # too few or coinciding points for this kind
-            continue
-    return best
 
 
 @dataclass(frozen=True)
@@ -140,7 +59,149 @@ class Swing:
     largest_at: float
 
 
-def swings_of(names: list[str], table: np.ndarray, surrogate: Surrogate) -> list[Swing]:
+@dataclass(frozen=True)
+class _Fit:
+    """A quadratic in scaled factors: terms as indices of factors, coefficients, their standard deviations and degrees of freedom."""
+
+    terms: list[tuple[int, ...]]
+    value: np.ndarray
+    deviation: np.ndarray
+    free: int
+
+
+def _unit(low: np.ndarray, high: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (point, factor) scaled to -1 .. 1; a constant factor is 0."""
+    return np.where(high > low, (2.0 * points - low - high) / np.where(high > low, high - low, 1.0), 0.0)
+
+
+def _terms(table: np.ndarray) -> list[tuple[int, ...]]:
+    """Terms of the quadratic that the rows can carry: the constant, factors, pairs, squares of factors with three levels."""
+    levels = [len(np.unique(column)) for column in table.T]
+    varying = [i for i, count in enumerate(levels) if count > 1]
+    terms: list[tuple[int, ...]] = [(), *((i,) for i in varying)]
+    for more in (list(itertools.combinations(varying, 2)), [(i, i) for i in varying if levels[i] > 2]):
+        if len(terms) + len(more) < len(table):
+            terms += more
+    return terms
+
+
+def _columns(x: np.ndarray, terms: list[tuple[int, ...]]) -> np.ndarray:
+    return np.column_stack([np.prod(x[:, list(term)], axis=1) if term else np.ones(len(x)) for term in terms])
+
+
+def _fit(table: np.ndarray, y: np.ndarray) -> _Fit:
+    terms = _terms(table)
+    columns = _columns(_unit(table.min(axis=0), table.max(axis=0), table), terms)
+    value, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
+    free = len(y) - int(rank)
+    variance = float(np.sum((y - columns @ value) ** 2)) / free if free > 0 else np.nan
+    return _Fit(terms, value, np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns.T @ columns)) * variance, 0.0)), free)
+
+
+def effects_of(names: Sequence[str], table: np.ndarray, y: np.ndarray) -> list[Effect]:
+    """Main effects and interactions of one response (variant,), largest first."""
+    fit = _fit(table, y)
+    width = student.ppf(0.975, fit.free) * fit.deviation if fit.free > 0 else np.full(len(fit.terms), np.nan)
+    found = [
+        Effect(tuple(names[i] for i in term), float(b), float(b - w), float(b + w))
+        for term, b, w in zip(fit.terms, fit.value, width)
+        if len(set(term)) == len(term) > 0
+    ]
+    return sorted(found, key=lambda e: -abs(e.value))
+
+
+def depends(y: np.ndarray) -> bool:
+    """Does a response change over the variants at all?"""
+    return bool(np.ptp(y) > NO_EFFECT * max(float(np.abs(y).max()), 1e-12))
+
+
+def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[str]:
+    """Factors that move none of the responses, each given as its factors (variant, factor) and values (variant,).
+
+    Where variants differ in one factor alone, what they answer decides; else the terms of the quadratic that hold it must
+    stand out of the residuals.
+    """
+    felt: set[int] = set()
+    for table, y in responses:
+        if not depends(y):
+            continue
+        least = NO_EFFECT * float(np.abs(y).max())
+        fit: _Fit | None = None
+        for i in range(len(names)):
+            if i in felt:
+                continue
+            _, group = np.unique(np.delete(table, i, axis=1), axis=0, return_inverse=True)
+            count = np.bincount(group.ravel())
+            if count.max() > 1:
+                low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
+                np.minimum.at(low, group.ravel(), y)
+                np.maximum.at(high, group.ravel(), y)
+                if np.any(high - low > least):
+                    felt.add(i)
+                continue
+            fit = fit or _fit(table, y)
+            if fit.free > 0:
+                bound = student.ppf(1.0 - SURE / (2.0 * len(fit.terms) * len(responses)), fit.free)
+                if any(i in t and abs(b) > max(least, bound * d) for t, b, d in zip(fit.terms, fit.value, fit.deviation)):
+                    felt.add(i)
+            else:
+                felt.add(i)  # nothing can be said
+    return [name for i, name in enumerate(names) if i not in felt]
+
+
+def sobol_of(problem: Mapping[str, Any], y: np.ndarray) -> dict[str, list[float]]:
+    """First-order and total Sobol indices with 95 % intervals, in the order of the factors."""
+    from SALib.analyze import sobol
+
+    found = sobol.analyze(dict(problem), y, calc_second_order=False, seed=1, print_to_console=False)
+    return {key: np.asarray(found[key], float).tolist() for key in ("S1", "S1_conf", "ST", "ST_conf")}
+
+
+def pareto_front(values: np.ndarray) -> np.ndarray:
+    """True for the rows (variant, response) that no other row beats in everything; all are to be small."""
+    left = np.lexsort(values.T[::-1])
+    front = np.zeros(len(values), bool)
+    while len(left):
+        first = values[left[0]]
+        front[left[0]] = True
+        # equal rows stay; what the first one beats goes
+        rest = values[left[1:]]
+        left = left[1:][np.any(rest < first, axis=1) | np.all(rest == first, axis=1)]
+    return front
+
+
+def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
+    """The better of quadratic and thin-plate spline by variants left out; None with too few of them."""
+    if len(y) < LEAST_ROWS:
+        return None
+    low, high = table.min(axis=0), table.max(axis=0)
+
+    def quadratic(rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        terms = _terms(table[rows])
+        solution = np.linalg.lstsq(_columns(_unit(low, high, table[rows]), terms), y[rows], rcond=None)[0]
+        return lambda points: _columns(_unit(low, high, points), terms) @ solution
+
+    def spline(rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        few = len(rows) <= GLOBAL_SPLINE
+        inner = RBFInterpolator(
+            _unit(low, high, table[rows]), y[rows], kernel="thin_plate_spline", degree=1, neighbors=None if few else NEIGHBOURS
+        )
+        return lambda points: inner(_unit(low, high, points))
+
+    fold = np.random.default_rng(0).permutation(len(y)) % FOLDS
+    best: Surrogate | None = None
+    for kind, make in (("quadratic", quadratic), ("thin-plate spline", spline)):
+        try:
+            left_out = np.concatenate([make(np.flatnonzero(fold != k))(table[fold == k]) - y[fold == k] for k in range(FOLDS)])
+            error = float(np.sqrt(np.mean(left_out**2)))
+            if np.isfinite(error) and (best is None or error < best.error):
+                best = Surrogate(kind, error, float(np.std(y)), make(np.arange(len(y))))
+        except (np.linalg.LinAlgError, ValueError):  # too few or coinciding points for this kind
+            continue
+    return best
+
+
+def swings_of(names: Sequence[str], table: np.ndarray, surrogate: Surrogate) -> list[Swing]:
     """Swing of each factor on the surrogate, largest first: it also sees an optimum inside, which a main effect does not."""
     out = []
     for i, name in enumerate(names):
@@ -149,8 +210,3 @@ def swings_of(names: list[str], table: np.ndarray, surrogate: Surrogate) -> list
         y = surrogate.predict(points)
         out.append(Swing(name, float(np.ptp(y)), float(points[np.argmin(y), i]), float(points[np.argmax(y), i])))
     return sorted(out, key=lambda s: -s.swing)
-
-
-def depends(y: np.ndarray) -> bool:
-    """Does a response change over the variants at all?"""
-    return bool(np.ptp(y) > NO_EFFECT * max(float(np.abs(y).max()), 1e-12))

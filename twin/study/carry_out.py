@@ -5,90 +5,109 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 import contextlib
+from dataclasses import dataclass
 import hashlib
 import os
 from typing import Any
 
 import numpy as np
 
+import twin
 from twin.errors import InputError, TwinError
-from twin.setpoints import Setpoints, setpoints_of
-from twin.study.design import machine_of
-from twin.study.evaluate import Task, evaluate
-from twin.study.spec import Study, StudyRun
+from twin.study.evaluate import Answer, Work, evaluate, work_of
+from twin.study.spec import Study
 from twin.study.store import Store
-from twin.trace import read_trace
 
-PROGRAM_ENDINGS = (".mpf", ".spf", ".ngc", ".nc", ".iso", ".apt", ".aptsource", ".cls", ".cl")
 AHEAD = 4
-"""Tasks in flight for each worker: enough to keep it busy, few enough to bound the memory."""
+"""Variants in flight for each worker: enough to keep it busy, few enough to bound the memory."""
+SECONDS_TO_ANSWER = 10
+"""A scheduler that does not answer within this time, or has no worker by then, is not there."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where variants run: an executor, how many run at once now, and how what all of them share gets there."""
+
+    executor: Executor
+    count: Callable[[], int]
+    share: Callable[[Work], Any]
 
 
 def fingerprint(study: Study, variants: np.ndarray) -> str:
-    """What a folder of results is the result of."""
-    parts = [study.text.encode(), repr(study.machine.document).encode(), variants.tobytes()]
-    parts += [run.input.read_bytes() for run in study.runs]
-    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+    """What a folder of results is the result of; what is only answered from them (`answer`) is no part of it."""
+    parts: list[Any] = [twin.__version__, study.machine.document, study.factors, study.tied, study.recommission]
+    parts += [(run.name, run.feedforward) for run in study.runs]
+    files = [study.machine.model_path, *(run.input for run in study.runs), *([study.part] if study.part else [])]
+    return hashlib.sha256(
+        b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *(f.read_bytes() for f in files)])
+    ).hexdigest()
 
 
-def carry_out(study: Study, variants: np.ndarray, store: Store, executor: Executor, workers: int, progress: Callable[[None], None]) -> None:
+def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers, progress: Callable[[None], None]) -> None:
     """Evaluate every variant that the store lacks; each is committed as it arrives, in whatever order."""
-    sources = [_source(study, run) for run in study.runs]
     left = iter(sorted(set(range(len(variants))) - store.done()))
-    local = isinstance(executor, ThreadPoolExecutor)
-    pending: dict[Future[Any], int] = {}
+    shared: Any = None
+    pending: dict[Future[Answer], int] = {}
     while True:
-        while len(pending) < AHEAD * workers and (number := next(left, None)) is not None:
-            try:
-                task = Task(machine_of(study, variants[number]), tuple(sources), str(study.part) if study.part else None)
-                pending[executor.submit(evaluate, task if local else task.packed())] = number
-            except TwinError as error:  # an impossible machine is a result
-                store.put(number, variants[number].tolist(), {"reason": " ".join(str(error).split())})
-                progress(None)
+        while len(pending) < AHEAD * workers.count() and (number := next(left, None)) is not None:
+            shared = shared if shared is not None else workers.share(work_of(study))
+            pending[workers.executor.submit(evaluate, shared, tuple(variants[number].tolist()))] = number
         if not pending:
             return
         for future in wait(pending, return_when=FIRST_COMPLETED).done:
             number = pending.pop(future)
-            store.put(number, variants[number].tolist(), future.result())
+            try:
+                answer = future.result()
+            except TwinError:
+                raise
+            except Exception as error:  # a worker without twin, a scheduler that went away, a variant that kills its workers
+                told = " ".join(str(error).split())[:200]
+                raise InputError(
+                    f"{store.path}: variant {number} was lost ({type(error).__name__}: {told}); "
+                    "what is done is kept: see to the workers and go on with --resume"
+                ) from None
+            store.put(number, variants[number].tolist(), answer)
             progress(None)
 
 
-def _source(study: Study, run: StudyRun) -> tuple[str, Setpoints | str, str, str | None]:
-    """Set points of a run; a program stays text where a factor changes the limits that it is interpolated with."""
-    ending = run.input.suffix.lower()
-    if ending not in PROGRAM_ENDINGS:
-        trace = read_trace(run.input, axes=study.machine.kinds, need=("setpoint",))
-        return run.name, setpoints_of(trace, study.machine), "", run.feedforward
-    from twin.program import interpolate, read_program
-
-    program = read_program(run.input, study.machine)
-    paths = [p for f in study.factors for p in f.paths] + [t.path for t in study.tied]
-    if any(".max_" in p or p.startswith("control.") for p in paths):
-        return run.name, run.input.read_text(encoding="utf-8"), ending, run.feedforward or program.feedforward
-    return run.name, setpoints_of(interpolate(program, study.machine), study.machine), "", run.feedforward or program.feedforward
+@contextlib.contextmanager
+def threads_here(count: int | None = None) -> Iterator[Workers]:
+    """Threads of this process, one for each core by default: the compiled loop leaves the interpreter free."""
+    count = count or len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            yield Workers(pool, lambda: count, lambda work: work)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 @contextlib.contextmanager
-def executor_of(scheduler: str | None, threads: int | None) -> Iterator[tuple[Executor, int]]:
-    """Threads of this machine, or the `concurrent.futures` executor of a Dask cluster; with how many workers it has."""
-    if scheduler is None:
-        count = threads or os.cpu_count() or 1
-        with ThreadPoolExecutor(count) as pool:
-            try:
-                yield pool, count
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-        return
+def dask_cluster(scheduler: str) -> Iterator[Workers]:
+    """The `concurrent.futures` executor of a Dask cluster; the scheduler re-runs what a lost worker had."""
     try:
         from distributed import Client
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'twin[cluster]'") from None
     try:
-        client = Client(scheduler, timeout=10, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+        client = Client(scheduler, timeout=SECONDS_TO_ANSWER, set_as_default=False)
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise InputError(
-            f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); start one, or leave it out"
+            f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); start one with 'dask scheduler', or leave it out"
         ) from None
     with client:
-        yield client.get_executor(retries=3), max(1, sum(client.nthreads().values()))
+        try:
+            client.wait_for_workers(1, timeout=SECONDS_TO_ANSWER)
+        except TimeoutError:
+            raise InputError(f"--scheduler {scheduler}: has no worker; start some with 'dask worker {scheduler}'") from None
+
+        def share(work: Work) -> Any:
+            # a task of its own: sent once, and made again by the scheduler where the worker that held it is lost
+            return client.submit(_same, work.packed(), pure=False)
+
+        with client.get_executor(pure=False) as executor:
+            yield Workers(executor, lambda: max(1, sum(client.nthreads().values())), share)
+
+
+def _same(work: Work) -> Work:
+    return work

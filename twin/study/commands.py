@@ -19,35 +19,59 @@ def add_study_arguments(parser: argparse.ArgumentParser) -> None:
         "--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://host:8786 (default: threads of this machine)"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads of this machine (default: one for each core)")
+    parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
 
 
 def study_command(args: argparse.Namespace) -> int:
     """Carry out, answer, print the findings."""
-    from twin.study.carry_out import carry_out, executor_of, fingerprint
+    from twin.study.carry_out import carry_out, dask_cluster, fingerprint, threads_here
     from twin.study.design import variants_of
-    from twin.study.output import looked_at, sentences, write_study
+    from twin.study.output import write_study
+    from twin.study.report import effect_rows, sentences
+    from twin.study.results import answers_of
     from twin.study.spec import read_study
     from twin.study.store import Store
+    from twin.summary import table
 
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
+    if args.threads and args.scheduler:
+        raise InputError("--threads is for this machine, the cluster has its own; leave out one of --threads and --scheduler")
     study = read_study(args.spec, args.machine)
     variants = variants_of(study)
     out = Path(args.out)
     store = Store(out, fingerprint(study, variants), args.resume)
     try:
-        with executor_of(args.scheduler, args.threads) as (executor, workers), Progress("variants", total=len(variants)) as bar:
-            for _ in store.done():
-                bar(None)
-            carry_out(study, variants, store, executor, workers, bar)
+        known = len(store.done())
+        if known < len(variants):
+            with (
+                dask_cluster(args.scheduler) if args.scheduler else threads_here(args.threads) as workers,
+                Progress("variants", total=len(variants)) as bar,
+            ):
+                for _ in range(known):
+                    bar(None)
+                carry_out(study, variants, store, workers, bar)
         rows = store.rows()
-        looked_at(study, rows)
-        answers = write_study(study, rows, out)
+        if not any(responses for _, _, responses, _ in rows):
+            raise InputError(f"{args.spec}: no variant could be run; the first one: {rows[0][3]}")
+        answers = answers_of(study, rows)
+        with Progress("report") as bar:
+            bar.say("report")
+            written = write_study(study, answers, out, replay=not args.no_replay)
     finally:
         store.close()
-    for line in sentences(study, answers):
+    print(f"{study.machine.name}: {len(rows)} variants{f', {known} of them done before' if known else ''}")
+    for line in sentences(answers):
         print(line)
-    print(f"written to {out}: table.parquet, table.csv, study.json, report.html{', best_machine.toml' if 'best' in answers else ''}")
-    if answers["failed"] == answers["variants"]:
-        raise InputError(f"{args.spec}: no variant could be run; the first one: {rows[0][3]}")
+    for r in answers.responses:
+        print(f"\n{r.name}")
+        print(table(["factor", "change, low to high end", "95 % interval"], effect_rows(r)))
+        if r.sobol:
+            lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
+            print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
+    if answers.best is not None:
+        number, factors, responses, _ = answers.row(answers.best)
+        told = ", ".join(f"{name} {value:.4g}" for name, value in zip(answers.factors, factors))
+        print(f"\nleast {answers.responses[0].name}: {responses[answers.responses[0].name]:.4g} with variant {number}: {told}")
+    print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
     return 0

@@ -1,9 +1,9 @@
-"""From factors to variants: a table (variant, factor) of values, the same for a seed on every machine."""
+"""From factors to variants: a table (variant, factor) of values, the same for a seed on every machine; and a row to its machine."""
 
 from __future__ import annotations
 
-import copy
 import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -11,96 +11,110 @@ from scipy.stats import qmc
 
 from twin.errors import InputError
 from twin.machine import Machine
-from twin.study.spec import Study
+from twin.plant import home_inertia_at_motor
+from twin.study.paths import number_at, with_numbers
+from twin.study.spec import INERTIA, Factor, Study
 
 MOST = 1_000_000
+"""More variants than this are a typing error, or a job for a latin_hypercube."""
 
 
 def variants_of(study: Study) -> np.ndarray:
     """Values (variant, factor) of the study's design; the nominal machine is no variant unless the design holds it."""
-    kind, factors = study.design["kind"], study.factors
-    levels, count = int(study.design.get("levels", 5)), int(study.design.get("count", 64))
-    grids = [np.array(f.values) if f.values else np.linspace(*f.range, max(levels, 1)) for f in factors]  # type: ignore[misc]
-    if kind == "grid":
-        table = np.array(list(itertools.product(*grids)))
-    elif kind == "one_at_a_time":
+    design, factors = study.design, study.factors
+    grids = [np.array(f.values) if f.values else np.linspace(f.low, f.high, design.levels) for f in factors]
+    number = {
+        "grid": math.prod(len(values) for values in grids),
+        "one_at_a_time": 1 + sum(len(values) for values in grids),
+        "latin_hypercube": design.count,
+        "sobol": design.count * (len(factors) + 2),
+        "list": len(design.rows),
+    }[design.kind]
+    if number > MOST:
+        raise InputError(f"{study.path}: [design]: {number} variants; lower levels or count, or use a latin_hypercube")
+    if design.kind == "grid":
+        return np.array(list(itertools.product(*grids)))
+    if design.kind == "one_at_a_time":
         middle = nominal_of(study)
         rows = [middle]
         for i, values in enumerate(grids):
             rows += [np.where(np.arange(len(factors)) == i, value, middle) for value in values if value != middle[i]]
-        table = np.array(rows)
-    elif kind == "latin_hypercube":
-        low, high = np.array([f.low for f in factors]), np.array([f.high for f in factors])
-        unit = qmc.LatinHypercube(len(factors), rng=np.random.default_rng(study.seed)).random(max(count, 0))
-        table = low + (high - low) * unit
-    elif kind == "sobol":
+        return np.array(rows)
+    if design.kind == "latin_hypercube":
+        unit = qmc.LatinHypercube(len(factors), rng=np.random.default_rng(study.seed)).random(design.count)
+        return _from_unit(factors, unit)
+    if design.kind == "sobol":
         from SALib.sample import sobol
 
-        table = (
-            sobol.sample(problem_of(study), max(count, 0), calc_second_order=False, seed=study.seed)
-            if count > 0
-            else np.zeros((0, len(factors)))
-        )
-    else:
-        rows = study.design.get("rows", [])
-        if any(not isinstance(row, list) or len(row) != len(factors) for row in rows):
-            raise InputError(f"{study.path}: [design] rows: each needs {len(factors)} numbers, one for each factor")
-        table = np.array(rows, float).reshape(len(rows), len(factors))
-    if not len(table):
-        raise InputError(f"{study.path}: the design has no variant; give count, levels or rows above 0")
-    if len(table) > MOST:
-        raise InputError(f"{study.path}: the design has {len(table)} variants; lower levels or count, or use a latin_hypercube")
-    return table
+        return _from_unit(factors, sobol.sample(problem_of(study), design.count, calc_second_order=False, seed=study.seed))
+    wrong = next((i for i, row in enumerate(design.rows) if len(row) != len(factors)), None)
+    if wrong is not None:
+        raise InputError(f"{study.path}: [design] rows: row {wrong + 1} needs {len(factors)} numbers, one for each factor")
+    return np.array(design.rows)
 
 
-def bounds_of(study: Study) -> tuple[list[float], list[float]]:
-    """Lower and upper ends of all factors."""
-    for f in study.factors:
-        if f.low >= f.high:
-            raise InputError(f"{study.path}: factor '{f.name}' does not vary; give it a range")
-    return [f.low for f in study.factors], [f.high for f in study.factors]
+def _from_unit(factors: tuple[Factor, ...], unit: np.ndarray) -> np.ndarray:
+    """Samples (variant, factor) in 0 .. 1 spread over each factor's range, or over its values in equal parts."""
+    columns = []
+    for factor, u in zip(factors, unit.T):
+        if factor.values:
+            columns.append(np.array(factor.values)[np.minimum((u * len(factor.values)).astype(int), len(factor.values) - 1)])
+        else:
+            columns.append(factor.low + (factor.high - factor.low) * u)
+    return np.column_stack(columns)
 
 
 def problem_of(study: Study) -> dict[str, Any]:
-    """The study's factors in the words of SALib."""
-    low, high = bounds_of(study)
-    return {"num_vars": len(low), "names": [f.name for f in study.factors], "bounds": [list(pair) for pair in zip(low, high)]}
+    """The study's factors in the words of SALib, in the unit cube."""
+    names = [f.name for f in study.factors]
+    return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
 
 
 def nominal_of(study: Study) -> np.ndarray:
-    """Each factor's value on the machine as it is; 1 for relative ones; for an effect that it lacks the lower end."""
-    out = []
-    for f in study.factors:
-        value = 1.0 if f.relative else _number(study.machine, f.paths[0])
-        out.append(f.low if value is None else value)
-    return np.array(out)
-
-
-def _number(machine: Machine, path: str) -> float | None:
-    if path.startswith("effect."):
-        return None
-    value: Any = machine.document
-    for key in path.split("."):
-        value = value[key]
-    return float(value)
+    """Each factor's value (factor,) on the machine as it is; 1 for relative ones; for an effect that it lacks the lower end."""
+    values = [1.0 if f.relative else number_at(study.machine, f.paths[0]) for f in study.factors]
+    return np.array([f.low if value is None else value for f, value in zip(study.factors, values)])
 
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:
-    """The machine with one variant's values; raises InputError where they are impossible."""
-    values: dict[str, Any] = {}
-    effects: dict[tuple[str, str], dict[str, Any]] = {(e["name"], e["axis"]): dict(e) for e in study.machine.effects}
-    for factor, value in zip(study.factors, row.tolist()):
+    """The machine of one variant; raises InputError where its values are impossible."""
+    nominal = study.machine
+    values: dict[str, float] = {}
+    ratio: dict[str, float] = {}
+    change: dict[str, float] = {}
+    for factor, value in zip(study.factors, np.asarray(row).tolist()):
+        base = number_at(nominal, factor.paths[0]) or 0.0
         for path in factor.paths:
-            if path.startswith("effect."):
-                _, name, axis, parameter = path.split(".")
-                effects.setdefault((name, axis), {"name": name, "axis": axis})[parameter] = value
-            else:
-                nominal = _number(study.machine, path) or 0.0
-                values[path] = value * nominal if factor.relative else value
-    for tied in study.tied:
-        i = next(i for i, f in enumerate(study.factors) if f.name == tied.to)
-        ratio = row[i] if study.factors[i].relative else row[i] / (_number(study.machine, study.factors[i].paths[0]) or 1.0)
-        values[tied.path] = (_number(study.machine, tied.path) or 0.0) * float(ratio) ** tied.exponent
-    if effects:
-        values["effect"] = copy.deepcopy(list(effects.values()))
-    return study.machine.with_values(values)
+            values[path] = value * (number_at(nominal, path) or 0.0) if factor.relative else value
+        ratio[factor.name] = value if factor.relative else value / base if base else 1.0
+        change[factor.name] = values[factor.paths[0]] - base
+
+    # what follows a factor first, then what follows the inertia that all this makes
+    by_inertia = [tied for tied in study.tied if tied.to.startswith(INERTIA)]
+    for tied in (t for t in study.tied if t not in by_inertia):
+        for path in tied.paths:
+            now = values.get(path, number_at(nominal, path) or 0.0)
+            values[path] = now * ratio[tied.to] ** tied.exponent if tied.slope is None else now + tied.slope * change[tied.to]
+    if by_inertia:
+        grown = dict(zip(nominal.axis_names, home_inertia_at_motor(with_numbers(nominal, values)) / home_inertia_at_motor(nominal)))
+        for tied in by_inertia:
+            for path in tied.paths:
+                now = values.get(path, number_at(nominal, path) or 0.0)
+                values[path] = now * float(grown[tied.to.removeprefix(INERTIA)]) ** tied.exponent
+    machine = with_numbers(nominal, values)
+    return commissioned(machine, machine if study.recommission else nominal)
+
+
+def commissioned(machine: Machine, known: Machine) -> Machine:
+    """The machine with a control that was told the torque constants and inertias of the machine `known`."""
+    if known is not machine and all(axis.commissioned_inertia is not None for axis in machine.axes):
+        return machine
+    inertia = home_inertia_at_motor(known)
+    told = {
+        f"axis.{axis.name}.commissioned": {
+            "torque_constant_nm_per_a": axis.motor.torque_constant_nm_per_a,
+            "inertia_kg_m2": float(j),
+        }
+        for axis, j in zip(known.axes, inertia)
+    }
+    return machine.with_values(told)

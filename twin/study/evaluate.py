@@ -1,110 +1,144 @@
 """One variant: simulate its runs and answer. Nothing here knows of other variants, threads or clusters.
 
-following error    set point minus position at the same time
-contour error      distance of the followed from the commanded tool path
-settling time      from the last change of the set point until the error stays inside SETTLED
-copper loss        R i_rms^2 of the one-phase equivalent of the motor
-first mode         sqrt(stiffness / load) / 2 pi of the axis' transmission; none where it is rigid
+following error      set point minus position at the same time
+control deviation    the same with the set point as the position controller gets it, delayed: what the drive leaves
+contour error        distance of the followed from the commanded tool path
+settling time        from the last change of the set point until the error stays inside SETTLED
+copper loss          R i_rms^2 of the one-phase equivalent of the motor
+limits used          largest speed and current over their limits
+first mode           sqrt(stiffness / load) / 2 pi of the axis' transmission; none where it is rigid
+mark depth           deepest place of the followed cut below the programmed one (a trace: below the commanded one)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 import functools
 import hashlib
 import math
 from pathlib import Path
 import tempfile
-from typing import Any
 
 import numpy as np
 
-from twin.effects import settings_of
-from twin.effects.change import load_inertia
-from twin.errors import TwinError
-from twin.machine import Machine, machine_from_document
+import twin
+from twin.effects import load_inertia, settings_of
+from twin.errors import InputError, TwinError
+from twin.kinematics import kinematics_of
+from twin.machine import Machine
+from twin.program.read import PROGRAM_ENDINGS
 from twin.run import Run, simulate
 from twin.setpoints import Setpoints, check_travel, setpoints_of
-from twin.summary import summary_of
-from twin.trace import Trace
+from twin.study.design import machine_of
+from twin.study.spec import Study, StudyRun
+from twin.surface.part import Part, read_part
+from twin.toolpath import ToolPath, contour_error, path_of_axes, search_window, tool_path_of
+from twin.trace import Trace, read_trace
+from twin.units import AXIS_UNITS
 
 SETTLED = {"linear": 1e-6, "rotary": math.radians(1.0 / 3600.0)}
 """Error inside which an axis counts as settled [m, rad]."""
 
-
-@dataclass(frozen=True)
-class PackedMachine:
-    """A machine as data, for a worker that does not share this machine's files."""
-
-    document: Mapping[str, Any]
-    model_name: str
-    model: str
-
-    def unpack(self) -> Machine:
-        """The machine; its MJCF is kept in a folder of this process."""
-        folder = _folder(hashlib.sha256(self.model.encode()).hexdigest())
-        path = Path(folder.name) / self.model_name
-        if not path.is_file():
-            path.write_text(self.model, encoding="utf-8")
-        return machine_from_document(self.document, path, None, "study")
-
-
-@functools.cache
-def _folder(_digest: str) -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="twin-study-")
+Add = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Task:
-    """What one variant runs: its machine, and per run set points (or the program's text, where its limits vary) and feedforward."""
+class Source:
+    """What one run moves along: set points, or a program's text where its interpolation differs from variant to variant.
 
-    machine: Machine | PackedMachine
-    runs: tuple[tuple[str, Setpoints | str, str, str | None], ...]  # name, set points or program, ending of the program, feedforward
-    part: str | None = None
+    `commanded` is the tool path of the set points at the record's times, the same for all variants; `programmed` what a mark is
+    measured against.
+    """
 
-    def packed(self) -> Task:
-        """The task without paths of this machine."""
-        machine = self.machine
-        if isinstance(machine, PackedMachine):
-            return self
-        model = machine.model_path.read_text(encoding="utf-8")
-        return replace(self, machine=PackedMachine(dict(machine.document), machine.model_path.name, model))
+    name: str
+    feedforward: str | None
+    setpoints: Setpoints | None = None
+    program: tuple[str, str] = ("", "")  # text, ending of the file
+    commanded: ToolPath | None = None
+    programmed: ToolPath | None = None
 
 
-def evaluate(task: Task) -> dict[str, Any]:
-    """Responses by name, or {"reason": why not}: a variant that diverges or is impossible is a result, not the end of the study."""
+@dataclass(frozen=True)
+class Work:
+    """What all variants of a study share; `model` is the text of the MJCF for workers that do not share this machine's files."""
+
+    study: Study
+    sources: tuple[Source, ...]
+    part: Part | None = None
+    model: str | None = None
+    version: str = twin.__version__
+
+    def packed(self) -> Work:
+        """The same without need of this machine's files."""
+        return replace(self, model=self.study.machine.model_path.read_text(encoding="utf-8"))
+
+    def here(self) -> Study:
+        """The study with its MJCF in a place that this process can read."""
+        machine = self.study.machine
+        if self.model is None:
+            return self.study
+        return replace(self.study, machine=replace(machine, model_path=_kept(self.model, machine.model_path.name)))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Responses by name; why the variant could not be run, or which limit it broke (None: it is fine)."""
+
+    responses: dict[str, float] = field(default_factory=dict)
+    reason: str | None = None
+
+
+def work_of(study: Study) -> Work:
+    """Read the runs and the part of a study; programs are interpolated once where no factor changes how."""
+    part = read_part(study.part) if study.part else None
+    return Work(study, tuple(_source(study, run, part) for run in study.runs), part)
+
+
+def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
+    """Answer one variant. One that diverges or is impossible is a result, not the end of the study."""
+    if work.version != twin.__version__:
+        raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
-        return _responses(task)
+        study = work.here()
+        return _answer(machine_of(study, np.array(row)), work)
     except TwinError as error:
-        return {"reason": " ".join(str(error).split())}
+        return Answer(reason=" ".join(str(error).split()))
+    except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
+        # a variant that nobody thought of must not end a study of thousands; its row says that this is a fault of the twin
+        return Answer(reason=f"fault in the twin, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
-def _responses(task: Task) -> dict[str, Any]:
-    machine = task.machine.unpack() if isinstance(task.machine, PackedMachine) else task.machine
-    results: dict[str, list[float]] = {}
-
-    def add(name: str, value: float) -> None:
-        results.setdefault(name, []).append(float(value))
-
-    for name, source, ending, feedforward in task.runs:
-        setpoints = source if isinstance(source, Setpoints) else _interpolated(source, ending, machine)
-        check_travel(setpoints, machine, f"run {name}")
-        run = simulate(machine.with_feedforward(feedforward), setpoints)
-        add("cycle_time_s", setpoints.duration)
-        _axis_responses(machine, run, add)
-        _contour(machine, run.trace, add)
-        if task.part:
-            add("mark_depth_um", _mark_depth(machine, run.trace, task.part))
+def _answer(machine: Machine, work: Work) -> Answer:
+    by_run: dict[str, dict[str, float]] = {}
+    broken: list[str] = []
+    for source in work.sources:
+        found = by_run.setdefault(source.name, {})
+        setpoints, programmed = motion_of(source, machine, work.part)
+        check_travel(setpoints, machine, f"run {source.name}")
+        run = simulate(machine.with_feedforward(source.feedforward), setpoints)
+        found["cycle_time_s"] = setpoints.duration
+        _axis_responses(machine, run, setpoints, found.__setitem__)
+        _contour(machine, run.trace, source.commanded, found.__setitem__)
+        if work.part:
+            found["mark_depth_um"] = _mark_depth(machine, run.trace, work.part, programmed)
+        for what, times in (("current", run.current_limited_s), ("voltage", run.voltage_limited_s)):
+            broken += [f"run {source.name}: axis {a} is at its {what} limit for {t * 1e3:.1f} ms" for a, t in times.items() if t > 0.0]
+    names = dict.fromkeys(name for found in by_run.values() for name in found)
+    responses = {name: _joined(name, [found[name] for found in by_run.values() if name in found]) for name in names}
     for setting in settings_of(machine):
         if setting.effect.name == "transmission_compliance":
             axis = machine.axis(setting.axis)
-            add(f"first_mode_{axis.name}_hz", math.sqrt(setting.parameters["stiffness"] / load_inertia(machine, axis)) / (2.0 * math.pi))
-    return {name: _joined(name, values) for name, values in results.items()}
+            responses[f"first_mode_{axis.name}_hz"] = math.sqrt(setting.parameters["stiffness"] / load_inertia(machine, axis)) / (
+                2 * math.pi
+            )
+    if len(by_run) > 1:
+        responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
+    return Answer(responses, "; ".join(broken) or None)
 
 
 def _joined(name: str, values: list[float]) -> float:
-    """One number for all runs: sums of times, root mean square of RMS values and losses, else the largest."""
+    """One number for all runs: sums of times, root mean square of RMS values, mean of losses, else the largest."""
     if name == "cycle_time_s":
         return float(np.sum(values))
     if "_rms" in name:
@@ -114,67 +148,117 @@ def _joined(name: str, values: list[float]) -> float:
     return float(np.max(values))
 
 
-def _axis_responses(machine: Machine, run: Run, add: Any) -> None:
-    summary = summary_of(machine, run)["axes"]
-    for axis in machine.axes:
-        a = summary[axis.name]
-        setpoint = run.trace.get(axis.name, "setpoint")
+def _axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -> None:
+    time = run.trace.time
+    delayed = {d: setpoints.at(time - d) for d in {axis.loops.position_delay_s for axis in machine.axes}}
+    for a, axis in enumerate(machine.axes):
+        setpoint, position, current = (run.trace.get(axis.name, s) for s in ("setpoint", "position", axis.effort))
         if np.ptp(setpoint) < 1e-9:
-            continue
-        unit = "um" if axis.kind == "linear" else "arcsec"
-        add(f"following_error_max_{axis.name}_{unit}", a["following_error_max"])
-        add(f"following_error_rms_{axis.name}_{unit}", a["following_error_rms"])
-        effort, unit = axis.effort, axis.effort_unit.lower()
-        largest, rms, limit = (a[f"{effort}_{what}_{unit}"] for what in ("max", "rms", "limit"))
-        add(f"{effort}_max_{axis.name}_{unit}", largest)
-        add(f"{effort}_rms_{axis.name}_{unit}", rms)
-        add(f"{effort}_limit_used_{axis.name}", largest / limit)
-        add(f"speed_limit_used_{axis.name}", a["speed_limit_used"])
+            continue  # an axis that stands
+        unit, factor = AXIS_UNITS[axis.kind].error
+        error = setpoint - position
+        for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.position_delay_s][:, a] - position)):
+            add(f"{name}_max_{axis.name}_{unit}", float(np.abs(e).max()) * factor)
+            add(f"{name}_rms_{axis.name}_{unit}", math.sqrt(e @ e / len(e)) * factor)
+        current_max, current_square = float(np.abs(current).max()), float(current @ current) / len(current)
+        unit = axis.effort_unit.lower()
+        add(f"{axis.effort}_max_{axis.name}_{unit}", current_max)
+        add(f"{axis.effort}_rms_{axis.name}_{unit}", math.sqrt(current_square))
+        add(f"{axis.effort}_limit_used_{axis.name}", current_max / axis.motor.peak_current_a)
+        add(f"speed_limit_used_{axis.name}", float(np.abs(run.trace.get(axis.name, "velocity")).max()) / axis.max_velocity)
         if axis.has_current_loop:
-            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * rms**2)
-        error = np.abs(setpoint - run.trace.get(axis.name, "position"))
+            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * current_square)
+        # settled: the last sample outside lies before the end of the record
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
-        outside = np.flatnonzero(error[last:] > SETTLED[axis.kind])
+        outside = np.flatnonzero(np.abs(error[last:]) > SETTLED[axis.kind])
         if not len(outside):
             add(f"settling_time_{axis.name}_ms", 0.0)
         elif outside[-1] < len(error) - last - 1:
-            add(f"settling_time_{axis.name}_ms", (outside[-1] + 1) * run.trace.period * 1e3)
+            add(f"settling_time_{axis.name}_ms", (int(outside[-1]) + 1) * run.trace.period * 1e3)
 
 
-def _contour(machine: Machine, trace: Trace, add: Any) -> None:
-    from twin.kinematics import kinematics_of
-    from twin.toolpath import contour_error, search_window, tool_path_of
-
+def _contour(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:
     try:
         kinematics = kinematics_of(machine)
-        followed, commanded = (tool_path_of(trace, s, machine, kinematics=kinematics) for s in ("position", "setpoint"))
+        followed = tool_path_of(trace, "position", machine, kinematics=kinematics)
+        if commanded is None or not np.array_equal(commanded.time, followed.time):
+            commanded = tool_path_of(trace, "setpoint", machine, kinematics=kinematics)
     except TwinError:
         return  # a machine without a tool in a part frame has no contour
     found = contour_error(followed, commanded, search_window(machine))
-    add("contour_error_max_um", found.error.max() * 1e6)
-    add("contour_error_rms_um", np.sqrt(np.mean(found.error**2)) * 1e6)
+    add("contour_error_max_um", float(found.error.max()) * 1e6)
+    add("contour_error_rms_um", math.sqrt(found.error @ found.error / len(found.error)) * 1e6)
     add("orientation_error_max_arcsec", math.degrees(found.orientation.max()) * 3600.0)
 
 
-def _mark_depth(machine: Machine, trace: Trace, part_file: str) -> float:
-    """Deepest mark of the followed against the commanded cut, over all surfaces of the part."""
-    from twin.surface.levels import COMMANDED, FOLLOWED, levels_of_trace
+def _mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath | None) -> float:
+    """Deepest mark over all surfaces of the part [um]."""
+    from twin.surface.levels import COMMANDED, FOLLOWED, PROGRAMMED, Level, levels_of_trace
     from twin.surface.machining import machine_part
-    from twin.surface.part import read_part
+    from twin.surface.metrology import mark
 
-    part = read_part(Path(part_file))
-    cuts = machine_part(part, levels_of_trace(trace, machine, part.tool, (COMMANDED, FOLLOWED), "study"), threads=1)
-    depth = 0.0
-    for surface in part.surfaces:
-        asked, made = (cuts.of(surface.name, level).finest.deviation for level in (COMMANDED, FOLLOWED))
-        depth = max(depth, float(np.nanmax(np.abs(made - asked))))
-    return depth * 1e6
+    levels = levels_of_trace(trace, machine, part.tool, (FOLLOWED,) if programmed else (COMMANDED, FOLLOWED), "study")
+    if programmed:
+        levels.insert(0, Level(PROGRAMMED, "", programmed, {}))
+    cuts = machine_part(part, levels, threads=1)
+    pairs = [[cuts.of(surface.name, level.level).finest for level in levels] for surface in part.surfaces]
+    return max(mark(made, asked).depth for asked, made in pairs) * 1e6
 
 
-def _interpolated(text: str, ending: str, machine: Machine) -> Setpoints:
+def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
+    machine = study.machine
+    if run.input.suffix.lower() not in PROGRAM_ENDINGS:
+        trace = read_trace(run.input, axes=machine.kinds, need=("setpoint",))
+        setpoints = setpoints_of(trace, machine)
+        return Source(run.name, run.feedforward, setpoints, commanded=_commanded(setpoints, machine))
+    from twin.program import read_program
+
+    feedforward = run.feedforward or read_program(run.input, machine).feedforward
+    source = Source(run.name, feedforward, program=(run.input.read_text(encoding="utf-8"), run.input.suffix))
+    # what the interpolator reads of a machine: limits, travels, cycles and frames
+    if any(".max_" in p or ".travel_" in p or p.split(".")[0] in ("control", "geometry", "frame") for p in study.varied):
+        return source
+    setpoints, programmed = motion_of(source, machine, part)
+    return replace(source, setpoints=setpoints, commanded=_commanded(setpoints, machine), programmed=programmed)
+
+
+def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
+    """Tool path of the set points at the times of the record."""
+    if machine.axis_names != ("X", "Y", "Z", "A", "C"):
+        return None  # each variant looks for itself
+    period = max(1, round(machine.sample_period / machine.base_tick)) * machine.base_tick
+    time = np.arange(math.floor(setpoints.duration / period + 1e-9) + 1) * period
+    try:
+        return path_of_axes(kinematics_of(machine), setpoints.at(time), time)
+    except TwinError:
+        return None
+
+
+def motion_of(source: Source, machine: Machine, part: Part | None) -> tuple[Setpoints, ToolPath | None]:
+    """Set points of a run on a machine, and the programmed path where there is a part to cut."""
+    if source.setpoints is not None:
+        return source.setpoints, source.programmed
     from twin.program import interpolate, read_program
+    from twin.surface.levels import programmed_path
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"program{ending}"
+    text, ending = source.program
+    with tempfile.TemporaryDirectory(prefix="twin-study-") as folder:
+        path = Path(folder) / f"{source.name}{ending}"
         path.write_text(text, encoding="utf-8")
-        return setpoints_of(interpolate(read_program(path, machine), machine), machine)
+        program = read_program(path, machine)
+    return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if part else None
+
+
+@functools.lru_cache(maxsize=8)
+def _folder(_digest: str) -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="twin-study-")
+
+
+def _kept(model: str, name: str) -> Path:
+    """The MJCF in a folder of this process."""
+    path = Path(_folder(hashlib.sha256(model.encode()).hexdigest()).name) / name
+    if not path.is_file():
+        partial = path.with_suffix(f".{id(model)}")
+        partial.write_text(model, encoding="utf-8")
+        partial.replace(path)
+    return path

@@ -2,50 +2,59 @@
 
 seed = 1
 machine = "my_machine.toml"          # optional; else --machine or the Mikron
+part = "part.toml"                   # optional: also the depth of the mark on this part
 answer = ["contour_error_max_um"]    # optional: what the report looks at first; the first one is minimised
+recommission = true                  # optional: the control is told each variant's own inertia and torque constant
+
+[fixed]                              # optional: numbers that all variants have, by path
+"axis.*.loops.torque_feedforward" = 0.0
 
 [[run]]
 input = "corner.mpf"                 # program or trace, beside the study file
 feedforward = "velocity"             # optional: off | velocity | velocity+torque
+name = "corner"                      # optional: the file's name else
 
 [[factor]]
 name = "mass"
-paths = ["axis.X.moving_mass_kg", "axis.Y.moving_mass_kg"]   # or "axis.*.loops.position_gain_per_s", "effect.backlash.X.clearance"
-relative = true                      # values are factors on what the file has
+paths = ["axis.X.moving_mass_kg", "axis.Y.moving_mass_kg"]   # see paths.py; or path = ".."
+relative = true                      # values are factors on what the machine has
 range = [0.5, 2.0]                   # or values = [0.5, 1.0, 2.0]
 
-[[tied]]                             # follows a factor: nominal x (factor / its nominal)^exponent
+[[tied]]                             # follows: its nominal x (ratio of what it follows)^exponent
 path = "axis.X.loops.speed_gain_nm_s_per_rad"
-to = "mass"
-exponent = 1.0
+to = "inertia.X"                     # a factor's name, or the inertia at an axis' motor in the home pose
+exponent = 1.0                       # or slope = 1.0: nominal + slope x (change of the factor's number)
 
 [design]
 kind = "grid"                        # grid | latin_hypercube | sobol | one_at_a_time | list
 levels = 5                           # grid and one_at_a_time, for factors with a range
-count = 64                           # latin_hypercube; sobol: base count, times (factors + 2) variants
+count = 64                           # latin_hypercube; sobol: a power of two, times (factors + 2) variants
 rows = [[0.5], [1.0]]                # list
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-import fnmatch
 import math
 from pathlib import Path
 import tomllib
 from typing import Any
 
-from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD, Machine, load_machine
+from twin.study.paths import matching_paths, number_at, with_numbers
 
-DESIGNS = ("grid", "latin_hypercube", "sobol", "one_at_a_time", "list")
+DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
+"""Designs, and the keys that each takes."""
+
+TOP = ("seed", "machine", "part", "answer", "recommission", "fixed", "run", "factor", "tied", "design")
+INERTIA = "inertia."
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that is varied: paths into the machine file that take the same value (or factor, when `relative`)."""
+    """One thing that is varied: paths into the machine that take the same value (or factor, when `relative`)."""
 
     name: str
     paths: tuple[str, ...]
@@ -64,11 +73,12 @@ class Factor:
 
 @dataclass(frozen=True)
 class Tied:
-    """A path that follows a factor: nominal x (factor / nominal of the factor) ^ exponent."""
+    """Paths that follow a factor or `inertia.AXIS`: nominal x ratio^exponent, or nominal + slope x change of the factor's number."""
 
-    path: str
+    paths: tuple[str, ...]
     to: str
     exponent: float
+    slope: float | None
 
 
 @dataclass(frozen=True)
@@ -81,58 +91,83 @@ class StudyRun:
 
 
 @dataclass(frozen=True)
+class Design:
+    """How the factors are combined; `rows` is empty unless the design is a list."""
+
+    kind: str
+    levels: int
+    count: int
+    rows: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Study:
-    """A checked study."""
+    """A checked study; `machine` is the one that is varied, with its fixed numbers."""
 
     path: Path
     machine: Machine
     runs: tuple[StudyRun, ...]
     factors: tuple[Factor, ...]
     tied: tuple[Tied, ...]
-    design: Mapping[str, Any]
+    design: Design
     seed: int
     answer: tuple[str, ...]
     part: Path | None
-    text: str
+    recommission: bool
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """All paths that differ from variant to variant."""
+        return tuple(p for f in self.factors for p in f.paths) + tuple(p for t in self.tied for p in t.paths)
 
 
 def read_study(path: str | Path, machine_path: str | None = None) -> Study:
     """Read and check a study file; every fault is an InputError with table, key and remedy."""
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
-        document = tomllib.loads(text)
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such study file; see docs/study.md for the form") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
-    for key in document:
-        if key not in ("seed", "machine", "answer", "run", "factor", "tied", "design", "part", "name"):
-            raise InputError(
-                f"{path}: unknown key '{key}'; {nearest(key, ('seed', 'machine', 'answer', 'run', 'factor', 'tied', 'design', 'part'))}"
-            )
+    _known(document, TOP, str(path))
     own = document.get("machine")
-    machine = load_machine(machine_path or (path.parent / own if own else None))
-    factors = tuple(_factor(table, machine, f"{path}: factor {i + 1}") for i, table in enumerate(_tables(document, "factor", path)))
-    if len({f.name for f in factors}) < len(factors):
-        raise InputError(f"{path}: two factors have one name; give each its own")
+    machine = load_machine(machine_path or (path.parent / str(own) if own else None))
+    machine = with_numbers(machine, _fixed(document.get("fixed", {}), machine, f"{path}: [fixed]"))
+    design = _design(document.get("design", {}), f"{path}: [design]")
+    factors = tuple(
+        _factor(table, design, i, machine, f"{path}: factor {i + 1}") for i, table in enumerate(_tables(document, "factor", path))
+    )
     tied = tuple(_tied(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.get("tied", [])))
-    design = document.get("design", {})
-    if design.get("kind") not in DESIGNS:
-        raise InputError(f"{path}: [design] kind = {design.get('kind')!r}; use one of {', '.join(DESIGNS)}")
-    answer = document.get("answer", [])
+    runs = tuple(_run(table, path, f"{path}: run {i + 1}") for i, table in enumerate(_tables(document, "run", path)))
+    for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InputError(f"{path}: two of [[{what}]] have the name '{twice}'; give each its own")
+    seed, answer, part = document.get("seed", 0), document.get("answer", []), document.get("part")
+    if not isinstance(seed, int) or seed < 0:
+        raise InputError(f"{path}: seed = {seed!r}; give a whole number, 0 or more")
+    if part is not None and not (path.parent / str(part)).is_file():
+        raise InputError(f"{path}: part '{part}': no such file beside {path.name}; correct it")
     return Study(
         path=path,
         machine=machine,
-        runs=tuple(_run(table, path, f"{path}: run {i + 1}") for i, table in enumerate(_tables(document, "run", path))),
+        runs=runs,
         factors=factors,
         tied=tied,
         design=design,
-        seed=int(document.get("seed", 0)),
-        answer=tuple(answer if isinstance(answer, list) else [answer]),
-        part=path.parent / document["part"] if "part" in document else None,
-        text=text,
+        seed=seed,
+        answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
+        part=path.parent / str(part) if part is not None else None,
+        recommission=_flag(document, "recommission", str(path)),
     )
+
+
+def _known(table: object, keys: Sequence[str], where: str) -> None:
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: must be a table; see docs/study.md for the form")
+    for key in table:
+        if key not in keys:
+            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
 
 
 def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
@@ -142,7 +177,39 @@ def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
     return tables
 
 
-def _run(table: Mapping[str, Any], path: Path, where: str) -> StudyRun:
+def _flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: {key} = {value!r}; write true or false")
+    return value
+
+
+def _numbers(values: Any, what: str, where: str) -> tuple[float, ...]:
+    if not isinstance(values, list) or not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values):
+        raise InputError(f"{where}: {what} = {values!r}; give a list of numbers")
+    return tuple(float(v) for v in values)
+
+
+def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
+    """Numbers by path; a path that was not quoted has become tables within tables."""
+    if not isinstance(table, Mapping):
+        raise InputError(f'{where}: must be a table; write "axis.X.moving_mass_kg" = 690.0')
+    out: dict[str, float] = {}
+
+    def collect(inner: Mapping[str, Any], prefix: str) -> None:
+        for key, value in inner.items():
+            if isinstance(value, Mapping):
+                collect(value, f"{prefix}{key}.")
+            else:
+                (number,) = _numbers([value], f"{prefix}{key}", where)
+                out.update(dict.fromkeys(matching_paths(f"{prefix}{key}", machine, where), number))
+
+    collect(table, "")
+    return out
+
+
+def _run(table: Any, path: Path, where: str) -> StudyRun:
+    _known(table, ("name", "input", "feedforward"), where)
     if "input" not in table:
         raise InputError(f"{where}: 'input' is missing; name a program or a trace beside the study file")
     source = path.parent / str(table["input"])
@@ -150,65 +217,79 @@ def _run(table: Mapping[str, Any], path: Path, where: str) -> StudyRun:
         raise InputError(f"{where}: input '{table['input']}': no such file beside {path.name}; correct it")
     feedforward = table.get("feedforward")
     if feedforward is not None and feedforward not in FEEDFORWARD:
-        raise InputError(f"{where}: feedforward = '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
-    return StudyRun(source.stem, source, feedforward)
+        raise InputError(f"{where}: feedforward = {feedforward!r}; use one of {', '.join(FEEDFORWARD)}")
+    return StudyRun(str(table.get("name", source.stem)), source, feedforward)
 
 
-def _factor(table: Mapping[str, Any], machine: Machine, where: str) -> Factor:
+def _factor(table: Any, design: Design, column: int, machine: Machine, where: str) -> Factor:
+    _known(table, ("name", "path", "paths", "relative", "values", "range"), where)
     asked = table.get("paths", [table["path"]] if "path" in table else [])
-    if not asked:
+    if not isinstance(asked, list) or not asked or not all(isinstance(one, str) for one in asked):
         raise InputError(f"{where}: 'path' is missing; name a number of the machine file, e.g. axis.X.moving_mass_kg")
-    paths = tuple(p for one in asked for p in matching_paths(one, machine, where))
     name = str(table.get("name", asked[0]))
-    relative = bool(table.get("relative", False))
-    values, limits = table.get("values", []), table.get("range")
-    if not values and limits is None:
-        raise InputError(f"{where}: '{name}' has neither values nor a range; give values = [..] or range = [low, high]")
-    numbers = [*values, *(limits or [])]
-    if not all(isinstance(v, int | float) and math.isfinite(v) for v in numbers) or (
-        limits is not None and (len(limits) != 2 or limits[0] >= limits[1])
-    ):
-        raise InputError(f"{where}: '{name}': values and range must be numbers, range = [low, high] with low below high")
-    return Factor(
-        name, paths, relative, tuple(float(v) for v in values), (float(limits[0]), float(limits[1])) if limits is not None else None
-    )
+    where = f"{where}: '{name}'"
+    paths = tuple(dict.fromkeys(p for one in asked for p in matching_paths(one, machine, where)))
+    relative = _flag(table, "relative", where)
+    if relative and (lacking := next((p for p in paths if number_at(machine, p) is None), None)):
+        raise InputError(f"{where}: relative, but the machine lacks {lacking}; give absolute values or put the effect into its file")
+    values = _numbers(table.get("values", []), "values", where)
+    limits = _numbers(table.get("range", []), "range", where)
+    if limits and (len(limits) != 2 or limits[0] >= limits[1]):
+        raise InputError(f"{where}: range = {list(limits)}; give [low, high] with low below high")
+    if values and limits:
+        raise InputError(f"{where}: has both values and a range; give one of them")
+    if design.kind == "list":
+        # the rows tell its values
+        return Factor(name, paths, relative, tuple(row[column] for row in design.rows if column < len(row)), None)
+    if not values and not limits:
+        raise InputError(f"{where}: has neither values nor a range; give values = [..] or range = [low, high]")
+    if not limits and len(set(values)) < 2:
+        raise InputError(f"{where}: has one value only; give two or more, or put it under [fixed]")
+    return Factor(name, paths, relative, values, (limits[0], limits[1]) if limits else None)
 
 
-def _tied(table: Mapping[str, Any], factors: Sequence[Factor], machine: Machine, where: str) -> Tied:
+def _tied(table: Any, factors: Sequence[Factor], machine: Machine, where: str) -> Tied:
+    _known(table, ("path", "to", "exponent", "slope"), where)
     names = [f.name for f in factors]
-    if table.get("to") not in names:
-        raise InputError(f"{where}: to = {table.get('to')!r} is no factor; {nearest(str(table.get('to')), names)}")
+    to = str(table.get("to"))
+    inertias = [f"{INERTIA}{axis}" for axis in machine.axis_names]
+    if to not in (*names, *inertias):
+        raise InputError(f"{where}: to = {table.get('to')!r}; {nearest(to, (*names, *inertias))}")
     if "path" not in table:
         raise InputError(f"{where}: 'path' is missing; name a number of the machine file")
-    (path, *more) = matching_paths(table["path"], machine, where)
-    if more:
-        raise InputError(f"{where}: '{table['path']}' matches several numbers; tie them one by one")
-    return Tied(path, table["to"], float(table.get("exponent", 1.0)))
+    paths = tuple(matching_paths(str(table["path"]), machine, where))
+    if "slope" in table and ("exponent" in table or to in inertias):
+        raise InputError(f"{where}: slope goes with a factor and without exponent; give one of them")
+    exponent, *slope = _numbers([table.get("exponent", 1.0), *([table["slope"]] if "slope" in table else [])], "exponent, slope", where)
+    factor = next((f for f in factors if f.name == to), None)
+    if factor and not factor.relative and not slope and number_at(machine, factor.paths[0]) == 0.0:
+        raise InputError(f"{where}: {factor.paths[0]} is 0 on the machine as it is, so there is no ratio; give a slope")
+    lacking = [p for p in (*paths, *(factor.paths if factor and not factor.relative else ())) if number_at(machine, p) is None]
+    if lacking:
+        raise InputError(f"{where}: the machine lacks {lacking[0]}, so there is no nominal to scale; give it under [fixed]")
+    return Tied(paths, to, exponent, slope[0] if slope else None)
 
 
-def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
-    """Paths of numbers in the machine file that a path with wildcards names; effects as effect.NAME.AXIS.PARAMETER."""
-    if pattern.startswith("effect."):
-        parts = pattern.split(".")
-        if len(parts) != 4:
-            raise InputError(f"{where}: '{pattern}': write effect.NAME.AXIS.PARAMETER, e.g. effect.backlash.X.clearance")
-        find_effect(parts[1], where).parameter(parts[3])
-        machine.axis(parts[2])
-        return [pattern]
-    known = list(numbers_of(machine.document))
-    found = [p for p in known if fnmatch.fnmatchcase(p, pattern)]
-    if not found:
-        raise InputError(f"{where}: no number '{pattern}' in machine {machine.name}; {nearest(pattern, known)}")
-    return found
+def _design(table: Any, where: str) -> Design:
+    kind = table.get("kind") if isinstance(table, Mapping) else None
+    if kind not in DESIGNS:
+        raise InputError(f"{where}: kind = {kind!r}; use one of {', '.join(DESIGNS)}")
+    _known(table, ("kind", *DESIGNS[kind]), f"{where} of kind {kind}")
 
+    def whole(key: str, default: int, check: Callable[[int], bool], ask: str) -> int:
+        value = table.get(key, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not check(value):
+            raise InputError(f"{where}: {key} = {value!r}; {ask}")
+        return value
 
-def numbers_of(table: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Paths of all numbers of a machine file."""
-    out = []
-    for key, value in table.items():
-        path = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            out += numbers_of(value, f"{path}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            out.append(path)
-    return out
+    rows = table.get("rows", [])
+    if kind == "list" and (not isinstance(rows, list) or not rows):
+        raise InputError(f"{where}: the design has no variant; give rows = [[..], [..]]")
+    return Design(
+        kind=kind,
+        levels=whole("levels", 5, lambda n: n >= 2, "give a whole number, 2 or more"),
+        count=whole("count", 64, lambda n: n >= 2 and n & (n - 1) == 0, "the Sobol sequence needs a power of two, such as 64")
+        if kind == "sobol"
+        else whole("count", 64, lambda n: n >= 1, "the design has no variant; give a whole number, 1 or more"),
+        rows=tuple(_numbers(row, "rows", where) for row in rows) if kind == "list" else (),
+    )

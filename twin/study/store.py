@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+import contextlib
 import json
 from pathlib import Path
 import sqlite3
-from typing import Any
 
 from twin.errors import InputError
+from twin.study.evaluate import Answer
 
 FILE = "study.sqlite"
+
+Row = tuple[int, list[float], dict[str, float], str | None]
+"""Number, factors, responses, reason."""
 
 
 class Store:
@@ -20,43 +24,62 @@ class Store:
         self.path = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot make this folder ({error.strerror}); give another --out") from None
+        with self._said():
             self.connection = sqlite3.connect(self.path, timeout=0.2, isolation_level=None)
-            self.connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-            self.connection.execute("BEGIN IMMEDIATE")
-            self.connection.execute("CREATE TABLE IF NOT EXISTS study (fingerprint TEXT)")
-            self.connection.execute(
-                "CREATE TABLE IF NOT EXISTS variant (number INTEGER PRIMARY KEY, factors TEXT, responses TEXT, reason TEXT)"
-            )
-            known = [row[0] for row in self.connection.execute("SELECT fingerprint FROM study")]
-            if not known:
-                self.connection.execute("INSERT INTO study VALUES (?)", (fingerprint,))
-            self.connection.execute("COMMIT")
+        try:
+            with self._said():
+                # held until closed: two studies never write one folder
+                self.connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+                self.connection.execute("BEGIN IMMEDIATE")
+                self.connection.execute("CREATE TABLE IF NOT EXISTS study (fingerprint TEXT)")
+                self.connection.execute(
+                    "CREATE TABLE IF NOT EXISTS variant (number INTEGER PRIMARY KEY, factors TEXT, responses TEXT, reason TEXT)"
+                )
+                known = [row[0] for row in self.connection.execute("SELECT fingerprint FROM study")]
+                if not known:
+                    self.connection.execute("INSERT INTO study VALUES (?)", (fingerprint,))
+                self.connection.execute("COMMIT")
+            if known and known[0] != fingerprint:
+                raise InputError(
+                    f"{self.path}: holds another study (factors, runs, machine, design or the version of twin differ); give another --out"
+                )
+            if (done := len(self.done())) and not resume:
+                raise InputError(f"{self.path}: {done} variants are done already; add --resume or give another --out")
+        except BaseException:
+            self.connection.close()
+            raise
+
+    @contextlib.contextmanager
+    def _said(self) -> Iterator[None]:
+        """What SQLite complains of, in one line."""
+        try:
+            yield
+        except sqlite3.IntegrityError:  # a variant twice: a fault of ours
+            raise
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise InputError(f"{self.path}: another study writes here; give another --out or wait for it") from None
-            raise InputError(f"{self.path}: cannot be used ({error}); give another --out") from None
+            raise InputError(f"{self.path}: cannot be used ({error}); see to the disk or give another --out") from None
         except sqlite3.DatabaseError as error:
             raise InputError(f"{self.path}: not a database of a study ({error}); move it away or give another --out") from None
-        except OSError as error:
-            raise InputError(f"{folder}: cannot make this folder ({error.strerror}); give another --out") from None
-        if known and known[0] != fingerprint:
-            raise InputError(f"{self.path}: holds another study (factors, runs, machine or design differ); give another --out")
-        if self.done() and not resume:
-            raise InputError(f"{self.path}: {len(self.done())} variants are done already; add --resume or give another --out")
 
     def done(self) -> set[int]:
         """Numbers of the variants that have a row."""
-        return {row[0] for row in self.connection.execute("SELECT number FROM variant")}
+        with self._said():
+            return {row[0] for row in self.connection.execute("SELECT number FROM variant")}
 
-    def put(self, number: int, factors: Sequence[float], result: dict[str, Any]) -> None:
-        """Commit one variant; a number that is there already is an error of the caller."""
-        reason = result.get("reason")
-        responses = json.dumps({} if reason else result)
-        self.connection.execute("INSERT INTO variant VALUES (?, ?, ?, ?)", (number, json.dumps(list(factors)), responses, reason))
+    def put(self, number: int, factors: Sequence[float], answer: Answer) -> None:
+        """Commit one variant; a second row for it is refused."""
+        row = (number, json.dumps(list(factors)), json.dumps(answer.responses), answer.reason)
+        with self._said():
+            self.connection.execute("INSERT INTO variant VALUES (?, ?, ?, ?)", row)
 
-    def rows(self) -> list[tuple[int, list[float], dict[str, float], str | None]]:
-        """(number, factors, responses, reason) in the order of the design."""
-        found = self.connection.execute("SELECT number, factors, responses, reason FROM variant ORDER BY number")
+    def rows(self) -> list[Row]:
+        """All rows in the order of the design."""
+        with self._said():
+            found = self.connection.execute("SELECT number, factors, responses, reason FROM variant ORDER BY number").fetchall()
         return [(n, json.loads(f), json.loads(r), reason) for n, f, r, reason in found]
 
     def close(self) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 
 from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD, Machine, load_machine
+from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
-from twin.surface.levels import LEVELS, PROGRAM_ENDINGS, Level, levels_of_program, levels_of_trace
+from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, machine_part, report_of
 from twin.surface.part import Part, read_part
 

@@ -23,7 +23,6 @@ from twin.trace import Trace
 
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
 LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
-PROGRAM_ENDINGS = (".mpf", ".spf", ".ngc", ".nc", ".iso", ".apt", ".aptsource", ".cls", ".cl")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,108 @@
+"""Numbers of a machine by path: read, changed, and found by a pattern.
+
+axis.X.moving_mass_kg                    a number of the machine file, in the file's unit
+body.workpiece.centre_of_mass_m.0        one of several in a list
+axis.*.loops.position_gain_per_s         * stands for any one part
+effect.backlash.X.clearance              parameter of an effect, in SI; the machine gets the effect where it lacks it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import copy
+import fnmatch
+from typing import Any
+
+from twin.effects.effect import find_effect
+from twin.errors import InputError, nearest
+from twin.machine import Machine
+
+
+def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
+    """Paths of all numbers that a pattern names; an InputError with the nearest one where there is none."""
+    if pattern.startswith("effect."):
+        return [_effect_path(pattern, machine, where)]
+    known = numbers_of(machine.document)
+    found = [path for path in known if _matches(path, pattern)]
+    if not found:
+        raise InputError(f"{where}: no number '{pattern}' in machine {machine.name}; {nearest(pattern, known)}")
+    return found
+
+
+def _matches(path: str, pattern: str) -> bool:
+    parts, wanted = path.split("."), pattern.split(".")
+    return len(parts) == len(wanted) and all(fnmatch.fnmatchcase(part, want) for part, want in zip(parts, wanted))
+
+
+def _effect_path(path: str, machine: Machine, where: str) -> str:
+    parts = path.split(".")
+    if len(parts) != 4:
+        raise InputError(f"{where}: '{path}': write effect.NAME.AXIS.PARAMETER, e.g. effect.backlash.X.clearance")
+    _, name, axis, parameter = parts
+    effect = find_effect(name, where)
+    effect.parameter(parameter)
+    if axis not in machine.axis_names:
+        raise InputError(f"{where}: '{path}': no axis {axis}; {nearest(axis, machine.axis_names)}")
+    if not effect.can_have(machine, machine.axis(axis)):
+        raise InputError(f"{where}: '{path}': axis {axis} cannot have it: it is for {effect.which_axes}")
+    if effect.from_axis and _effect_table(machine, name, axis) is None:
+        raise InputError(f"{where}: '{path}': it acts from another axis; put it into the machine file with its from_axis first")
+    return path
+
+
+def _effect_table(machine: Machine, name: str, axis: str) -> Mapping[str, Any] | None:
+    return next((table for table in machine.effects if table.get("name") == name and table.get("axis") == axis), None)
+
+
+def numbers_of(table: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Paths of all numbers in the tables of a machine file, without its effects."""
+    out = []
+    for key, value in table.items():
+        path = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            out += numbers_of(value, f"{path}.")
+        elif isinstance(value, list):
+            out += [f"{path}.{i}" for i, item in enumerate(value) if _is_number(item)]
+        elif _is_number(value):
+            out.append(path)
+    return out
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def number_at(machine: Machine, path: str) -> float | None:
+    """The number at a path; None for a parameter of an effect that the machine lacks."""
+    if path.startswith("effect."):
+        _, name, axis, parameter = path.split(".")
+        value = (_effect_table(machine, name, axis) or {}).get(parameter)
+        return None if value is None else float(value)
+    at: Any = machine.document
+    for key in path.split("."):
+        at = at[int(key)] if isinstance(at, list) else at[key]
+    return float(at)
+
+
+def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
+    """The machine with other numbers, by path; raises InputError where one is impossible."""
+    changed: dict[str, Any] = {}
+    effects = {(table["name"], table["axis"]): dict(table) for table in machine.effects}
+    for path, value in values.items():
+        *tables, last = path.split(".")
+        if path.startswith("effect."):
+            _, name, axis = tables
+            effects.setdefault((name, axis), {"name": name, "axis": axis})[last] = value
+        elif last.isdigit():
+            whole = ".".join(tables)
+            if whole not in changed:
+                at: Any = machine.document
+                for key in tables:
+                    at = at[key]
+                changed[whole] = list(at)
+            changed[whole][int(last)] = value
+        else:
+            changed[path] = value
+    if effects:
+        changed["effect"] = copy.deepcopy(list(effects.values()))
+    return machine.with_values(changed)

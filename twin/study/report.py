@@ -1,0 +1,170 @@
+"""The report of a study: findings in words, a section for each response, the trade-off, what could not be run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
+from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.study.results import Answers, Response
+from twin.study.spec import Study
+
+MOST_LINES = 50
+"""Rows of a table in the report; all of them are in table.csv."""
+MOST_BARS = 12
+MANY_POINTS = 200
+COLUMNS = 3
+"""Panels side by side."""
+
+
+def sentences(answers: Answers) -> list[str]:
+    """The findings in words: which factor moves each response how far."""
+    told = []
+    for r in answers.responses:
+        text = f"{r.name}: {r.y.min():.4g} to {r.y.max():.4g}"
+        if r.swings:
+            s = r.swings[0]
+            text += f"; {s.factor} moves it most, by {s.swing:.3g}: least at {s.least_at:.4g}, largest at {s.largest_at:.4g}"
+        elif r.effects:
+            e = r.effects[0]
+            text += f"; {' and '.join(e.factors)} moves it by {2 * e.value:.3g} from the low to the high end"
+        told.append(text)
+    told += [f"{name} has no effect on any response" for name in answers.without_effect]
+    if answers.failed:
+        told.append(f"{answers.failed} of {len(answers.rows)} variants could not be run; their rows give the reason")
+    if answers.broken:
+        told.append(f"{answers.broken} of {len(answers.rows)} variants broke a limit: they count in the effects, not as the best")
+    return told
+
+
+def effect_rows(r: Response) -> list[list[str]]:
+    """A line for each effect: factors, change from the low to the high end, its 95 % interval."""
+    return [
+        [" x ".join(e.factors), f"{2 * e.value:+.4g}", f"{2 * e.low:+.4g} .. {2 * e.high:+.4g}" if np.isfinite(e.low) else "-"]
+        for e in r.effects[:MOST_BARS]
+    ]
+
+
+def write_report(study: Study, answers: Answers, out: Path) -> list[str]:
+    """Write report.html and the same plots as files; returns the names of the plots."""
+    written: list[str] = []
+
+    def shown(figure: Any, name: str, caption: str) -> Figure:
+        save_png(figure, out / "plots" / f"{name}.png")
+        written.append(f"plots/{name}.png")
+        return Figure(figure_svg(figure), caption)
+
+    sections = [Section("Findings", items=sentences(answers))]
+    for r in answers.responses:
+        figures = [
+            shown(factors_figure(study, r), r.name, f"{r.name} of every variant, and the surrogate with the other factors at their median"),
+            shown(_effects_figure(r), f"{r.name}_effects", "Change from the low to the high end of each factor, with 95 % intervals"),
+        ]
+        words = []
+        if r.surrogate:
+            share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
+            words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {r.surrogate.error:.3g} RMS{share}.")
+        tables = []
+        if r.sobol:
+            columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
+            lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
+            tables.append(Table(["factor", "first order", "+-", "total", "+-"], lines, caption="Sobol indices: shares of the variance"))
+        sections.append(Section(r.name, words, figures, tables))
+    if len(answers.responses) >= 2 and answers.pareto:
+        sections.append(_trade_off(answers, shown(_pareto_figure(answers), "pareto", "Every variant, and those on the front")))
+    for title, rows in (
+        ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
+        ("Variants that broke a limit", [r for r in answers.rows if r[2] and r[3]]),
+    ):
+        if rows:
+            lines = [[str(n), *_numbers(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
+            sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.factors, "reason"], lines)]))
+    write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections)
+    return written
+
+
+def _lead(study: Study, answers: Answers) -> str:
+    runs = ", ".join(run.name for run in study.runs)
+    text = f"{len(answers.rows)} variants of {study.machine.name} ({study.design.kind}), run on {runs}."
+    if answers.best is not None:
+        number, factors, responses, _ = answers.row(answers.best)
+        name = answers.responses[0].name
+        told = ", ".join(f"{k} {v:.4g}" for k, v in zip(answers.factors, factors))
+        text += f" Least {name}: {responses[name]:.4g} with variant {number} ({told})."
+    return text
+
+
+def _of(rows: Sequence[Any]) -> list[str]:
+    return [f"The first {MOST_LINES} of {len(rows)}; all are in table.csv."] if len(rows) > MOST_LINES else []
+
+
+def _numbers(values: Sequence[float]) -> list[str]:
+    return [f"{v:.4g}" for v in values]
+
+
+def _trade_off(answers: Answers, figure: Figure) -> Section:
+    looked = [r.name for r in answers.responses]
+    front = sorted((answers.row(n) for n in answers.pareto), key=lambda row: row[2][looked[0]])
+    lines = [[str(n), *_numbers(factors), *_numbers([found[k] for k in looked])] for n, factors, found, _ in front[:MOST_LINES]]
+    words = [f"{len(front)} variants are beaten by no other one in all of {', '.join(looked)}; each is to be small.", *_of(front)]
+    return Section("Trade-off", words, [figure], [Table(["variant", *answers.factors, *looked], lines)])
+
+
+def factors_figure(study: Study, r: Response) -> Any:
+    """The response against each factor, with the surrogate along it."""
+    count = len(study.factors)
+    columns = min(count, COLUMNS)
+    figure, axes = new_figure(-(-count // columns), columns, width=min(1.2 + 3.6 * columns, 12.0), height=3.0, sharey=True)
+    panels = axes.ravel()
+    for panel in panels[count:]:
+        panel.set_visible(False)
+    middle = np.median(r.table, axis=0)
+    for i, (factor, panel) in enumerate(zip(study.factors, panels)):
+        panel.plot(r.table[:, i], r.y, ".", color=BLUE, alpha=0.7, markersize=6 if len(r.y) < MANY_POINTS else 3, markeredgewidth=0)
+        if r.surrogate is not None and np.ptp(r.table[:, i]) > 0:
+            points = np.tile(middle, (120, 1))
+            points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
+            panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0, label="surrogate")
+        panel.set_xlabel(f"{factor.name}{' [times nominal]' if factor.relative else ''}")
+    for row in axes:
+        row[0].set_ylabel(r.name)
+    if r.surrogate is not None:
+        panels[0].legend()
+    return figure
+
+
+def _effects_figure(r: Response) -> Any:
+    effects = r.effects[:MOST_BARS]
+    figure, axes = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(effects))
+    panel = axes[0][0]
+    for i, e in enumerate(reversed(effects)):
+        panel.barh(i, 2 * e.value, color=BLUE if len(e.factors) == 1 else SOFT, height=0.6)
+        if np.isfinite(e.low):
+            panel.plot([2 * e.low, 2 * e.high], [i, i], color=RED, linewidth=1.6)
+    panel.set_yticks(range(len(effects)), [" x ".join(e.factors) for e in reversed(effects)])
+    panel.set_xlabel(f"change of {r.name}")
+    panel.axvline(0.0, color=SOFT, linewidth=0.8)
+    return figure
+
+
+def _pareto_figure(answers: Answers) -> Any:
+    figure, axes = new_figure(1, 1, width=7.0, height=4.2)
+    panel = axes[0][0]
+    a, b = (r.name for r in answers.responses[:2])
+    on = set(answers.pareto)
+    for style, label, take in (
+        ({"color": SOFT, "markersize": 5}, "keeps the limits", lambda n, reason: reason is None and n not in on),
+        ({"color": AMBER, "markersize": 5}, "breaks a limit", lambda n, reason: reason is not None),
+        ({"color": RED, "markersize": 8}, "on the front", lambda n, reason: n in on),
+    ):
+        points = [(found[a], found[b]) for n, _, found, reason in answers.rows if a in found and b in found and take(n, reason)]
+        if points:
+            panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
+    panel.set_xlabel(a)
+    panel.set_ylabel(b)
+    panel.legend()
+    return figure

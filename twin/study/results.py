@@ -1,0 +1,201 @@
+"""The answers of a study: per response effects, indices and a surrogate; Pareto front; best variant; what has no effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from twin.errors import InputError, nearest
+from twin.study.answers import (
+    Effect,
+    Surrogate,
+    Swing,
+    depends,
+    effects_of,
+    pareto_front,
+    sobol_of,
+    surrogate_of,
+    swings_of,
+    without_effect,
+)
+from twin.study.design import problem_of
+from twin.study.spec import Study
+from twin.study.store import Row
+
+TABLE = "table.parquet"
+SHOWN = 4
+"""Responses that the report looks at where the study file names none."""
+PREFERRED = ("mark_depth_um", "contour_error_max_um", "control_deviation_max", "current_rms", "copper_loss", "cycle_time_s")
+
+
+@dataclass(frozen=True)
+class Response:
+    """One response over the variants that have it: factors (variant, factor), values (variant,), what moves it."""
+
+    name: str
+    table: np.ndarray
+    y: np.ndarray
+    effects: list[Effect]
+    surrogate: Surrogate | None
+    swings: list[Swing]
+    sobol: dict[str, list[float]] | None
+
+
+@dataclass(frozen=True)
+class Answers:
+    """All answers; `pareto` and `best` take part in no limit that is broken; `best` is None where no variant keeps all limits."""
+
+    factors: tuple[str, ...]
+    rows: Sequence[Row]
+    responses: list[Response]
+    without_effect: list[str]
+    pareto: list[int]
+    best: int | None
+
+    @property
+    def failed(self) -> int:
+        """Variants that could not be run."""
+        return sum(not responses for _, _, responses, _ in self.rows)
+
+    @property
+    def broken(self) -> int:
+        """Variants that ran and broke a limit."""
+        return sum(bool(responses) and reason is not None for _, _, responses, reason in self.rows)
+
+    def row(self, number: int) -> Row:
+        """The row of a variant."""
+        return next(row for row in self.rows if row[0] == number)
+
+    def document(self) -> dict[str, Any]:
+        """The content of study.json."""
+        out: dict[str, Any] = {"variants": len(self.rows), "could_not_be_run": self.failed, "broke_a_limit": self.broken, "responses": {}}
+        for r in self.responses:
+            out["responses"][r.name] = {
+                "least": float(r.y.min()),
+                "largest": float(r.y.max()),
+                "effects": [
+                    {"factors": list(e.factors), "half_change": e.value, "low": _finite(e.low), "high": _finite(e.high)} for e in r.effects
+                ],
+                "surrogate": r.surrogate and {"kind": r.surrogate.kind, "error": r.surrogate.error, "spread": r.surrogate.spread},
+                "swings": [{"factor": s.factor, "swing": s.swing, "least_at": s.least_at, "largest_at": s.largest_at} for s in r.swings],
+                **({"sobol": r.sobol} if r.sobol else {}),
+            }
+        out["without_effect"], out["pareto"] = self.without_effect, self.pareto
+        if self.best is not None:
+            number, factors, responses, _ = self.row(self.best)
+            out["best"] = {
+                "variant": number,
+                "minimises": self.responses[0].name,
+                "factors": dict(zip(self.factors, factors)),
+                "responses": responses,
+            }
+        return out
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def known_responses(rows: Sequence[Row]) -> list[str]:
+    """Names of all responses, in the order in which the variants have them."""
+    return list(dict.fromkeys(name for _, _, found, _ in rows for name in found))
+
+
+def looked_at(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Responses that the report is about: those of the study file, else the telling ones that vary."""
+    known = known_responses(rows)
+    for name in study.answer:
+        if known and name not in known:
+            raise InputError(
+                f"{study.path}: answer: no response '{name}'; {nearest(name, known)} The variants are kept: correct it and add --resume"
+            )
+    if study.answer:
+        return list(study.answer)
+    ranked = sorted(known, key=lambda n: next((i for i, p in enumerate(PREFERRED) if n.startswith(p)), len(PREFERRED)))
+    return [name for name in ranked if depends(values_of(rows, name)[1])][:SHOWN]
+
+
+def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Factors (variant, factor) and values (variant,) of the variants that have this response."""
+    kept = [(factors, found[name]) for _, factors, found, _ in rows if name in found]
+    return np.array([f for f, _ in kept]), np.array([v for _, v in kept])
+
+
+def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
+    """Answer a study from its rows; raises InputError where `answer` names no response."""
+    names = tuple(f.name for f in study.factors)
+    looked = looked_at(study, rows)
+    responses = []
+    for name in looked:
+        table, y = values_of(rows, name)
+        if len(y) < 2 or not depends(y):
+            continue
+        surrogate = surrogate_of(table, y)
+        responses.append(
+            Response(
+                name,
+                table,
+                y,
+                effects_of(names, table, y),
+                surrogate,
+                swings_of(names, table, surrogate) if surrogate else [],
+                sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
+            )
+        )
+    fine = [row for row in rows if row[3] is None and all(name in row[2] for name in looked)]
+    values = np.array([[row[2][name] for name in looked] for row in fine]).reshape(len(fine), len(looked))
+    return Answers(
+        factors=names,
+        rows=rows,
+        responses=responses,
+        without_effect=without_effect(names, [values_of(rows, name) for name in known_responses(rows)]) if len(rows) > 1 else [],
+        pareto=[row[0] for row, front in zip(fine, pareto_front(values)) if front] if looked else [],
+        best=fine[int(np.argmin(values[:, 0]))][0] if responses and fine and looked[0] == responses[0].name else None,
+    )
+
+
+def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:
+    """Variant, factors, responses and reason, in the order of the design."""
+    columns: dict[str, Any] = {"variant": pa.array([n for n, *_ in rows], pa.int64())}
+    columns |= {f.name: pa.array([factors[i] for _, factors, _, _ in rows], pa.float64()) for i, f in enumerate(study.factors)}
+    columns |= {name: pa.array([found.get(name) for _, _, found, _ in rows], pa.float64()) for name in known_responses(rows)}
+    columns["reason"] = pa.array([reason for *_, reason in rows], pa.string())
+    return pa.table(columns).replace_schema_metadata({"factors": "\n".join(f.name for f in study.factors)})
+
+
+def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, float]], tuple[float, float]]:
+    """The surrogate of a finished study: a function of a value for each factor that returns (value, its error)."""
+    path = Path(folder) / TABLE
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the --out folder of a finished `twin study`")
+    table = pyarrow.parquet.read_table(path)
+    names = table.schema.metadata[b"factors"].decode().split("\n")
+    if response not in table.column_names:
+        raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")
+    columns = np.column_stack([table.column(name).to_numpy() for name in [*names, response]])
+    kept = columns[np.isfinite(columns[:, -1])]
+    surrogate = surrogate_of(kept[:, :-1], kept[:, -1])
+    if surrogate is None:
+        raise InputError(f"{path}: {len(kept)} variants are too few for a surrogate of '{response}'; add some")
+
+    def predict(factors: Mapping[str, float]) -> tuple[float, float]:
+        for name in factors:
+            if name not in names:
+                raise InputError(f"{path}: no factor '{name}'; {nearest(name, names)}")
+        missing = [name for name in names if name not in factors]
+        if missing:
+            raise InputError(f"{path}: factor '{missing[0]}' is missing; give a value for each of {', '.join(names)}")
+        for i, name in enumerate(names):
+            low, high = kept[:, i].min(), kept[:, i].max()
+            if not low <= factors[name] <= high:
+                raise InputError(f"{path}: {name} = {factors[name]:g} lies outside what was simulated ({low:g} to {high:g})")
+        return float(surrogate.predict(np.array([[factors[name] for name in names]]))[0]), surrogate.error
+
+    return predict
