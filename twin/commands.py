@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
+from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.trace import PROGRAM, Trace
-
-PROGRAM_ENDINGS = (".mpf", ".spf", ".ngc", ".nc", ".iso", ".apt", ".aptsource", ".cls", ".cl")
 
 
 def _load(args: argparse.Namespace) -> Any:
