@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import json
+import os
 from pathlib import Path
+import subprocess
+import sys
+from textwrap import dedent
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from tests.small_machine import write_small_machine
 from twin.cli import main
-from twin.regress.suite import COMPARED, read_suite
+from twin.effects import EFFECTS
+from twin.regress import run_suite
+from twin.regress.compare import compare
+from twin.regress.golden import Golden, read_golden
+from twin.regress.outcome import Feature, Outcome
+from twin.regress.runners import machine_of, run_case
+from twin.regress.suite import COMPARED, Case, read_suite
+from twin.trace import Trace
 
+HERE = Path(__file__).resolve().parents[2]
+SHIPPED = read_suite(HERE / "examples/regression")
 TOLERANCES = "".join(
     f'[tolerance.{signal}]\nrms = 0.005\nmax = 0.05\nunit = "{unit}"\nreason = "a tenth of the noise"\n'
     for signal, unit in zip(COMPARED, ("um, arcsec", "um, arcsec", "mm/s, deg/s", "A"))
@@ -60,6 +75,64 @@ def test_a_machine_that_did_not_change_passes(suite: Path, tmp_path: Path) -> No
     assert not (tmp_path / "out" / "u_move").exists()
 
 
+def moved(golden: Golden, case: Case) -> Golden:
+    """A golden result in which one sample of each signal, each number and word, and one event of each kind is another."""
+    trace, features = golden.trace, {}
+    if trace is not None:
+        machine, signals = machine_of(case), dict(trace.signals)
+        for axis, signal in ((a, s) for a in trace.axes for s in case.compared):
+            to_si = {"A": 1.0, "mm/s, deg/s": 1e-3, "um, arcsec": 1e-6}[case.tolerance[signal]["unit"]]
+            if machine.axis(axis).kind == "rotary":
+                to_si = {1.0: 1.0, 1e-3: np.pi / 180.0, 1e-6: np.pi / 180.0 / 3600.0}[to_si]
+            values = signals[axis, signal].copy()
+            values[len(values) // 2] += 1.01 * to_si * case.tolerance[signal]["max"]
+            signals[axis, signal] = values
+        trace = Trace(trace.time, signals, trace.kinds)
+    kept = {(e.kind, e.axis): e for e in golden.events}
+    for name, feature in golden.features.items():
+        if isinstance(feature.value, str):
+            features[name] = replace(feature, value=feature.value + "?")
+        elif case.kind == "campaign":
+            share = case.tolerance["gap"]
+            features[name] = replace(
+                feature, value=(feature.value - 1.01 * share["above_noise"] * feature.noise) / (1.0 + 1.01 * share["growth"])
+            )
+        else:
+            share = case.tolerance["summary"]
+            features[name] = replace(feature, value=feature.value + 1.2 * (share["absolute"] + share["relative"] * abs(feature.value)))
+    return replace(golden, trace=trace, features=features, events=tuple(e for e in golden.events if e not in kept.values()))
+
+
+@pytest.mark.parametrize("case", SHIPPED, ids=lambda case: case.name)
+def test_every_kept_number_is_guarded(case: Case) -> None:
+    """What is compared with itself passes; moved just beyond its tolerance each signal, number, word and event fails."""
+    golden = read_golden(case)
+    now = Outcome(golden.features, golden.trace, golden.events, machine_of(case))
+    same, checks = compare(case, golden, now), compare(case, moved(golden, case), now)
+    assert all(check.ok for check in same)
+    assert {c.quantity for c in same} or case.kind == "campaign"
+    passed = {check.quantity for check in checks if check.ok}
+    assert passed <= {"duration"} | {c.quantity for c in same if c.quantity.endswith("RMS")}
+
+
+def test_every_effect_has_a_case_in_which_it_shows() -> None:
+    cases = [case for case in SHIPPED if case.file.name == "effects.toml"]
+    assert sorted(case.name for case in cases) == sorted(EFFECTS)
+    without: dict[str, Outcome] = {}
+    for case in cases:
+        assert [effect["name"] for effect in case.table["effects"]] == [case.name]
+        plain = Case(case.name, case.kind, case.file, {k: v for k, v in case.table.items() if k != "effects"})
+        key = json.dumps([case.table["axes"], case.table["moves"]])
+        if key not in without:
+            without[key] = run_case(plain)
+        assert any(not check.ok and not check.quantity.endswith("events") for check in compare(case, read_golden(case), without[key]))
+
+
+def test_the_suite_holds_every_capability() -> None:
+    assert {case.kind for case in SHIPPED} == {"run", "cut", "campaign", "identify", "diagnose", "study"}
+    assert sum(case.name.startswith("program_") for case in SHIPPED) == 3
+
+
 @pytest.mark.parametrize(
     ("old", "new", "block"),
     [
@@ -90,6 +163,38 @@ def test_a_failure_leaves_its_evidence(suite: Path, tmp_path: Path, capsys: pyte
     assert sentence.startswith("axis U differs from 0.")
     assert "first in its chain: mechanics" in sentence
     assert sentence in capsys.readouterr().out
+
+
+def test_a_case_that_breaks_is_a_verdict(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(case: Case) -> Outcome:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(run_suite, "run_case", broken)
+    assert regress(suite, tmp_path) == 1
+    case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
+    assert case["status"] == "error"
+    assert case["text"].startswith("cannot run: ZeroDivisionError: division by zero in test_regress_suite.py, line")
+    assert ElementTree.parse(tmp_path / "out" / "junit.xml").find("./testsuite/testcase/error") is not None
+
+
+def test_what_is_no_number_is_kept_as_a_word(suite: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = read_suite(suite)[0]
+    monkeypatch.setattr("twin.regress.runners._RUNNERS", {"run": lambda case, machine: Outcome({"mean": Feature(float("nan"), "um")})})
+    assert run_case(case).features["mean"].value == "nan"
+
+
+def test_the_workflow_tells_what_failed(suite: Path, tmp_path: Path) -> None:
+    """The summary in the workflow file reads what the command writes, and the command's arguments are those that it has."""
+    text = (HERE / ".github/workflows/regress.yml").read_text()
+    assert "python -m twin regress examples/regression --out out/regress" in text
+    edit(suite.parent / "small.toml", "coulomb_friction_nm = 0.1", "coulomb_friction_nm = 0.13")
+    assert regress(suite, tmp_path) == 1
+    (tmp_path / "out" / "regress").mkdir()
+    (tmp_path / "out" / "regress.json").rename(tmp_path / "out" / "regress" / "regress.json")
+    script = dedent(text[text.index("import json, pathlib") - 10 : text.index("          PY\n")])
+    ran = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True)
+    assert "## Regression runs: failed" in ran.stdout
+    assert "- **u_move** failed: axis U differs" in ran.stdout
 
 
 def test_junit_is_what_servers_read(suite: Path, tmp_path: Path) -> None:
@@ -149,6 +254,15 @@ def test_update_shows_old_and_new_and_keeps_the_reason(suite: Path, tmp_path: Pa
     assert regress(suite, tmp_path) == 0
 
 
+def test_update_of_a_changed_case_shows_what_it_was(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(suite / "moves.toml", "speed_mm_per_s = 100.0", "speed_mm_per_s = 90.0")
+    assert regress(suite, tmp_path, "--update", "--reason", "slower, as the machine is run now") == 0
+    told = capsys.readouterr().out
+    assert "U.speed_max" in told
+    assert "(new case)" not in told.split("slower")[0].split("first results")[-1]
+    assert regress(suite, tmp_path) == 0
+
+
 def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path) -> None:
     edit(suite.parent / "small.toml", "speed_gain_nm_s_per_rad = 0.1", "speed_gain_nm_s_per_rad = 40.0")
     assert regress(suite, tmp_path) == 1
@@ -171,6 +285,10 @@ def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path
         ('machine = "../small.toml"', 'machine = "../smal.toml"', ("no such file", "smal.toml")),
         ("moves.U", "feedforward = 'on'\nmoves.U", ("feedforward 'on'",)),
         ("moves.U", "input = 'x.csv'\nmoves.U", ("give one of input, moves", "input and moves are given")),
+        ("moves.U", "values = 3\nmoves.U", ("values = 3", "expected paths and numbers")),
+        ("moves.U", "spec = 'a.toml'\nmoves.U", ("unknown key 'spec' for kind run",)),
+        ('axes = ["U"]', 'axes = "U"', ("axes = 'U'", "expected a list of axes")),
+        ("[tolerance.summary]", "[tolerance]\nposition = 3\n[tolerance.summary]", ("not a valid TOML file",)),
         ("u_move", "other_move", ("no golden result", "other_move.json", "--update")),
         ("10.0, -10.0", "12.0, -10.0", ("has changed since its golden result", "--update")),
     ],

@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from twin.errors import InputError
+
+if TYPE_CHECKING:
+    from twin.regress.suite import Case
 
 DEFAULT_SUITE = "examples/regression"
 ROUNDING = 1e-6
@@ -61,23 +65,23 @@ def regress_command(args: argparse.Namespace) -> int:
     return 1 if any(v.status in (FAILED, BROKEN) for v in verdicts) else 0
 
 
-def _update(args: argparse.Namespace, cases: Sequence) -> int:  # type: ignore[type-arg]
+def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     """Show old, new and difference; ask for a reason; write what changed."""
     from twin.progress import Progress
-    from twin.regress.golden import golden_paths, history_of, versions, write_golden
+    from twin.regress.golden import golden_paths, history_of, write_golden
     from twin.regress.run_suite import BROKEN, run_suite
     from twin.summary import table
 
     with Progress("regression", total=len(cases)) as bar:
         verdicts = run_suite(cases, jobs=args.jobs, update=True, done=lambda: bar(None))
-    broken = [v for v in verdicts if v.status == BROKEN or (v.new is not None and _stopped(v))]
+    broken = [v for v in verdicts if v.status == BROKEN or v.stopped]
     if broken:
         raise InputError(f"{broken[0].case.where}: {broken[0].text}; only a case that runs to its end can become golden")
     rows, changed = [], []
     for v in verdicts:
         if v.new is None:
             continue
-        if v.text == "no golden result so far":
+        if v.golden is None:
             rows.append([v.case.name, "(new case)", "-", f"{len(v.new.features)} numbers", "-", "-"])
             changed.append(v)
             continue
@@ -85,12 +89,16 @@ def _update(args: argparse.Namespace, cases: Sequence) -> int:  # type: ignore[t
         for c in sorted(differing, key=lambda c: -c.excess)[:12]:
             old, new = (_cell(value) for value in (c.golden, c.now))
             rows.append([v.case.name, c.quantity, old, new, f"{c.found:.4g} {c.unit}", f"{min(c.excess, 1e6):.2g}"])
-        if differing or v.note:
+        if not differing and v.golden.case != v.new.case:
+            rows.append([v.case.name, "(the case's table)", v.golden.case, v.new.case, "-", "-"])
+        if differing or v.note or v.golden.case != v.new.case:
             changed.append(v)
     if not changed:
         print("nothing differs from the golden results; nothing was written")
         return 0
     print(table(["case", "quantity", "old", "new", "difference", "of tolerance"], rows, left=2))
+    if others := {v.note for v in changed if v.note}:
+        print("\n".join(f"note: {note}" for note in sorted(others)))
     reason = (args.reason if args.reason is not None else _asked(len(changed))).strip()
     if len(reason) < 5:
         raise InputError(
@@ -98,14 +106,10 @@ def _update(args: argparse.Namespace, cases: Sequence) -> int:  # type: ignore[t
         )
     for v in changed:
         assert v.new is not None
-        number = sum(c.excess > ROUNDING for c in v.checks) if v.checks else len(v.new.features)
+        number = sum(c.excess > ROUNDING for c in v.checks) if v.golden else len(v.new.features)
         write_golden(v.case, v.new, history_of(v.case), reason, number)
-    print(f"{len(changed)} golden results written to {golden_paths(changed[0].case)[0].parent} with twin {versions()['twin']}: {reason}")
+    print(f"{len(changed)} golden results written to {golden_paths(changed[0].case)[0].parent}: {reason}")
     return 0
-
-
-def _stopped(verdict) -> bool:  # type: ignore[no-untyped-def]
-    return any(c.quantity == "simulation reaches its end" for c in verdict.checks)
 
 
 def _cell(value: float | str | None) -> str:

@@ -1,10 +1,18 @@
-"""What a failed case leaves: both traces, a plot, a recording that lays one over the other, all checks, and a sentence."""
+"""What a failed case leaves in its folder.
+
+sentence.txt                axis, from when, which block first, by how much
+checks.json                 every compared quantity with its tolerance
+plot.png                    golden and new of the axis, and their difference in its tolerance; without traces the worst numbers
+golden.parquet new.parquet  both traces, at the same samples
+overlay.rrd                 one over the other, for `twin replay`
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 import json
 from pathlib import Path
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -68,6 +76,7 @@ def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, 
     from twin.report import new_figure, save_png
     from twin.report.figure import RED, SOFT
 
+    above: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "ncols": 3}
     signals = [s for s in PLOTTED if s in case.tolerance and before.has(axis, s)]
     figure, panels = new_figure(len(signals), 2, width=13.0, height=2.3, sharex=True)
     colour = hexadecimal(axis_colour(axis))
@@ -83,23 +92,23 @@ def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, 
         row[1].plot(before.time, new - old, color=colour, linewidth=1.1)
         row[1].set_ylabel(f"new - golden [{unit}]")
         row[1].margins(y=0.15)
-        row[1].legend(loc="best")
         if place and place.since_s is not None:
             for panel in row:
-                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":")
-    panels[0][0].legend(loc="upper right")
+                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":", label="first beyond its tolerance")
+        row[1].legend(handles=row[1].get_legend_handles_labels()[0][:1], **above)
+    panels[0][0].legend(**above)
     for panel in panels[-1]:
         panel.set_xlabel("time [s]")
-    import textwrap
-
-    figure.suptitle("\n".join(textwrap.wrap(f"{case.name}: {text}", 150)), x=0.01, ha="left", fontsize=10)
+    _headed(figure, f"{case.name}: {text}", 150)
     save_png(figure, path)
+
+
+def _headed(figure: Any, text: str, width: int) -> None:
+    figure.suptitle("\n".join(textwrap.wrap(text, width)), x=0.01, ha="left", fontsize=10)
 
 
 def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
     """How far each number is from its golden value, in tolerances."""
-    import textwrap
-
     from twin.report import new_figure, save_png
     from twin.report.figure import BLUE, RED
 
@@ -111,7 +120,7 @@ def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
     panel.set_xscale("log")
     panel.axvline(1.0, color="black", linewidth=1.0)
     panel.set_xlabel("difference over tolerance (1 = just allowed)")
-    figure.suptitle("\n".join(textwrap.wrap(text, 120)), x=0.01, ha="left", fontsize=10)
+    _headed(figure, text, 120)
     save_png(figure, path)
 
 

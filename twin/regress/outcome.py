@@ -54,7 +54,7 @@ def flat(prefix: str, content: Any, out: dict[str, Value]) -> dict[str, Value]:
     elif isinstance(content, list | tuple):
         for i, value in enumerate(content):
             flat(f"{prefix}.{i}", value, out)
-    elif isinstance(content, bool) or content is None or isinstance(content, str):
+    elif isinstance(content, bool | str) or content is None:
         out[prefix] = str(content)
     else:
         out[prefix] = float(content)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 import multiprocessing
 import os
 from pathlib import Path
 import time
+import traceback
 
 from twin.errors import TwinError
 from twin.regress.compare import Check, compare
@@ -34,7 +36,9 @@ class Verdict:
     place: Place | None = None
     note: str = ""
     new: Golden | None = field(default=None, repr=False)
+    golden: Golden | None = field(default=None, repr=False)
     written: Path | None = None
+    stopped: bool = False  # the simulation did not reach its end
 
     @property
     def failed_checks(self) -> list[Check]:
@@ -52,7 +56,7 @@ def run_suite(
 ) -> list[Verdict]:
     """Verdicts in the order of the cases. `out`: a folder in which each failed case leaves its evidence.
 
-    `update` runs cases whose golden result is missing, of another case or another format as well: all is new then.
+    `update` compares with what a golden result was before its case changed, and runs cases that have none.
     """
     if not update:
         for case in cases:
@@ -68,8 +72,13 @@ def run_suite(
     else:
         # fresh processes: no state of this one, and the compiled loops come from the cache on disk
         with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(judge, case, out, update) for case in order]):
-                verdict = future.result()
+            running = {pool.submit(judge, case, out, update): case for case in order}
+            for future in as_completed(running):
+                try:
+                    verdict = future.result()
+                except BrokenProcessPool:
+                    text = "not run: a process of the suite was killed (out of memory?); try --jobs 1"
+                    verdict = Verdict(running[future], BROKEN, 0.0, text=text)
                 found[verdict.case.name] = verdict
                 if done:
                     done()
@@ -77,10 +86,10 @@ def run_suite(
 
 
 def judge(case: Case, out: Path | None, update: bool) -> Verdict:
-    """Run one case and compare it."""
+    """Run one case and compare it; whatever goes wrong in it is its verdict, and the others still run."""
     began = time.perf_counter()
     try:
-        golden = read_golden(case)
+        golden = read_golden(case, of_this_case=not update)
     except TwinError:
         if not update:
             raise
@@ -90,17 +99,20 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
     except Skip as reason:
         return Verdict(case, SKIPPED, time.perf_counter() - began, text=str(reason))
     except TwinError as error:
-        text = f"cannot run: {' '.join(str(error).split())}"
+        return Verdict(case, BROKEN, time.perf_counter() - began, text=f"cannot run: {' '.join(str(error).split())}")
+    except Exception as error:
+        line = traceback.extract_tb(error.__traceback__)[-1]
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        text = f"cannot run: {told} in {Path(line.filename).name}, line {line.lineno}"
         return Verdict(case, BROKEN, time.perf_counter() - began, text=text)
-    new = golden_of(outcome, case)
+    new, stopped = golden_of(outcome, case), bool(outcome.failed)
     if golden is None:
-        if outcome.failed:
-            return Verdict(case, BROKEN, time.perf_counter() - began, text=f"the simulation stops: {outcome.failed}")
-        return Verdict(case, PASSED, time.perf_counter() - began, text="no golden result so far", new=new)
+        text = f"the simulation stops: {outcome.failed}" if stopped else "no golden result so far"
+        return Verdict(case, BROKEN if stopped else PASSED, time.perf_counter() - began, text=text, new=new, stopped=stopped)
     checks = tuple(compare(case, golden, outcome))
     note = version_note(golden)
     if all(check.ok for check in checks):
-        return Verdict(case, PASSED, time.perf_counter() - began, checks, note=note, new=new)
+        return Verdict(case, PASSED, time.perf_counter() - began, checks, note=note, new=new, golden=golden)
     place = None
     if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
         place = place_of(outcome.machine, golden.trace, outcome.trace, checks)
@@ -111,13 +123,13 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
         from twin.regress.evidence import write_evidence
 
         written = write_evidence(out / case.name, case, golden, outcome, checks, place, text)
-    return Verdict(case, FAILED, time.perf_counter() - began, checks, text, place, note, new, written)
+    return Verdict(case, FAILED, time.perf_counter() - began, checks, text, place, note, new, golden, written, stopped)
 
 
 def place_of_numbers(checks: Sequence[Check]) -> Place:
     """Where a case without traces failed: the axis and block of its worst number."""
     worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
-    return Place(worst.axis, None, worst.block, 1.0)
+    return Place(worst.axis, None, worst.block)
 
 
 def version_note(golden: Golden) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+import math
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -23,7 +25,14 @@ class Skip(Exception):
 
 def run_case(case: Case) -> Outcome:
     """Run one case. Raises Skip, InputError; a simulation that stops is an outcome, with what was recorded up to there."""
-    return _RUNNERS[case.kind](case, machine_of(case))
+    outcome = _RUNNERS[case.kind](case, machine_of(case))
+    # 'nan' and 'inf' are kept as words, which can stay the same
+    words = {
+        n: replace(f, value=str(f.value))
+        for n, f in outcome.features.items()
+        if not isinstance(f.value, str) and not math.isfinite(f.value)
+    }
+    return replace(outcome, features={**outcome.features, **words})
 
 
 def machine_of(case: Case) -> Machine:
@@ -78,8 +87,7 @@ def _run(case: Case, machine: Machine) -> Outcome:
 
 
 def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
-    from twin.program import interpolate, read_program
-    from twin.surface.levels import PROGRAM_ENDINGS
+    from twin.program import PROGRAM_ENDINGS, interpolate, read_program
     from twin.trace import read_trace
 
     source = case.path("input")
@@ -167,17 +175,15 @@ def _diagnose(case: Case, machine: Machine) -> Outcome:
         features[f"effect {i + 1}"] = Feature(f"{e['effect']} on {e['axis']}", "", "", "diagnosis")
         for name, value in e["parameters"].items():
             features[f"{e['axis']}.{e['effect']}.{name}"] = Feature(value["value"], value["unit"], e["axis"], "diagnosis")
-    for i, place in enumerate(document["where"][:1]):
-        features[f"place {i + 1}"] = Feature(f"{place['block']} of {place['axis']}", "", "", "diagnosis")
-    for name in ("before", "after"):
-        features[f"gap {name}"] = Feature(document["gap"][name], "x noise", "", "diagnosis")
     return Outcome(features, machine=machine)
 
 
-def _study(case: Case, machine: Machine) -> Outcome:
-    from concurrent.futures import ThreadPoolExecutor
+_STUDY_UNITS = {"um": "um", "arcsec": "arcsec", "a": "A", "w": "W", "s": "s", "ms": "ms", "hz": "Hz"}
+"""Last word of a response's name -> unit; a share has none."""
 
-    from twin.study.carry_out import carry_out, fingerprint
+
+def _study(case: Case, machine: Machine) -> Outcome:
+    from twin.study.carry_out import carry_out, fingerprint, threads_here
     from twin.study.design import variants_of
     from twin.study.spec import read_study
     from twin.study.store import Store
@@ -187,8 +193,8 @@ def _study(case: Case, machine: Machine) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder), fingerprint(study, variants), resume=False)
         try:
-            with ThreadPoolExecutor(1) as pool:
-                carry_out(study, variants, store, pool, 1, lambda _: None)
+            with threads_here(1) as workers:
+                carry_out(study, variants, store, workers, lambda _: None)
             rows = store.rows()
         finally:
             store.close()
@@ -197,8 +203,10 @@ def _study(case: Case, machine: Machine) -> Outcome:
         if reason:
             features[f"variant {number}"] = Feature(f"cannot run: {reason}", block="study")
         for name, value in responses.items():
-            axis = next((a for a in machine.axis_names if f"_{a}_" in name), "")
-            features[f"variant {number}.{name}"] = Feature(value, name.rsplit("_", 1)[-1], axis, "study")
+            words = name.split("_")
+            axis = next((a for a in machine.axis_names if a in words), "")
+            unit = _STUDY_UNITS.get(words[-1], "")
+            features[f"variant {number}.{name}"] = Feature(value, unit, axis, "study")
     return Outcome(features, machine=machine)
 
 

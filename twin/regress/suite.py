@@ -20,14 +20,26 @@ from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD
 
 KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")
-SHARED_KEYS = ("kind", "name", "why", "machine", "axes", "values", "effects", "feedforward", "tolerance")
+COMMON_KEYS = ("kind", "name", "why", "machine", "tolerance")
+CHANGED = ("axes", "values", "effects")
+"""What a case may change in its machine: driven axes, numbers by path, effects."""
 OWN_KEYS: dict[str, tuple[str, ...]] = {
-    "run": ("input", "moves", "compare", "keep_every_ms"),
-    "cut": ("input", "part", "zone_um"),
-    "campaign": ("campaign", "moves", "recorded"),
-    "identify": ("campaign", "moves", "recorded"),
-    "diagnose": ("campaign", "moves", "recorded", "seed"),
+    "run": (*CHANGED, "feedforward", "input", "moves", "compare", "keep_every_ms"),
+    "cut": (*CHANGED, "feedforward", "input", "part", "zone_um"),
+    "campaign": (*CHANGED, "campaign", "moves", "recorded"),
+    "identify": (*CHANGED, "campaign", "moves", "recorded"),
+    "diagnose": (*CHANGED, "campaign", "moves", "recorded", "seed"),
     "study": ("spec",),
+}
+_TYPES: dict[str, tuple[type, str]] = {
+    "axes": (list, 'a list of axes, e.g. ["X"]'),
+    "values": (dict, 'paths and numbers, e.g. { "axis.X.moving_mass_kg" = 700.0 }'),
+    "effects": (list, 'a list of tables, e.g. [{ name = "backlash", axis = "X", clearance = 1.5e-5 }]'),
+    "moves": (dict, "tables of moves; write [moves.X] with distances_mm and speed_mm_per_s"),
+    "recorded": (dict, "a table with seed, effect, axis, feedforward"),
+    "compare": (list, 'a list of signals, e.g. ["position", "current"]'),
+    "seed": (int, "a whole number"),
+    **dict.fromkeys(("machine", "input", "part", "spec", "campaign"), (str, "a path beside the suite file")),
 }
 NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",)}
 """What a kind compares besides its signals; every other kind compares `summary`."""
@@ -138,16 +150,20 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     kind = table.get("kind")
     if kind not in KINDS:
         raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}; use one of {', '.join(KINDS)}")
-    known = (*SHARED_KEYS, *OWN_KEYS[kind])
-    for key in table:
+    known = (*COMMON_KEYS, *OWN_KEYS[kind])
+    for key, value in table.items():
         if key not in known:
             raise InputError(f"{where}: unknown key '{key}' for kind {kind}; {nearest(key, known)}")
+        expected, told = _TYPES.get(key, (object, ""))
+        if not isinstance(value, expected) or value in ([], {}, ""):
+            raise InputError(f"{where}: {key} = {value!r}: expected {told or 'a word'}")
     if table.get("feedforward") is not None and table["feedforward"] not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{table['feedforward']}'; use one of {', '.join(FEEDFORWARD)}")
+    for key in ("keep_every_ms", "zone_um"):
+        length = table.get(key, 1.0)
+        if isinstance(length, bool) or not isinstance(length, int | float) or not 0.0 < length < 1e4:
+            raise InputError(f"{where}: {key} = {length!r}: give a number above 0, e.g. 10")
     case = Case(name, kind, file, table)
-    every = table.get("keep_every_ms", 1.0)
-    if isinstance(every, bool) or not isinstance(every, int | float) or not 0.0 < every < 1e4:
-        raise InputError(f"{where}: keep_every_ms = {every!r}: give a period above 0, e.g. 10")
     _check_source(case)
     _check_tolerances(case)
     return case
@@ -189,6 +205,8 @@ def _check_tolerances(case: Case) -> None:
             raise InputError(f"{case.where}: tolerance of '{quantity}' is missing; write [tolerance.{quantity}] {example}")
     for quantity, table in case.tolerance.items():
         where = f"{case.where}: [tolerance.{quantity}]"
+        if not isinstance(table, dict):
+            raise InputError(f"{where}: expected a table, found {table!r}; write [tolerance.{quantity}] and below it its keys")
         if quantity not in (*SIGNAL_UNITS, "summary", "events", "gap"):
             raise InputError(f"{where}: no such quantity; {nearest(quantity, (*SIGNAL_UNITS, 'summary', 'events', 'gap'))}")
         keys = _keys_of(quantity)

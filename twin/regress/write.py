@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 import json
 from pathlib import Path
@@ -75,9 +76,7 @@ def document(verdicts: Sequence[Verdict], seconds: float) -> dict[str, Any]:
                 "seconds": v.seconds,
                 "text": v.text,
                 "note": v.note,
-                "place": {"axis": v.place.axis, "since_s": v.place.since_s, "block": v.place.block, "share": v.place.share}
-                if v.place
-                else None,
+                "place": asdict(v.place) if v.place else None,
                 "evidence": str(v.written) if v.written else None,
                 "checks": [check_table(c) for c in v.checks],
             }
