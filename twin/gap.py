@@ -19,7 +19,7 @@ from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.machine_keys import EFFORTS
 from twin.run import simulate
-from twin.setpoints import check_travel, setpoints_of
+from twin.setpoints import check_travel, recorded_setpoints
 from twin.trace import OTHER_UNITS, Trace
 from twin.units import ARCSEC, AXIS_UNITS
 
@@ -51,7 +51,7 @@ class Prediction:
 
 def predict(machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS, seed: int = 0) -> Prediction:
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations."""
-    setpoints = setpoints_of(run.trace, machine)
+    setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
     actual = machine.with_feedforward(run.feedforward)
     traces = [

@@ -115,6 +115,7 @@ class ReducedPlant:
         header = [change.machine.base_tick, dofs, rows, loads.row_ticks]
         self._constants = np.concatenate([header, constants.ravel(), inertia.ravel(), bias.ravel()])
         self._state = np.zeros(1 + _VECTORS * dofs)
+        self._state[_TICK] = -change.lead_ticks
         vectors = self._state[1:].reshape(_VECTORS, dofs)
         vectors[_LEVEL, :n] = [axis.coulomb_friction for axis in axes]
         load = np.arange(n)
@@ -255,7 +256,7 @@ def reduced_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-d
     rows = int(header[_ROWS])
     constants = carray(constants_pointer, (_HEADER + _PER_DOF * n + 2 * rows * n,))
     state = carray(state_pointer, (1 + _VECTORS * n,))
-    at = (state[_TICK] + 0.5) / header[_ROW_TICKS]
+    at = max(state[_TICK] + 0.5, 0.0) / header[_ROW_TICKS]
     row = min(int(at), rows - 2)
     part = min(at - row, 1.0)
     masses = _HEADER + _PER_DOF * n + row * n

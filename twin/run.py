@@ -79,12 +79,13 @@ def simulate(
     # what the control was commissioned with stays; what the machine really is comes from file and effects
     inertia = commissioned_inertia(machine)
     actual = apply_effects(machine, started_at)
+    actual.lead_ticks = round(setpoints.lead / machine.base_tick)
     plant = (plant_of or FullPlant)(actual)
     drives = cascade.drives_of(actual.machine)
     terms = term_table(actual.terms)
 
     # at rest on the first set point, integrators carrying gravity and constant forces
-    start = setpoints.position[0] - actual.scale_offset
+    start = setpoints.start - actual.scale_offset
     held_force = plant.place_at_rest(start, actual.constant_force, actual)
     sag = _sag(actual.machine, held_force)
     if sag.any():
@@ -112,8 +113,8 @@ def simulate(
     limited = np.zeros((len(machine.axes), 2), np.int64)
     total = (rows - 1) * record_ticks + 1
     stretch = int(np.lcm(position_ticks, record_ticks)) * max(1, STRETCH_TICKS // int(np.lcm(position_ticks, record_ticks)))
-    for first in range(0, total, stretch):
-        ticks = min(stretch, total - first)
+    for first in (*([-actual.lead_ticks] if actual.lead_ticks else []), *range(0, total, stretch)):
+        ticks = -first if first < 0 else min(stretch, total - first)
         command = command_of(actual.machine, inertia, setpoints, first // position_ticks, -(-ticks // position_ticks))
         failed = loop.advance(
             plant.engine,
@@ -126,8 +127,8 @@ def simulate(
             _sensing(machine, rng, ticks, record_noise),
             first,
             ticks,
-            record[first // record_ticks :],
-            limited,
+            record[first // record_ticks :] if first >= 0 else np.empty((-first // record_ticks + 1, *record.shape[1:])),
+            limited if first >= 0 else np.zeros_like(limited),
         )
         if failed >= 0:
             tick, axis = divmod(failed, len(machine.axes))

@@ -6,7 +6,8 @@ added), read at arbitrary delays. The control differentiates them backwards over
     v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
     T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
 
-Before the first sample the machine stood on it; after the last one it stays there.
+Before the first sample the machine stood on it; after the last one it stays there. A recording that begins in motion gets a
+lead-in: the axes come up from rest to the speed that they have at its first sample.
 """
 
 from __future__ import annotations
@@ -34,16 +35,28 @@ _MOST_DELAYS = 64
 TRAVEL_TOLERANCE = 1e-9
 """Set points may exceed the travel by rounding only [m or rad]."""
 
+LEAD_S = 0.4
+UP_TO_SPEED = 0.6
+"""Least length of a lead-in [s], and the part of it in which the speed is reached: its transient has died when the recording begins."""
+
+AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
+"""Set point speeds up to which a recording begins at rest [m/s, rad/s]."""
+
 LIMIT_TOLERANCE = 0.01
 """Recorded set points are rounded: a limit counts as exceeded beyond this fraction."""
 
 
 class Setpoints:
-    """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s]."""
+    """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s].
 
-    def __init__(self, position: np.ndarray, period: float):
+    `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in.
+    """
+
+    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None):
         self.position = np.ascontiguousarray(position, float)
         self.period = period
+        self.before = self.position[:0] if before is None else before
+        self._all = self.position if before is None else np.concatenate([before, self.position])
         self._parts: dict[tuple[int, ...], Setpoints] = {}
         self._cycles: dict[tuple[float, float], np.ndarray] = {}
 
@@ -52,10 +65,21 @@ class Setpoints:
         """Time of the last sample [s]."""
         return (len(self.position) - 1) * self.period
 
+    @property
+    def lead(self) -> float:
+        """Length of the lead-in [s]."""
+        return len(self.before) * self.period
+
+    @property
+    def start(self) -> np.ndarray:
+        """Where the axes stand before they move (axis,)."""
+        return self._all[0]
+
     def part(self, axes: tuple[int, ...]) -> Setpoints:
         """The same set points of some axes only, by index; remembered, with their spline."""
         if axes not in self._parts:
-            self._parts[axes] = Setpoints(self.position[:, list(axes)], self.period)
+            index = list(axes)
+            self._parts[axes] = Setpoints(self.position[:, index], self.period, self.before[:, index] if len(self.before) else None)
         return self._parts[axes]
 
     def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:
@@ -63,28 +87,30 @@ class Setpoints:
         if self._spline is None:
             times = np.arange(first, first + count) * period
             return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
+        lead = round(self.lead / period)
         out = []
         for delay in delays:
             known = self._cycles.get((period, delay))
             if known is None:
                 total = int(np.ceil(self.duration / period)) + 2
-                known = self.at(np.arange(total) * period - delay)
+                known = self.at(np.arange(-lead, total) * period - delay)
                 if len(self._cycles) >= _MOST_DELAYS:  # where the delay itself is varied or fitted
                     self._cycles.clear()
                 self._cycles[period, delay] = known
-            out.append(known[first : first + count])
+            out.append(known[lead + first : lead + first + count])
         return out
 
     @functools.cached_property
     def _spline(self) -> CubicSpline | None:
         """One spline through all samples, where that is cheap to keep."""
-        if not 4 <= len(self.position) <= _KEEP_SPLINE:
+        if not 4 <= len(self._all) <= _KEEP_SPLINE:
             return None
-        return CubicSpline(np.arange(len(self.position)), self.position, axis=0, bc_type="natural")
+        return CubicSpline(np.arange(len(self._all)), self._all, axis=0, bc_type="natural")
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """(time, axis) positions at times [s] that lie close together, constant outside the samples."""
-        last = len(self.position) - 1
+        last = len(self._all) - 1
+        times = times + self.lead if len(self.before) else times
         at = np.clip(times / self.period, 0, last)
         near = np.rint(at)
         at = np.where(np.abs(at - near) < 1e-9, near, at)  # a sample's own time gives the sample itself
@@ -96,8 +122,8 @@ class Setpoints:
             low, high = max(0, high - 3), min(last, low + 3)
         index = np.arange(low, high + 1)
         if high - low < 3:
-            return np.column_stack([np.interp(at, index, column[low : high + 1]) for column in self.position.T])
-        return CubicSpline(index, self.position[low : high + 1], axis=0, bc_type="natural")(at)
+            return np.column_stack([np.interp(at, index, column[low : high + 1]) for column in self._all.T])
+        return CubicSpline(index, self._all[low : high + 1], axis=0, bc_type="natural")(at)
 
 
 @dataclass(frozen=True)
@@ -145,6 +171,25 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
         else:
             columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
     return Setpoints(np.column_stack(columns), trace.period)
+
+
+def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
+    """Set points of a recording, with a lead-in where it begins in motion."""
+    setpoints = setpoints_of(trace, machine)
+    position, period = setpoints.position, setpoints.period
+    speed = (position[1] - position[0]) / period
+    least = [AT_REST[axis.kind] for axis in machine.axes]
+    cycle = max(machine.position_cycle, machine.base_tick)
+    samples = np.arange(1, round(4.0 * LEAD_S / period) + 1)
+    whole = samples[np.abs(samples * period / cycle - np.rint(samples * period / cycle)) < 1e-6]
+    whole = whole[whole * period >= LEAD_S - 1e-12]
+    if np.all(np.abs(speed) <= least) or not whole.size:
+        return setpoints
+    n = int(whole[0])
+    t = np.arange(n) / n
+    x = np.minimum(t / UP_TO_SPEED, 1.0)  # the speed grows as 3 x^2 - 2 x^3, then stays
+    missing = np.where(x < 1.0, UP_TO_SPEED * (0.5 - x**3 + 0.5 * x**4) + 1.0 - UP_TO_SPEED, 1.0 - t)  # its integral from t to 1
+    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed))
 
 
 def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:

@@ -7,14 +7,17 @@ import pytest
 
 from tests.conftest import swings
 from tests.other_structures import machine_text, slides, write_slides
+from twin.campaign import MeasuredRun
 from twin.cascade_reference import CHANNELS, simulate_reference
 from twin.engine import FullPlant
+from twin.gap import gap_of, predict
 from twin.identify.single_axis import Record, resimulate
 from twin.machine import Machine, load_machine
 from twin.moves import moves_in_turn
 from twin.reduced import Motion, ReducedPlant
 from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.setpoints import Setpoints, setpoints_of
+from twin.trace import Trace
 
 ROUNDING = {"position": 1e-13, "velocity_setpoint": 1e-10, "current": 1e-9}
 """Another order of summing, amplified by differentiation over half a millisecond and by the gains [m or rad, per s, the command]."""
@@ -117,3 +120,19 @@ def test_reduced_plant_is_the_engine(tmp_path: Path) -> None:
     for axis in machine.axes:
         assert np.abs(full.get(axis.name, "position") - reduced.get(axis.name, "position")).max() < 1e-9
         assert np.abs(full.get(axis.name, axis.effort) - reduced.get(axis.name, axis.effort)).max() < 1e-4
+
+
+def test_a_recording_that_begins_in_motion(tmp_path: Path) -> None:
+    """Cut out of a longer run, it is simulated as if the machine had come along: without a lead-in it would start with a jump."""
+    machine = slides(tmp_path, "X", (1000, 1000))
+    _, position = moves_in_turn(0.0, [0.12, -0.12], 0.15, 2.0, 40.0, 0.0, 1e-3)
+    whole = simulate(machine, Setpoints(position[:, None], 1e-3)).trace
+    cut = slice(len(position) // 4, None)
+    signals = {key: values[cut] for key, values in whole.signals.items()}
+    run = MeasuredRun("cut", Trace(whole.time[cut] - whole.time[cut][0], signals, whole.kinds), None, 0.0)
+    assert abs(np.diff(run.trace.get("X", "setpoint")[:2])[0]) > 1e-4
+    gap = gap_of(machine, run, predict(machine, run, realisations=1))["X"]
+    assert gap["position"].max < 0.2  # um
+    assert gap["voltage"].max < 0.02  # V
+    jump = simulate(machine, setpoints_of(run.trace, machine)).trace
+    assert np.abs(jump.get("X", "position") - run.trace.get("X", "position")).max() > 100e-6

@@ -31,7 +31,7 @@ from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import Motion, ReducedPlant
 from twin.run import simulate
-from twin.setpoints import Setpoints, setpoints_of
+from twin.setpoints import Setpoints, recorded_setpoints
 from twin.trace import Trace
 
 CHANNELS = ("controller", "windup", "position", "velocity", "current")
@@ -255,7 +255,7 @@ def _delayed(view: RunView, axis: Axis) -> np.ndarray:
 def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     """A run with the nominal twin's own motion, along which the reduced plant is taken."""
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
-    setpoints = setpoints_of(run.trace, actual)
+    setpoints = recorded_setpoints(run.trace, actual)
     times = np.arange(len(setpoints.position)) * setpoints.period
     position = setpoints.position.copy()
     for a, axis in enumerate(actual.axes):

@@ -55,6 +55,7 @@ class Change:
 
     machine: Machine
     started_at: float = 0.0
+    lead_ticks: int = 0  # ticks that the run begins before time 0
     terms: list[Term] = field(default_factory=list)
     model_edits: list[ModelEdit] = field(default_factory=list)
     couplings: dict[str, Coupling] = field(default_factory=dict)
