@@ -95,7 +95,7 @@ def _draw(known: Understood, trace: Written, path: Path) -> None:
         line[0].plot(*trace.curve((axis, "setpoint")), color=setpoint, lw=2.2, label="set point")
         if position:
             line[0].plot(*trace.curve((axis, position)), color=colour, lw=1.0, label=position.replace("_", " "))
-        line[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0)
+        line[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0, handlelength=1.2, columnspacing=1.0)
         _draw_error(known, trace, axis, line[1], colour)
         _draw_speed(trace, axis, line[2], colour, setpoint)
         force = [s for s in ("current", "torque", "voltage") if (axis, s) in trace.units][:1]
@@ -142,7 +142,10 @@ def _draw_speed(trace: Written, axis: str, panel: Any, colour: str, setpoint: st
     for signal in shown:
         main = signal == "velocity"
         panel.plot(
-            *trace.curve((axis, signal)), color=colour if main else setpoint, lw=0.8 if main else 1.8, label=signal.replace("_", " ")
+            *trace.curve((axis, signal)),
+            color=colour if main else setpoint,
+            lw=0.8 if main else 1.8,
+            label="measured" if main else "set point",
         )
     if len(shown) > 1:
-        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0)
+        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0, handlelength=1.2, columnspacing=1.0)

@@ -85,7 +85,7 @@ def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float,
             step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
             ratio = _ratio(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
             if ratio is not None and (text := _mistake(*ratio, kind, loose=True)):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {ratio[0]:.3g} times as far as {axis}.{reference}: {text}"))
+                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio[0])} times as far as {axis}.{reference}: {text}"))
     for signal in SPEEDS:
         if signal in own:
             base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
@@ -96,7 +96,7 @@ def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float,
             summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
             ratio = _ratio(summed[step:] - summed[:-step], moved)
             if ratio is not None and (text := _mistake(*ratio, kind, loose=False)):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} is {ratio[0]:.3g} times the slope of {axis}.{base}: {text}"))
+                out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(ratio[0])} times the slope of {axis}.{base}: {text}"))
     return out
 
 
@@ -163,3 +163,8 @@ def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, 
             told = f", the machine file's peak is {known.motor.peak_current_a:.3g} A" if known else ""
             out.append(Doubt(axis, "current", f"{axis}.current reaches {peak:.4g} A{told}: wrong unit (mA?) or scale; correct the map"))
     return out
+
+
+def _plain(ratio: float) -> str:
+    """Two digits: 1000, 0.06, -2.5."""
+    return f"{float(f'{ratio:.2g}'):g}"

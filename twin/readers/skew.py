@@ -12,17 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
 
-from twin.identify.axis_run import low_passed
-from twin.identify.findings import LATE_S
 from twin.identify.least_squares import regress
 
 BAND_HZ = 40.0
 SEARCH_S = 0.25
 CLEAR = 0.5
-"""Share of the channel's variance that the model must explain; below, nothing is said."""
+CLEAR_FORCE = 0.9
+"""Share of the channel's (a force's) variance that the model must explain; below, nothing is said."""
+FORCES = ("current", "torque", "voltage")
+INERTIA = 0.1
+"""Share of a force's variance that only the acceleration must explain: friction tells no time."""
+LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
+"""Skew [s] from which it is said: an elastic drive train makes as much below."""
 LATE_CURRENT_S = 1.5e-3
-"""Without a machine file: friction at reversals and masses moved by other axes make up to 0.8 ms on healthy runs."""
+"""Of current, torque and voltage: friction at reversals and masses moved by other axes make up to 0.8 ms on healthy runs."""
 PER_BAND = 6.0
 """Samples kept for a period of the band's edge."""
 
@@ -40,9 +45,7 @@ class Late:
     @property
     def clear(self) -> bool:
         """Beyond what noise, an elastic drive train and a current loop make."""
-        return abs(self.seconds) > max(
-            LATE_S[self.signal] if self.signal in ("motor_position", "velocity") else LATE_CURRENT_S, 4.0 * self.deviation
-        )
+        return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
 
 
 def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Late]:
@@ -53,33 +56,50 @@ def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, 
         reference = next((s for s in ("position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
         if reference is None:
             continue
-        band = min(BAND_HZ, 0.1 / period)
-        every = max(1, int(1.0 / (PER_BAND * band * period)))
-        coarse = period * every
-        smooth = low_passed(own[reference], period, band)
-        speed = np.gradient(smooth, period)
-        columns = {
-            "motor_position": [smooth, speed, _direction(speed, period, band), np.gradient(speed, period), np.ones_like(speed)],
-            "velocity": [speed, np.ones_like(speed)],
-            "current": [np.gradient(speed, period), speed, _direction(speed, period, band), np.ones_like(speed)],
-        }
-        if kinds[axis] == "rotary":  # gravity turns with the axis
-            columns["current"] += [np.cos(smooth), np.sin(smooth)]
-        columns["torque"] = columns["voltage"] = columns["current"]
-        for signal, parts in columns.items():
-            if signal not in own or signal == reference or np.ptp(own[signal]) == 0.0 or len(smooth) < 40 * every:
-                continue
-            y = low_passed(own[signal], period, band)[::every]
-            late = _late(y, np.column_stack([p[::every] for p in parts]), speed[::every], coarse, signal)
-            if late is not None:
-                out.append(Late(axis, signal, late[0], late[1], late[2]))
+        # the speed is the motor's: where its position is recorded, it is held against that; a force moves the load
+        motor = "motor_position" if "motor_position" in own and np.ptp(own["motor_position"]) > 0.0 else reference
+        behind = 0.0
+        for signal in ("motor_position", "velocity", "current", "torque", "voltage"):
+            if signal in own and signal != reference and np.ptp(own[signal]) > 0.0:
+                base = motor if signal == "velocity" else reference
+                found = _of_channel(own[signal], own[base], signal, period, kinds[axis])
+                if found is not None:
+                    late = Late(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], found[2])
+                    behind = late.seconds if signal == "motor_position" and late.clear else behind
+                    out.append(late)
     return out
+
+
+def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: float, kind: str) -> tuple[float, float, bool] | None:
+    """Skew of one channel against a position: (seconds, deviation, pushes the wrong way)."""
+    band = min(BAND_HZ, 0.1 / period)
+    every = max(1, int(1.0 / (PER_BAND * band * period)))
+    if len(values) < 40 * every:
+        return None
+    place = _smooth(reference, period, band)
+    speed = np.gradient(place, period)
+    acceleration, ones = np.gradient(speed, period), np.ones_like(speed)
+    if signal == "motor_position":
+        columns = [place, speed, _direction(speed, period, band), acceleration, ones]
+    elif signal == "velocity":
+        columns = [speed, ones]
+    else:
+        columns = [acceleration, speed, _direction(speed, period, band), ones]
+        if kind == "rotary":  # gravity turns with the axis
+            columns += [np.cos(place), np.sin(place)]
+    y = _smooth(values, period, band)[::every]
+    return _late(y, np.column_stack([c[::every] for c in columns]), speed[::every], period * every, signal)
+
+
+def _smooth(values: np.ndarray, period: float, band: float) -> np.ndarray:
+    """Fourth-order Butterworth, forwards and backwards."""
+    return sosfiltfilt(butter(4, band, fs=1.0 / period, output="sos"), values) if len(values) > 40 else values
 
 
 def _direction(speed: np.ndarray, period: float, band: float) -> np.ndarray:
     """Sign of the speed through the same filter; zero at rest."""
     moving = np.abs(speed) > 1e-3 * np.abs(speed).max()
-    return low_passed(np.sign(speed) * moving, period, band)
+    return _smooth(np.sign(speed) * moving, period, band)
 
 
 def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, signal: str) -> tuple[float, float, bool] | None:
@@ -97,8 +117,13 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
         x = columns[inner - shift]
         left[shift] = float(np.mean((y[inner] - x @ np.linalg.lstsq(x, y[inner], rcond=None)[0]) ** 2))
     best = min(left, key=lambda s: left[s])
-    if left[best] > (1.0 - CLEAR) * variance or abs(best) == reach:
+    if left[best] > (1.0 - (CLEAR_FORCE if signal in FORCES else CLEAR)) * variance or abs(best) == reach:
         return None
+    if signal in FORCES:
+        x = columns[inner - best][:, 1:]
+        slow = float(np.mean((y[inner] - x @ np.linalg.lstsq(x, y[inner], rcond=None)[0]) ** 2))
+        if slow - left[best] < INERTIA * variance:
+            return None  # friction alone: at slow reversals it leads the motion
     # fine: y - m(t - d), linear in what is left of d
     spline = CubicSpline(rows * period, columns)
     clusters = np.cumsum(np.diff(np.sign(speed[inner]), prepend=0.0) != 0) + rows[inner] // max(int(0.5 / period), 1) * 1000
@@ -113,7 +138,7 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
             x = np.delete(x, 1, axis=1)
         fit = regress(np.column_stack([x, -slope]), y[inner], clusters)
         d, deviation = d + float(fit.values[-1]), float(fit.deviations[-1])
-        wrong = signal in ("current", "torque") and float(b[0]) < 0.0 and float(b[2]) < 0.0
+        wrong = signal in FORCES and float(b[0]) < 0.0 and float(b[2]) < 0.0
         if abs(fit.values[-1]) < 1e-8:
             break
         if abs(d) > reach * period:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,20 @@ def read(path: Path, how: How) -> Recording:
     """Channels as 'group/channel'."""
     try:
         from nptdms import TdmsFile
+        from nptdms.log import log_manager
     except ImportError:
         raise InputError(f"{path}: TDMS needs the package npTDMS; install it with: pip install 'twin[tdms]'") from None
     if not starts_with(path, b"TDSm"):
         raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
+    log_manager.set_level(logging.CRITICAL)  # what it warns of is told below
     try:
         with TdmsFile.open(path) as file:
+            if file.file_status.incomplete_final_segment:
+                raise InputError(f"{path}: the TDMS file is cut off in its last segment; export it again")
             channels = [c for group in file.groups() for c in group.channels()]
             raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
+    except InputError:
+        raise
     except Exception as error:  # what the package raises on a damaged file is not one class
         raise InputError(
             f"{path}: a damaged TDMS file ({str(error).splitlines()[0] if str(error) else type(error).__name__}); export it again"

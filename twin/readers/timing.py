@@ -18,9 +18,13 @@ from twin.trace import RELATIVE_PERIOD_TOLERANCE
 
 LONGER = 1.5
 """A step longer than this many intervals is a gap."""
+LONGER_MIXED = 3.5
+"""The same where the map asks for a period: intervals may change."""
 MANY_GAPS = 0.02
 """More gaps than this fraction of the samples: the interval itself changes."""
 MEDIAN_OF = 1 << 18
+WINDOW = 50
+"""Samples over which an interval is looked at where single steps are rounded or jitter."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Timing:
 def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing:
     """Stretches between gaps. Raises InputError where time stands still, goes back, or the interval changes for good.
 
-    `period_s`: the map asks for this period; then every step up to LONGER times that is no gap, whatever the interval does.
+    `period_s`: the map asks for this period; then the interval may change, and only steps above LONGER_MIXED times it are gaps.
     """
     n = len(time)
     if n < 2:
@@ -60,11 +64,11 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     if not np.all(np.isfinite(head)):
         raise InputError(f"{where}: the time holds NaN at row {int(np.argmin(np.isfinite(head))) + 1}; repair it")
     quantum = _quantum(head)
-    interval = _usual_step(head)
+    interval, rounded = _usual_step(head, quantum)
     notes: list[str] = []
     gaps: list[int] = []
     repeated = 0
-    limit = LONGER * max(interval, period_s or 0.0) + 2.0 * quantum * (quantum > 0.1 * interval)
+    limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
     for row, steps in _steps(time):
         if not np.all(np.isfinite(steps)):
             raise InputError(f"{where}: the time holds NaN at row {row + int(np.argmin(np.isfinite(steps))) + 2}; repair it")
@@ -77,7 +81,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         repeated += int(np.count_nonzero(steps == 0.0))
         gaps += [row + int(i) for i in np.flatnonzero(steps > limit)]
         if len(gaps) > max(MANY_GAPS * n, 20):
-            raise _changing(time, gaps, interval, where)
+            raise _changing(time, gaps[0], interval, where)
     bounds = [0, *(g + 1 for g in gaps), n]
     stretches = []
     for first, last in itertools.pairwise(bounds):
@@ -86,20 +90,21 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     if not stretches:
         raise InputError(f"{where}: no two samples are near each other in time; check the time column and its unit")
     longest = max(stretches, key=lambda s: s.count)
-    for one in stretches:
-        if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval and period_s is None:
-            other, late = (one, longest) if one.first < longest.first else (longest, one)
-            raise InputError(
-                f"{where}: the interval changes from {other.interval * 1e3:.4g} ms to {late.interval * 1e3:.4g} ms at {late.begin:.6g} s; "
-                "split the recording there (from_s, to_s), or say period_ms in the map to bring all on one"
-            )
-    if repeated and not longest.even:
+    if repeated and not all(one.even for one in stretches):
         raise InputError(f"{where}: time stands still at {repeated} rows and no even interval explains it; repair the time column")
-    if longest.even and longest.spread > RELATIVE_PERIOD_TOLERANCE * longest.interval:
+    if period_s is None:
+        for one in stretches:
+            if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
+                raise _changing(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
+            if not one.even and (change := _change(time, one, quantum)) is not None:
+                raise _changing(time, *change, where)
+    if longest.even and rounded:
         notes.append(f"times printed to {quantum * 1e3:.3g} ms; samples are {longest.interval * 1e3:.6g} ms apart")
+    elif repeated:
+        notes.append(f"time stands still at {repeated} row{'s' * (repeated > 1)}; taken as {longest.interval * 1e3:.6g} ms apart")
     elif not longest.even:
         notes.append(
-            f"the clock jitters by up to {longest.spread * 1e3:.3g} ms about {longest.interval * 1e3:.4g} ms; brought on an even grid"
+            f"the clock is off by {0.5 * longest.spread * 1e3:.3g} ms about {longest.interval * 1e3:.4g} ms; brought on an even grid"
         )
     return Timing(tuple(stretches), longest.interval, tuple(notes))
 
@@ -119,36 +124,71 @@ def _quantum(times: np.ndarray) -> float:
     return 0.0
 
 
-def _usual_step(times: np.ndarray) -> float:
-    """Median step; of times so coarse that many are equal or two values alternate, their mean within the usual ones."""
-    steps = np.diff(times)
-    median = float(np.median(steps))
-    if median <= 0.0 or np.count_nonzero(np.abs(steps - median) < 0.02 * median) < 0.9 * len(steps):
-        usual = steps[steps <= 3.0 * max(median, float(np.mean(steps)))]
-        return float(np.mean(usual))
-    return median
+def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
+    """Interval between samples, and whether printing to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms."""
+    median = float(np.median(np.diff(times)))
+    rows = len(times) // WINDOW
+    if rows == 0 or quantum == 0.0:
+        return median, False
+    windows = times[: rows * WINDOW].reshape(rows, WINDOW)
+    k = np.arange(WINDOW) - 0.5 * (WINDOW - 1)
+    slopes = windows @ k / (k @ k)
+    off = windows - slopes[:, None] * k
+    spreads = 0.5 * np.ptp(off, axis=1)
+    interval = float(np.median(slopes))
+    spread = float(np.median(spreads))
+    rounded = spread > RELATIVE_PERIOD_TOLERANCE * interval and spread < 0.6 * quantum
+    return (interval, True) if rounded and interval > 0.0 else (median, False)
 
 
 def _stretch(time: Column, first: int, count: int, quantum: float) -> Stretch:
-    """Even grid through the samples: interval from the ends, then the middle of what is left over."""
-    begin, end = float(time[first : first + 1][0]), float(time[first + count - 1 : first + count][0])
-    interval = (end - begin) / (count - 1)
-    low, high = 0.0, 0.0
-    for start in range(0, count, BLOCK):
-        part = np.asarray(time[first + start : first + min(start + BLOCK, count)], float)
-        off = part - (begin + interval * (start + np.arange(len(part))))
+    """Even grid through the samples by least squares; `spread` is half the range of what is left over."""
+    start, scale, total, moment = float(time[first : first + 1][0]), 0.5 * (count - 1), 0.0, 0.0
+    for at in range(0, count, BLOCK):
+        part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float) - start
+        total += float(part.sum())
+        moment += float(part @ (at + np.arange(len(part)) - scale))
+    interval = moment * 12.0 / (count * (float(count) ** 2 - 1.0))
+    begin = start + total / count - interval * scale
+    spread = _spread(time, first, count, begin, interval)
+    # printed times are off by half a digit
+    rounded = quantum > 0.0 and spread <= 0.6 * quantum and quantum <= 20.0 * interval
+    if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
+        return Stretch(first, count, begin, interval, spread, True)
+    # times that count themselves: from the first to the last of them
+    interval = (float(time[first + count - 1 : first + count][0]) - start) / (count - 1)
+    return Stretch(first, count, start, interval, 2.0 * _spread(time, first, count, start, interval), False)
+
+
+def _spread(time: Column, first: int, count: int, begin: float, interval: float) -> float:
+    """Half the range by which times are off the even grid."""
+    low, high = np.inf, -np.inf
+    for at in range(0, count, BLOCK):
+        part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float)
+        off = part - (begin + interval * (at + np.arange(len(part))))
         low, high = min(low, float(off.min())), max(high, float(off.max()))
-    spread = 0.5 * (high - low)
-    fine = spread <= RELATIVE_PERIOD_TOLERANCE * interval
-    # printed times are off by half a digit at most, and so is each end
-    rounded = quantum > 0.0 and spread <= 1.01 * quantum and quantum <= 20.0 * interval
-    return Stretch(first, count, begin + 0.5 * (high + low), interval, spread, fine or rounded)
+    return 0.5 * (high - low)
 
 
-def _changing(time: Column, gaps: list[int], interval: float, where: str) -> InputError:
-    at = gaps[0]
-    here = np.asarray(time[at : at + 2], float)
-    return InputError(
-        f"{where}: the interval is not constant: {interval * 1e3:.4g} ms, then {(here[1] - here[0]) * 1e3:.4g} ms at {here[0]:.6g} s and often after; "
-        "split the recording there (from_s, to_s), or say period_ms in the map to bring all on one"
+def _change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
+    """The row where the interval changes for good and the interval before; None where the clock only jitters or drifts."""
+    usual: float | None = None
+    for at in range(0, one.count - WINDOW, WINDOW):
+        ends = [float(time[row : row + 1][0]) for row in (one.first + at, one.first + at + WINDOW)]
+        here = (ends[1] - ends[0]) / WINDOW
+        usual = here if usual is None else usual
+        if abs(here - usual) > 0.1 * usual + 2.0 * quantum / WINDOW:
+            return one.first + at, usual
+    return None
+
+
+def _changing(time: Column, row: int, interval: float, where: str) -> InputError:
+    """The error of an interval that is not one."""
+    here = np.asarray(time[row : row + WINDOW], float)
+    after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval
+    told = (
+        f"the interval changes from {interval * 1e3:.4g} ms to {after * 1e3:.4g} ms at {here[0]:.6g} s"
+        if abs(after - interval) > 0.05 * interval
+        else f"the interval is not constant: {interval * 1e3:.4g} ms, but {np.diff(here[:2])[0] * 1e3:.4g} ms at {here[0]:.6g} s and often after"
     )
+    return InputError(f"{where}: {told}; split the recording there (from_s, to_s), or say period_ms in the map to bring all on one")

@@ -92,16 +92,15 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
         made.append(Channel(column, Source(signal, timing, column.skew_s), conversion, recording.path.name))
-    # the grid is that of the first set point
-    made.sort(key=lambda c: c.column.signal != "setpoint")
-    period = mapping.period_s or _tidy(made[0].source.timing.interval)
+    lead = next(c for c in made if c.column.signal == "setpoint")  # the grid is that of the first set point
+    period = mapping.period_s or _tidy(lead.source.timing.interval)
     notes += _interval_notes(made, period)
     begin = min(s.begin for c in made for s in c.source.timing.stretches)
     fill = mapping.gaps == "fill"
     notes += _gap_notes(made, mapping, run)
 
     def cut(channels: Sequence[Channel]) -> list[Piece]:
-        sources = [c.source for c in channels]
+        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
         start = begin + run.from_s if np.isfinite(run.from_s) else -np.inf
         stop = begin + run.to_s if np.isfinite(run.to_s) else np.inf
         return [p for p in pieces_of(sources, period, start, stop, fill) if p.count * period >= min(SHORTEST_S, 20 * period)]
@@ -113,7 +112,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         )
     known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings))
     longest = max(pieces, key=lambda p: p.count)
-    rows = liveliest(made[0].source, longest, fill)
+    rows = liveliest(lead.source, longest, fill)
     window = known.block(longest, *rows)
     doubts = doubts_of(window, period, kinds, mapping.machine)
     if doubts and mapping.units == "refuse":
