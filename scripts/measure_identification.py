@@ -1,7 +1,7 @@
 """How well campaigns of known machines are identified: recorded ones, and drawn ones with a plant richer than the twin.
 
     python scripts/measure_identification.py recorded ../shared/campaigns/healthy
-    python scripts/measure_identification.py drawn --cases 30 --seed 7000 --keep out/drawn
+    python scripts/measure_identification.py drawn --cases 30 --seed 8000 --keep out/drawn
 
 With --keep campaigns and judgements stay in that folder: an interrupted study goes on where it stopped, and --again identifies the
 kept campaigns anew. Drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control off as well,
@@ -73,8 +73,8 @@ def drawn(seed: int, folder: Path, refine: bool) -> tuple[list[Judged], dict[str
         write_campaign(case, folder, tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8")))
         (folder / "truth.toml").write_text(truth_toml(truth_of(case)), encoding="utf-8")
     machine = replace(load_machine(), parameter_tolerance=SPREAD)
-    result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=refine, torque_constant_tolerance=KNOWN)
-    return judge(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
+    result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=False, torque_constant_tolerance=KNOWN)
+    return judge(result, truth_machine(machine, folder / "truth.toml"), refined=refine), result.seconds, [str(f) for f in result.findings]
 
 
 def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[list[Judged], str]:
@@ -99,7 +99,7 @@ def main() -> int:
     parser.add_argument("what", choices=("recorded", "drawn"))
     parser.add_argument("campaigns", nargs="*", type=Path)
     parser.add_argument("--cases", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=7000)
+    parser.add_argument("--seed", type=int, default=8000)
     parser.add_argument("--refine", action="store_true")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps drawn campaigns and judgements")
     parser.add_argument("--again", action="store_true", help="identify kept campaigns anew")
@@ -109,7 +109,7 @@ def main() -> int:
         machine = load_machine()
         for folder in args.campaigns:
             result = identify_campaign(machine, read_campaign(folder, machine), refine=args.refine, gaps=args.refine)
-            here = judge(result, truth_machine(machine, folder / "truth.toml"), products=("X", "Y", "C"))
+            here = judge(result, truth_machine(machine, folder / "truth.toml"), products=("X", "Y", "C"), refined=args.refine)
             judged += here
             print(f"{folder.name}: {', '.join(f'{k} {v:.1f} s' for k, v in result.seconds.items())}; findings: {len(result.findings)}")
             rows = [

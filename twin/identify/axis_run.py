@@ -2,18 +2,20 @@
 
 The trace is sampled once or several times a position cycle Tp. A cycle n begins at t_n; positions at the starts of cycles are free
 of the saw-tooth within a cycle, so speed and acceleration in its middle come from them alone (cubic spline), and the current is
-the mean of the cycle's samples (`between_samples` adds what these miss). Regressions filter both sides alike, without phase:
-fourth-order Butterworth, forwards and backwards, so that noise in the regressors is too small to bias (1e-4 of the acceleration).
+the mean of the cycle's samples (`between_samples` adds what these miss). Regressions filter both sides alike, without phase: a
+symmetric window of finite length, so that noise in the regressors is too small to bias (1e-4 of the acceleration), and a row whose
+window lies where the axis slides holds nothing of a reversal, a stop or a clipped sample.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import functools
+import math
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import firwin
 
 from twin.campaign import MeasuredRun
 from twin.errors import InputError
@@ -22,6 +24,9 @@ from twin.machine import Axis, Machine
 
 BAND_HZ = 20.0
 """Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
+
+REACH_S = 0.06
+"""Half length of the filter: what lies further away takes no part."""
 
 SLIDING_RAD_PER_S = 5.0
 """Motor speed from which friction is on its line: 8 mm/s at a 10 mm screw, where Stribeck's excess has gone (it has at 4 mm/s)."""
@@ -55,13 +60,19 @@ class AxisRun:
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
     limited: np.ndarray  # current at its limit or clipped
 
-    def filtered(self, values: np.ndarray, band_hz: float = BAND_HZ) -> np.ndarray:
-        """Zero-phase low-pass of (cycle,) values."""
-        return low_passed(values, self.cycle, band_hz)
+    def filtered(self, values: np.ndarray) -> np.ndarray:
+        """Zero-phase low-pass of (cycle,) values; at the ends of the run with the end value beyond."""
+        window = _window(self.cycle)
+        return np.convolve(np.pad(values, len(window) // 2, "edge"), window, "valid")
 
     def setpoint_at(self, times: np.ndarray) -> np.ndarray:
         """Set point at any times; constant outside the run."""
         return self.setpoint(np.clip(times, 0.0, self.end))
+
+    @property
+    def jerk(self) -> np.ndarray:
+        """(cycle,) at the middle [rad/s3]."""
+        return np.gradient(self.acceleration, self.cycle)
 
     @property
     def strokes(self) -> np.ndarray:
@@ -72,22 +83,18 @@ class AxisRun:
 
     @property
     def sliding(self) -> np.ndarray:
-        """(cycle,) True where the axis slides so fast, and has for so long, that the filtered friction is on its line."""
-        reach = int(np.ceil(1.2 / BAND_HZ / self.cycle))
+        """(cycle,) True where the axis slides, unlimited, all through the window of the filter."""
+        reach = len(_window(self.cycle)) // 2
         slow = (np.abs(self.speed) < SLIDING_RAD_PER_S) | self.limited
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         near[:reach] = near[-reach:] = True
         return ~near
 
 
-def low_passed(values: np.ndarray, period: float, band_hz: float = BAND_HZ) -> np.ndarray:
-    """Fourth-order Butterworth, forwards and backwards; short records are left as they are."""
-    return sosfiltfilt(_butterworth(band_hz, period), values) if len(values) > 40 else values
-
-
 @functools.lru_cache(maxsize=16)
-def _butterworth(band_hz: float, period: float) -> np.ndarray:
-    return butter(4, band_hz, fs=1.0 / period, output="sos")
+def _window(cycle: float) -> np.ndarray:
+    """Low-pass of BAND_HZ as a symmetric window (Hamming) of REACH_S to each side; sum 1."""
+    return firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:

@@ -59,8 +59,8 @@ def identify_command(args: argparse.Namespace) -> int:
     rows = []
     for p in result.parameters:
         r = p.refined if result.chosen == "refined" and p.refined else p.value
-        product = f"{p.estimate.value:.6g} +- {0.5 * (p.estimate.high - p.estimate.low):.2g}" if p.product else ""
-        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {0.5 * (r.high - r.low):.2g}", p.unit, product])
+        product = f"{p.estimate.value:.6g} +- {p.estimate.half:.2g}" if p.product else ""
+        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {r.half:.2g}", p.unit, product])
     print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The products contradict parameter_tolerance; the file's torque constants were kept.")

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun
+from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
 from twin.identify.drive_balance import NAMES as LINEAR_NAMES
 from twin.identify.least_squares import Fit
@@ -121,7 +122,8 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
     twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
     mean = out.current[axis.name]
-    found = fit_speed_control(axis, here, [mean.of(r) for r in here], machine.speed_cycle, delay, twins)
+    known = fast_loop_of(machine, axis, axis.commissioned_inertia or axis.rotor_inertia_kg_m2)
+    found = fit_speed_control(axis, here, [mean.of(r) for r in here], mean.fit.loop, delay, twins, known)
     if found is not None:
         doubt = mean.inertia_deviation / (axis.commissioned_inertia or np.inf)
         deviations = {**found.deviations, "torque_feedforward": float(np.hypot(found.deviations["torque_feedforward"], doubt))}

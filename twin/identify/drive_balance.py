@@ -1,8 +1,9 @@
 """Balance of torques at the motor of a linear axis: inertia, Coulomb and viscous friction, gravity.
 
-    Kt i = J dw/dt + Fc sign(w) + Fv w + G      where the axis slides
+    Kt i = J (dw/dt + T d2w/dt2) + Fc sign(w) + Fv w + G      where the axis slides
 
-i is the mean current of a position cycle (`between_samples`). The torque constant is the machine file's: J, Fc, Fv, G come as products
+i is the mean current of a position cycle (`between_samples`); T is what current and motion lie apart in time, some ten microseconds that
+would otherwise pass for viscous friction. The torque constant is the machine file's: J, Fc, Fv, G come as products
 with it, and `products` says what fixes them.
 """
 
@@ -29,13 +30,13 @@ from twin.identify.between_samples import (
 from twin.identify.least_squares import Fit, regress
 from twin.machine import Axis, Machine
 
-NAMES = ("inertia", "coulomb", "viscous", "gravity")
+NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 EVERY = 4
 """Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart hold all."""
 
 ITERATIONS = 4
 
-LAW_DOUBT = 0.01
+LAW_DOUBT = 0.004
 """How well the law of the saw-tooth (two masses, fixed damping) holds the missing mean, as a standard deviation (docs/identify.md)."""
 
 
@@ -65,7 +66,7 @@ def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray) -> Rows:
     f = run.filtered
     sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * SLIDING_RAD_PER_S)
     turning = [] if axis.kind == "linear" else [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))]
-    columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), *turning])
+    columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
     return _kept(run, columns, f(mean_current * axis.motor.torque_constant_nm_per_a))
 
 
@@ -178,11 +179,7 @@ class MeanCurrent:
 
     def of(self, run: AxisRun) -> np.ndarray | None:
         """Mean current (cycle,) of a run [A]; None without current."""
-        if run.current is None:
-            return None
-        g, f = missing_mean(self.fit.loop, run.samples_per_cycle)
-        speed, torque = _steps(run, self.torque_weight)
-        return run.current + convolved(g, speed) + convolved(f, torque)
+        return mean_of(self.fit.loop, run, self.torque_weight)
 
     @property
     def inertia_deviation(self) -> float:
@@ -192,6 +189,15 @@ class MeanCurrent:
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 
 
+def mean_of(loop: FastLoop, run: AxisRun, torque_weight: float) -> np.ndarray | None:
+    """Mean current (cycle,) of a run [A] where the fast loop is known; None without current."""
+    if run.current is None:
+        return None
+    g, f = missing_mean(loop, run.samples_per_cycle)
+    speed, torque = _steps(run, torque_weight)
+    return run.current + convolved(g, speed) + convolved(f, torque)
+
+
 def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Steps of speed set point and torque feedforward at the start of each cycle; without a record, of the motor's speed."""
     speed = run.speed_setpoint if run.speed_setpoint is not None else np.diff(run.angle) / run.cycle
@@ -199,7 +205,7 @@ def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
-    """The four NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows."""
+    """The NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows."""
     parts = [linear_rows(axis, run, i) for run in runs if (i := current.of(run)) is not None]
     if not parts or sum(len(p.y) for p in parts) < 20:
         return None

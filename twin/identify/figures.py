@@ -76,7 +76,7 @@ def friction_figure(result: Identification) -> Any:
         for sign in (-1.0, 1.0):
             w = sign * np.linspace(0.0, 1.08 * top, 50)
             law = sign * coulomb.estimate.value + viscous.estimate.value * w
-            half = 0.5 * (coulomb.estimate.high - coulomb.estimate.low) + 0.5 * (viscous.estimate.high - viscous.estimate.low) * np.abs(w)
+            half = coulomb.estimate.half + viscous.estimate.half * np.abs(w)
             panel.fill_between(w * factor, law - half, law + half, color=colour, alpha=0.25, lw=0)
             panel.plot(w * factor, law, color=colour, lw=1.6, label="identified law, 95 % band" if sign > 0 else None)
             before = sign * coulomb.before + viscous.before * w
@@ -108,7 +108,7 @@ def inertia_figure(result: Identification) -> Any:
         ends = np.array([rows.acceleration.min(), rows.acceleration.max()])
         panel.plot(ends, p.estimate.value * ends, color=INK, lw=1.1, label="identified")
         panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
-        half = 50.0 * (p.estimate.high - p.estimate.low) / p.estimate.value
+        half = 100.0 * p.estimate.half / p.estimate.value
         panel.set_title(f"{axis.name}: {1e3 * p.estimate.value:.4f} g m² ± {half:.2f} %")
         panel.set_xlabel("acceleration of the motor [rad/s²]")
         panel.set_ylabel("torque for it [Nm]")
@@ -163,7 +163,7 @@ def gravity_figure(result: Identification) -> Any | None:
     right = panels[0, 1]
     shown = [p for n in ("moment_y", "moment_z", "table_x", "table_y") if (p := result.parameter("A", n)).before]
     for k, p in enumerate(shown):
-        off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, 0.5 * (p.estimate.high - p.estimate.low)))
+        off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, p.estimate.half))
         right.errorbar(k, off, half, fmt="o", ms=5, color=colour, capsize=4)
         right.annotate(f"{p.estimate.value:.4g} kg m", (k, off), xytext=(8, 4), textcoords="offset points", fontsize=8.5)
     right.axhline(0.0, color=SOFT, lw=1.0, ls="--")

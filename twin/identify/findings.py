@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.campaign import MeasuredRun
 from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
 from twin.identify.least_squares import regress
 from twin.identify.position_control import _linearised
@@ -72,7 +73,7 @@ def checked_flags(
             weight = _velocity_weight(axis, r)
             if weight is not None:
                 velocity.append(weight)
-            weight = _torque_weight(axis, r, machine.speed_cycle)
+            weight = _torque_weight(machine, axis, r)
             if weight is not None:
                 torque.append(weight)
         told = run.feedforward
@@ -108,14 +109,15 @@ def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
     return float(slope @ residual) / power if power > 1e-4 * len(slope) * axis.max_velocity**2 else None
 
 
-def _torque_weight(axis: Axis, run: AxisRun, tick: float) -> float | None:
+def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """Torque feedforward of one run: what the machine file's PI law leaves of the current, on the feedforward's own shape."""
     if run.speed_setpoint is None or run.current is None or axis.commissioned_inertia is None:
         return None
     from twin.identify.speed_control import _columns
 
-    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
-    columns, y = _columns(axis, run, run.current, kt, axis.loops.feedforward_delay_s, tick)
+    loop = fast_loop_of(machine, axis, axis.commissioned_inertia)
+    kt = loop.control_torque_constant
+    columns, y = _columns(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
     left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
     t = columns[:, 2]

@@ -48,8 +48,11 @@ class Judged:
     holds: bool
 
 
-def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) -> list[Judged]:
-    """Compare with the true machine; of the axes in `products` the products with the torque constant, of the others the values."""
+def judge(result: Identification, truth: Machine, products: Sequence[str] = (), refined: bool = False) -> list[Judged]:
+    """Compare with the true machine; of the axes in `products` the products with the torque constant, of the others the values.
+
+    `refined` judges what re-simulation made of the parameters that it has.
+    """
     pair = tilting_pair.pair_numbers(truth)
     of_pair = dict(zip("AC", pair))
     out = []
@@ -71,12 +74,12 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) 
             true = float(pair[tilting_pair.PAIR.index(p.name)])
         if true is None:
             true = getattr(axis.loops, p.name)
-        found: Range = p.value
-        if p.product and p.axis in products:
+        found: Range = p.refined if refined and p.refined is not None else p.value
+        if p.product and p.axis in products and not refined:
             found = p.estimate
             true *= result.before.axis(p.axis).motor.torque_constant_nm_per_a / axis.motor.torque_constant_nm_per_a
         scale = 1.0 if group == "delays" else abs(true)
-        error, half = float(found.value - true) / scale, 0.5 * float(found.high - found.low) / scale
+        error, half = float(found.value - true) / scale, found.half / scale
         out.append(Judged(p.axis, p.name, group, float(error), float(half), found.holds(true)))
     return out
 

@@ -17,7 +17,7 @@ from scipy import stats
 
 CONFIDENCE = 0.95
 
-RELATED = 1.25
+RELATED = 1.1
 """Strokes of one run share what the law lacks (cogging, pre-sliding, a drive train's mode): intervals are this much wider than
 independent strokes would make them. Found on drawn campaigns of their own (docs/identify.md)."""
 

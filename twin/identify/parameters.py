@@ -139,7 +139,11 @@ def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: 
         d = deviations.get(key)
         if d is None and f"{p.axis}.loops.{p.name}" in deviations:
             value, d = getattr(axis.loops, p.name), deviations[f"{p.axis}.loops.{p.name}"]
-        out.append(replace(p, refined=_around(value, 1.96 * d)) if value is not None and d is not None else p)
+        if value is not None and d is not None:
+            # re-simulation keeps the torque constant of the split: its doubt adds, as it does to the regression's value
+            split = math.sqrt(max(p.value.half**2 - p.estimate.half**2, 0.0)) if p.product else 0.0
+            p = replace(p, refined=_around(value, math.hypot(1.96 * d, split)))
+        out.append(p)
     return out
 
 
@@ -147,7 +151,7 @@ def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[s
     """The regression's standard deviations as the refinement's knobs take them: relative, delays in seconds."""
     out: dict[tuple[str, str], float] = {}
     for p in parameters:
-        d = (p.estimate.high - p.estimate.low) / 3.92
+        d = p.estimate.half / 1.96
         relative = d / abs(p.estimate.value) if p.estimate.value else math.inf
         axis = machine.axis(p.axis)
         if p.name == "inertia":
@@ -186,7 +190,7 @@ def unseen(parameters: Sequence[Parameter]) -> list[Finding]:
     out = []
     for p in parameters:
         scale = abs(p.before) or abs(p.estimate.value)
-        half = 0.5 * (p.estimate.high - p.estimate.low)
+        half = p.estimate.half
         if p.name in cure and scale > 0.0 and half > LOOSE * scale:
             out.append(Finding("", p.axis, f"{p.name} only within {100 * half / scale:.0f} %; add {cure[p.name]} ('twin plan')"))
     return out

@@ -209,7 +209,7 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
     )
     for p in parameters:
         if p.name in (*wanted, "velocity_feedforward", "torque_feedforward", "position_gain_per_s") and p.before:
-            out.append(Predicted(p.axis, p.name, p.before, p.unit, 0.5 * (p.estimate.high - p.estimate.low) / abs(p.before)))
+            out.append(Predicted(p.axis, p.name, p.before, p.unit, p.estimate.half / abs(p.before)))
     return out
 
 

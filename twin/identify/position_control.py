@@ -22,7 +22,7 @@ from twin.machine import Axis
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
 ITERATIONS = 8
 
-FLOOR = {"position_gain_per_s": 1e-3, "velocity_feedforward": 2e-5, "position_delay_s": 2e-7, "feedforward_delay_s": 2e-7}
+FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
 """What rounded columns and the splines of the set points leave, as a standard deviation: not random from sample to sample."""
 
 

@@ -121,7 +121,7 @@ def _parameters(result: Identification) -> Section:
 def _half(r: Range | None) -> str:
     if r is None:
         return ""
-    half = 0.5 * (r.high - r.low)
+    half = r.half
     return f"± {100 * half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * half else f"± {half:.2g}"
 
 

@@ -18,6 +18,11 @@ class Range:
     low: float
     high: float
 
+    @property
+    def half(self) -> float:
+        """Half width."""
+        return 0.5 * (self.high - self.low)
+
     def holds(self, value: float) -> bool:
         """Does the interval hold this value?"""
         return bool(self.low <= value <= self.high)

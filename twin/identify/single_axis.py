@@ -16,9 +16,9 @@ from pathlib import Path
 from numba import njit
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import butter, sosfiltfilt
 
 from twin.errors import InputError
-from twin.identify.axis_run import low_passed
 from twin.identify.least_squares import Fit, regress, whiteness
 
 NAMES = ("mass", "viscous", "coulomb", "offset")
@@ -82,6 +82,11 @@ def read_emps(path: str | Path) -> Record:
     except (ValueError, KeyError, NotImplementedError) as error:
         raise InputError(f"{path}: not an EMPS record ({error}); it must hold t, qg, qm, vir, kp, kv, gtau") from None
     return Record(*columns[:4], *(float(c[0]) for c in columns[4:]))  # type: ignore[arg-type]
+
+
+def low_passed(values: np.ndarray, period: float, band_hz: float = BAND_HZ) -> np.ndarray:
+    """Fourth-order Butterworth, forwards and backwards."""
+    return sosfiltfilt(butter(4, band_hz, fs=1.0 / period, output="sos"), values)
 
 
 def fit_single_axis(record: Record, band_hz: float = BAND_HZ) -> SingleFit:

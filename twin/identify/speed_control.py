@@ -1,12 +1,16 @@
 """The speed controller, read from speed set point, motor angle and current: gain, integral time, torque feedforward.
 
     Kt_c i* = Kp e + Kp/Tn E + a_t T_ff,    e = w* - w,  E = integral of e
-    i* - i  = T_i di/dt + Tni/Kpi Ke dw/dt / (1 + Tni s)
+    i* - i  = T_i di/dt + Tni/Kpi s (L di/dt + R i + Ke w) / (1 + Tni s)
 
-all taken as means over a position cycle, which the angles at its ends give exactly (mean w = difference of angles over Tp). T_i stands
-for delay and lag of the current loop; the second part is what its integrator lags behind a growing back EMF. The integrator also sums the speed noise of ticks that no trace holds: a slow random walk that a
-high-pass takes off both sides. The loop feeds the unseen noise back into e and i, so e is not free of the residual: the regression
-takes the same signals of a noise-free simulation as instruments (they follow the set points, not the noise).
+all taken as means over a position cycle, which the angles at its ends give exactly (mean w = difference of angles over Tp). The last
+part is what the current loop's integrator lags behind a growing voltage; T_i stands for what is left of delays. The speed loop's
+integrator also sums the speed noise of ticks that no trace holds: a slow random walk that a high-pass takes off both sides. The loop
+feeds the unseen noise back into e and i, so e is not free of the residual: the regression takes the same signals of a noise-free
+simulation as instruments (they follow the set points, not the noise).
+
+With feedforward on, the error e is a hundredth of the current: small parts that the columns lack weigh on the gain. The same regression
+on that simulation, whose gains are known, tells how much, and is taken back.
 """
 
 from __future__ import annotations
@@ -18,14 +22,16 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from twin.identify.axis_run import AxisRun
+from twin.identify.between_samples import FastLoop
+from twin.identify.drive_balance import mean_of
 from twin.identify.least_squares import regress
 from twin.machine import Axis
 
 NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
 PASS_HZ = (1.0, 25.0)
 
-LAW_DOUBT = 0.006
-"""How well a first-order lag stands for the current loop here: a relative standard deviation of gain and integral time (docs/identify.md)."""
+LAW_DOUBT = 0.002
+"""How well the law above holds after that, as a relative standard deviation of gain and integral time (docs/identify.md)."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +51,27 @@ def fit_speed_control(
     axis: Axis,
     runs: Sequence[AxisRun],
     mean_current: Sequence[np.ndarray | None],
-    tick: float,
+    loop: FastLoop,
     delay: float = 0.0,
     simulated: Sequence[AxisRun | None] = (),
+    known: FastLoop | None = None,
 ) -> SpeedControl | None:
-    """`mean_current` (cycle,) [A] of each run; `tick` of the speed loop, `delay` of the feedforward [s];
-    `simulated` the same runs without noise (empty: no instruments). None where speed set point or current lack."""
+    """`mean_current` (cycle,) [A] of each run; `loop` with the winding as it was found, `delay` of the feedforward [s];
+    `simulated` the same runs without noise (empty: no instruments), from a machine file with the loop `known`.
+    None where speed set point or current lack."""
     twins = simulated or [None] * len(runs)
     kept = [
         (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
     ]
     if not kept or axis.commissioned_inertia is None:
         return None
-    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    kt = loop.control_torque_constant
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):
-        columns, values = _columns(axis, run, current, kt, delay, tick)
+        columns, values = _columns(axis, loop, run, current, delay)
         free = columns
         if twin is not None and twin.current is not None:
-            free, _ = _columns(axis, twin, twin.current, kt, delay, tick)
+            free, _ = _columns(axis, loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         if run.feedforward in ("off", "velocity"):
             columns[:, 2], free[:, 2] = 0.0, 0.0
@@ -73,7 +81,7 @@ def fit_speed_control(
         clusters.append((run.strokes + 100_000 * k)[use])
         instruments.append(free[use])
     fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
-    kp, ki, a_t, lag = fit.values
+    kp, ki, a_t, lag = fit.values * law_factors(axis, known, [z for _, _, z in kept])
     if kp <= 0.0 or ki <= 0.0:
         return None
     d = fit.deviations
@@ -81,7 +89,7 @@ def fit_speed_control(
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
     weights = {}
     for run, current, _ in kept:
-        columns, values = _columns(axis, run, current, kt, delay, tick)
+        columns, values = _columns(axis, loop, run, current, delay)
         left = values - columns[:, [0, 1, 3]] @ np.array([kp, ki, lag])
         power = float(columns[:, 2] @ columns[:, 2])
         weights[run.run] = float(columns[:, 2] @ left / power) if np.sqrt(power / len(left)) > 0.05 * kt else float("nan")
@@ -105,13 +113,39 @@ def fit_speed_control(
     )
 
 
-def _columns(axis: Axis, run: AxisRun, current: np.ndarray, kt: float, delay: float, tick: float) -> tuple[np.ndarray, np.ndarray]:
+def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> np.ndarray:
+    """True over estimated (4,) for Kp, Kp/Tn, a_t and the lag (1), from a noise-free simulation with the machine file's gains."""
+    rows, y = [], []
+    for twin in twins:
+        current = mean_of(known, twin, axis.loops.torque_feedforward) if twin is not None and known is not None else None
+        if twin is not None and known is not None and current is not None:
+            columns, values = _columns(axis, known, twin, current, axis.loops.feedforward_delay_s)
+            if twin.feedforward in ("off", "velocity"):
+                columns[:, 2] = 0.0
+            rows.append(columns)
+            y.append(values)
+    factors = np.ones(4)
+    if not rows:
+        return factors
+    fit = regress(np.vstack(rows), np.concatenate(y), np.arange(sum(map(len, y))) // 250)
+    kp = axis.loops.speed_gain_nm_s_per_rad
+    true = np.array([kp, kp / axis.loops.speed_integral_time_s, axis.loops.torque_feedforward])
+    near = fit.seen[:3] & (np.abs(fit.values[:3] - true) < LAW_HOLDS * true)
+    factors[:3][near] = true[near] / fit.values[:3][near]
+    return factors
+
+
+LAW_HOLDS = 0.15
+"""Where the regression misses a known gain by more than this, it is not the law's small parts: nothing is taken back."""
+
+
+def _columns(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
-    tp = run.cycle
+    tp, kt = run.cycle, loop.control_torque_constant
     assert run.speed_setpoint is not None
     turned = np.diff(run.angle)
     # the control sums speeds at its ticks: each stands for the tick after it, half a tick early while the axis accelerates
-    early = 0.5 * tick
+    early = 0.5 * loop.tick
     error = run.speed_setpoint - turned / tp + early * np.gradient(turned / tp, tp)
     # integral of w* - w from the start of the run to the middle of a cycle on average: staircase exact, angle by the cycle's ends
     before = np.concatenate([[0.0], np.cumsum(run.speed_setpoint * tp)[:-1]])
@@ -119,14 +153,15 @@ def _columns(axis: Axis, run: AxisRun, current: np.ndarray, kt: float, delay: fl
     integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
     s = [run.setpoint_at(run.start - delay - k * tp) for k in range(3)]
     feedforward = (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
-    slope = -kt * np.gradient(current, tp)
-    tni = axis.loops.current_integral_time_s
-    share = -np.expm1(-tp / tni)
-    lagging = lfilter([share], [1.0, share - 1.0], run.acceleration)
-    behind = tni / axis.loops.current_gain_v_per_a * axis.motor.back_emf_v_s_per_rad * lagging
+    # what the current loop's integrator lags behind the voltage: s / (1 + Tni s), trapezoidal
+    change = np.gradient(current, tp)
+    voltage = loop.inductance * np.gradient(change, tp) + loop.resistance * change + loop.back_emf * run.acceleration
+    tni = loop.current_integral_time
+    share = tp / (2.0 * tni + tp)
+    behind = tni / loop.current_gain * lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
     sos = butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
 
     def f(values: np.ndarray) -> np.ndarray:
         return sosfiltfilt(sos, values - values[0])
 
-    return np.column_stack([f(error), f(integral), f(feedforward), f(slope)]), f(kt * (current + behind))
+    return np.column_stack([f(error), f(integral), f(feedforward), f(-kt * change)]), f(kt * (current + behind))

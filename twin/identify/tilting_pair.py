@@ -7,7 +7,7 @@ With A about x, C about the table's normal z, moments of all that turns with C t
     Maa = Maa0 + b (cos 2C - 1) + s sin 2C,   Mac = -zx cos C + zy sin C,   ' = d/dC
 
 (the derivation stands in twin.exam.tilting_pair; the twin itself takes all this from the bodies). Everything is linear in the ten
-inertial numbers PAIR and the four of friction; one regression on the rows of both motors finds them, each row in units of its scatter.
+inertial numbers PAIR, the four of friction and two of skew; one regression on the rows of both motors finds them, each row in units of its scatter.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from twin.machine import Axis, Body, Machine
 
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
-NAMES = (*PAIR, *FRICTION)
+NAMES = (*PAIR, *FRICTION, "skew_A", "skew_C")
 """inertia: of all at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of what does not
-turn about C's normal [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis."""
+turn about C's normal [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis;
+skew: inertia times what current and motion lie apart in time, see drive_balance [kg m2 s]."""
 
 
 def has_pair(machine: Machine) -> bool:
@@ -81,11 +82,11 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     out = []
     for k, (run, axis, columns) in enumerate(zip((a, c), axes, (on_a, on_c))):
         sign = np.sign(run.speed[:n]) * (np.abs(run.speed[:n]) > 0.1 * SLIDING_RAD_PER_S)
-        friction = [zero] * 4
-        friction[2 * k], friction[2 * k + 1] = sign, (va, vc)[k]
+        own = [zero] * 6
+        own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
         f = run.filtered
         torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
-        out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *friction)]), f(torque)))
+        out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
     return out[0], out[1]
 
 
