@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields, replace
 import functools
 import math
 from pathlib import Path
-import shutil
 import tomllib
 from typing import Any
 
@@ -22,6 +21,7 @@ import numpy as np
 from twin import machine_keys as keys
 from twin.errors import InputError, nearest
 from twin.machine_axis import Axis, Loops, Motor, axis_of_table
+from twin.model_file import check_mjcf, copy_model
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
 LONGEST_TICK = 125e-6
@@ -201,6 +201,11 @@ def _read_document(path: Path, _modified_ns: int) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
 
 
+@functools.lru_cache(maxsize=8)
+def _check_model(path: Path, _modified_ns: int) -> None:
+    check_mjcf(path)
+
+
 def load_machine(path: str | Path | None = None) -> Machine:
     """Read a machine file (default: the Mikron UCP 710); every fault is an InputError with table, key and remedy."""
     path = default_machine_path() if path is None else Path(path)
@@ -211,8 +216,11 @@ def load_machine(path: str | Path | None = None) -> Machine:
     if not isinstance(model, str):
         raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
     model_path = path.parent / model
+    if not model_path.resolve().is_relative_to(path.parent.resolve()):
+        raise InputError(f"{path}: model '{model}' leaves the machine's folder; copy the MJCF beside the machine file")
     if not model_path.is_file():
         raise InputError(f"{path}: model '{model}': no such file beside the machine file; correct 'model' or copy the MJCF there")
+    _check_model(model_path, model_path.stat().st_mtime_ns)
     return machine_from_document(copy.deepcopy(document), model_path, path, str(path))
 
 
@@ -236,9 +244,7 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
             table = table[name]
         table[key].comment(comment)
     path.write_text(tomlkit.dumps(written), encoding="utf-8")
-    target = path.parent / machine.model_path.name
-    if target.resolve() != machine.model_path.resolve():
-        shutil.copyfile(machine.model_path, target)
+    copy_model(machine.model_path, path.parent)
 
 
 def machine_from_document(document: Mapping[str, Any], model_path: Path, path: Path | None, where: str) -> Machine:

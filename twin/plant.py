@@ -21,6 +21,11 @@ from twin.machine import Axis, Machine
 ModelEdit = Callable[["mujoco.MjSpec"], None]
 """A change of the model that an effect makes, for example a body added to the table."""
 
+ENGINE_TOLERANCE = 1e-12
+SOFT_FRICTION_S = 0.02
+STICKING = ([0.0005, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
+"""Friction that sticks: time constant of MuJoCo's default, and the parameters that the Mikron's model has instead."""
+
 ROTOR_BODY_MASS = 1e-3
 """Mass of the body that carries a rotor joint [kg]; its inertia is the joint's armature, this only has to be positive."""
 
@@ -83,10 +88,18 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     spec.option.gravity = [0.0, 0.0, -machine.gravity]
     # travel is the control's business: a joint limit would push an axis that overshoots its end by a micrometre
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    _set_engine(spec)
+    _set_inertias(spec, where)
     names = [joint.name for joint in spec.joints]
     for axis in machine.axes:
         if axis.name not in names:
             raise InputError(f"{where}: axis {axis.name} has no joint in {machine.model_path.name}; {nearest(axis.name, names)}")
+        slides = spec.joint(axis.name).type == mujoco.mjtJoint.mjJNT_SLIDE
+        if slides != (axis.kind == "linear"):
+            raise InputError(
+                f"{where}: axis {axis.name} is {axis.kind}, its joint in {machine.model_path.name} is a {'slide' if slides else 'hinge'}; "
+                "correct kind or joint"
+            )
     _set_bodies(spec, machine, where)
     _set_moving_masses(spec, machine, where)
     _set_geometry(spec, machine)
@@ -102,6 +115,43 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+
+
+def _set_engine(spec: mujoco.MjSpec) -> None:
+    """The engine as the twin needs it, whatever the model's file was made for: no contacts, no drives of its own, steps that the reduced plant copies."""
+    option = spec.option
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
+    option.tolerance = min(option.tolerance, ENGINE_TOLERANCE)
+    option.density, option.viscosity = 0.0, 0.0
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    # an actuator that is no plain motor (a position servo) would push by itself
+    names = {joint.name for joint in spec.joints}
+    foreign = [a for a in spec.actuators if a.name not in names or a.name != a.target or a.biastype != mujoco.mjtBias.mjBIAS_NONE]
+    if foreign:
+        for key in list(spec.keys):
+            spec.delete(key)
+    for actuator in foreign:
+        spec.delete(actuator)
+
+
+def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
+    """Masses that the file leaves to its shapes become explicit, so that they can be set and scaled."""
+    from_shapes = [b for b in spec.bodies[1:] if b.geoms and (not b.explicitinertial or spec.compiler.inertiafromgeom == 1)]
+    if not from_shapes or spec.compiler.inertiafromgeom == 0:
+        return
+    try:
+        model = spec.copy().compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+    for body in from_shapes:
+        compiled = model.body(body.name) if body.name else model.body(body.id)
+        body.mass, body.ipos, body.iquat, body.inertia = float(compiled.mass[0]), compiled.ipos, compiled.iquat, compiled.inertia
+        body.fullinertia = [math.nan] * 6
+        body.explicitinertial = body.mass > 0.0
+    spec.compiler.inertiafromgeom = 0
 
 
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:
@@ -185,6 +235,9 @@ def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
     joint.frictionloss = axis.coulomb_friction
     joint.damping = [axis.viscous_friction, 0.0, 0.0]
     joint.armature = 0.0
+    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the engine's default creeps
+        joint.solref_friction = STICKING[0]
+        joint.solimp_friction = STICKING[1]
     actuator = spec.actuator(axis.name)
     if actuator is None:
         actuator = spec.add_actuator(name=axis.name, target=axis.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

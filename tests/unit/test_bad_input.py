@@ -190,7 +190,7 @@ def test_machine_file_missing_or_no_mjcf(tmp_path: Path, capsys: pytest.CaptureF
     shutil.copy(default_machine_path(), tmp_path / "machine.toml")
     (tmp_path / "mikron_ucp710.xml").write_text("<mujoco><worldbody><body></worldbody></mujoco>")
     line = refused(capsys, "run", str(tmp_path / "trace.csv"), "--machine", str(tmp_path / "machine.toml"))
-    assert "MuJoCo cannot read this model" in line
+    assert "no readable XML" in line
 
 
 def test_feedforward_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ LAYERS = (
     ("errors", "colours", "compiled", "progress"),
     ("units", "moves", "native"),
     ("machine_keys",),
-    ("machine_axis",),
+    ("machine_axis", "model_file"),
     ("machine", "trace"),
     ("cascade", "plant", "terms", "setpoints", "kinematics", "poses"),
     ("loop", "program"),

@@ -220,9 +220,9 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
         "a": acceleration,
         "position": q - q.mean(),
         "time": t - t.mean(),
-        "motor turn (sin)": np.sin(angle),
-        "motor turn (cos)": np.cos(angle),
     }
+    if axis.kind == "rotary" or axis.ratio != 1.0:  # a direct drive has no turn
+        regressors |= {"motor turn (sin)": np.sin(angle), "motor turn (cos)": np.cos(angle)}
     if view.trace.has(name, axis.effort):
         regressors["current"] = view.trace.get(name, axis.effort)[index]
     for other in others:

@@ -21,7 +21,7 @@ from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.gap import COMPARED, REALISATIONS, Prediction, SignalGap, gap_of, predict_campaign
-from twin.machine import Machine
+from twin.machine import Axis, Machine
 from twin.setpoints import check_travel, setpoints_of
 
 TEMPERATURE = 3.0
@@ -292,7 +292,7 @@ def diagnose(
         proposal=propose(machine, found, verdict),
         retuned_share=_retuned_share(found, machine.parameter_tolerance),
         seed=seed,
-        notes=_notes(campaign),
+        notes=_notes(campaign, machine),
         predictions=predictions,
     )
     if verdict != "none":
@@ -447,7 +447,14 @@ def _held_out_gaps(
     return gaps, predictions
 
 
-def _notes(campaign: Campaign) -> list[str]:
+def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
+    """Is a signal recorded in any run? The command of an axis without current loop stands for its current; one encoder is enough."""
+    if signal == "position" and axis.encoder == "motor":
+        return True
+    return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
+
+
+def _notes(campaign: Campaign, machine: Machine) -> list[str]:
     """What the recorded signals leave open."""
     notes = []
     axes = sorted({a for run in campaign.runs for a in run.trace.axes})
@@ -458,7 +465,7 @@ def _notes(campaign: Campaign) -> list[str]:
         ("velocity", "the speed controller cannot be cut"),
         ("position", "what the scale sees is not known"),
     ):
-        lacking = [a for a in axes if not any(run.trace.has(a, signal) for run in campaign.runs)]
+        lacking = [a for a in axes if not _recorded(machine.axis(a), signal, campaign)]
         if lacking:
             notes.append(f"no {signal} of axis {', '.join(lacking)}: {lost}")
     if len(campaign.runs) == 1:

@@ -1,0 +1,203 @@
+"""Model files of other people: read safely, and refused in one line where they are no tree of slides and hinges.
+
+An MJCF or URDF is XML that names further files. Here it is parsed without entities and external references (defusedxml),
+every file that it names must exist inside the folder of the model, and what a machine of axes cannot be (free and ball
+joints, closed loops, moving bodies without mass) is told before the engine sees it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+from pathlib import Path
+import shutil
+from typing import TYPE_CHECKING
+
+from twin.errors import InputError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+LARGEST_BYTES = 50_000_000
+"""A larger file is no description of a machine; meshes lie in files of their own."""
+
+_ASSET_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "texturedir", "texture": "texturedir"}
+_LOOPS = ("connect", "weld")
+_PHYSICAL = ("mass", "diaginertia")
+
+
+def read_xml(path: Path) -> Element:
+    """Root element of an XML file; document types, entities and external references are refused."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, parse
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give an MJCF or a URDF")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no description of a machine; move meshes into files of their own")
+    try:
+        root: Element = parse(str(path), forbid_dtd=True).getroot()
+    except DefusedXmlException as error:
+        what = type(error).__name__.replace("Forbidden", "").replace("DTD", "a document type").replace("Entities", "entities")
+        raise InputError(f"{path}: holds {what}, which can read other files or fill the memory; remove the <!DOCTYPE ...>") from None
+    except (ParseError, OSError, UnicodeError, ValueError) as error:
+        raise InputError(f"{path}: no readable XML ({error}); correct it there") from None
+    return root
+
+
+def check_mjcf(path: Path) -> Element:
+    """Refuse an MJCF that is unsafe or no tree of slides and hinges; returns its root with all includes in place."""
+    root = read_xml(path)
+    if root.tag != "mujoco":
+        raise InputError(f"{path}: <{root.tag}> is no MJCF; a URDF becomes one with: twin machine new {path.name} --out machine.toml")
+    _include(root, path, (path.resolve(),))
+    for file in _named_files(root, path):
+        _inside(file, path)
+    joints = [joint.get("name", "") for joint in root.iter("joint") if joint.get("class") or joint.get("name")]
+    twice = next((name for name in joints if name and joints.count(name) > 1 and not _only_default(root, name)), None)
+    if twice:
+        raise InputError(f"{path}: two joints are named '{twice}'; rename one")
+    for body in root.iter("body"):
+        name = body.get("name", "without name")
+        kinds = [joint.get("type", "") for joint in body.findall("joint")]
+        if body.find("freejoint") is not None or "free" in kinds:
+            raise InputError(f"{path}: body '{name}' is free; a machine stands on its bed: remove the free joint")
+        if "ball" in kinds:
+            raise InputError(f"{path}: body '{name}' turns on a ball joint; an axis is a slide or a hinge: use three hinges or none")
+        for values in (body.find("inertial"), *body.findall("geom")):
+            _check_masses(values, f"{path}: body '{name}'")
+    for equality in root.iter("equality"):
+        for loop in (child for tag in _LOOPS for child in equality.findall(tag)):
+            raise InputError(
+                f"{path}: <{loop.tag}> closes a loop of bodies; a machine is a tree of axes: remove it, or model one side of the loop"
+            )
+        if len(equality):
+            raise InputError(f"{path}: <{equality[0].tag}> ties joints together; drive each axis by itself: remove it")
+    if root.find("tendon") is not None and len(root.find("tendon") or ()):
+        raise InputError(f"{path}: tendons are no axes; drive the joints themselves")
+    return root
+
+
+def check_urdf(path: Path) -> Element:
+    """Refuse a URDF that is unsafe or no tree of slides and hinges; returns its root."""
+    root = read_xml(path)
+    if root.tag != "robot":
+        raise InputError(f"{path}: <{root.tag}> is no URDF; its root must be <robot>")
+    links = [link.get("name", "") for link in root.findall("link")]
+    parents: dict[str, str] = {}
+    if not links:
+        raise InputError(f"{path}: no <link>; give a robot description")
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", "without name"), joint.get("type", "")
+        if kind in ("floating", "planar"):
+            raise InputError(f"{path}: joint '{name}' is {kind}; an axis is prismatic, revolute or continuous: fix or split it")
+        if joint.find("mimic") is not None:
+            raise InputError(f"{path}: joint '{name}' follows another one (mimic); drive each axis by itself: remove it")
+        parent, child = (e.get("link", "") if (e := joint.find(tag)) is not None else "" for tag in ("parent", "child"))
+        for link in (parent, child):
+            if link not in links:
+                raise InputError(f"{path}: joint '{name}' names link '{link}', which does not exist; correct it")
+        if child in parents:
+            raise InputError(f"{path}: link '{child}' hangs on two joints, which closes a loop; a machine is a tree of axes: remove one")
+        parents[child] = parent
+    for link in links:
+        seen, at = {link}, link
+        while at in parents:
+            at = parents[at]
+            if at in seen:
+                raise InputError(f"{path}: link '{link}' hangs on itself: its joints form a circle; one link must have no parent")
+            seen.add(at)
+    for element in root.findall("link"):
+        if (mass := element.find("inertial/mass")) is not None:
+            _positive(mass.get("value", ""), f"{path}: link " + repr(element.get("name")) + ": mass")
+    for mesh in root.iter("mesh"):
+        if not mesh.get("filename", "").startswith("package://"):
+            _inside(Path(mesh.get("filename", "").removeprefix("file://")), path)
+    return root
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files that an MJCF names, relative to its folder, checked."""
+    root = read_xml(path)
+    _include(root, path, (path.resolve(),), keep=True)
+    included = [Path(e.get("file", "")) for e in root.iter("include")]
+    return list(dict.fromkeys([*included, *_named_files(root, path)]))
+
+
+def copy_model(path: Path, folder: Path) -> None:
+    """Copy an MJCF and the files that it names, at the same places below `folder`."""
+    for file in (Path(path.name), *files_of(path)):
+        target = folder / file
+        if target.resolve() != (path.parent / file).resolve():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path.parent / file, target)
+
+
+def _include(element: Element, path: Path, seen: tuple[Path, ...], keep: bool = False) -> None:
+    """Put the children of included files where they are included."""
+    for child in list(element):
+        if child.tag == "include":
+            file = _inside(Path(child.get("file", "")), path)
+            if file.resolve() in seen:
+                raise InputError(f"{path}: '{file.name}' includes itself; remove the circle")
+            included = read_xml(file)
+            _include(included, path, (*seen, file.resolve()), keep)
+            at = list(element).index(child)
+            if not keep:
+                element.remove(child)
+            for i, grandchild in enumerate(included):
+                element.insert(at + i + keep, grandchild)
+        else:
+            _include(child, path, seen, keep)
+
+
+def _named_files(root: Element, path: Path) -> Iterator[Path]:
+    """Meshes, textures and height fields that an MJCF names, relative to its folder."""
+    folders: dict[str, str] = {}
+    for compiler in root.iter("compiler"):
+        common = compiler.get("assetdir")
+        for kind in ("meshdir", "texturedir"):
+            if value := compiler.get(kind, common):
+                folders[kind] = value
+        if compiler.get("strippath", "false") == "true":
+            raise InputError(f"{path}: strippath hides where files lie; write their paths in full and remove it")
+    for asset in root.iter("asset"):
+        for child in asset:
+            for key in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
+                if name := child.get(key):
+                    yield Path(folders.get(_ASSET_FOLDERS.get(child.tag, ""), "")) / name
+    for plugin in root.iter("plugin"):
+        raise InputError(f"{path}: plugin '{plugin.get('plugin', '')}' is code from elsewhere; remove it")
+
+
+def _inside(file: Path, path: Path) -> Path:
+    """The file that a model names: it must lie inside the model's folder and exist."""
+    folder = path.parent
+    whole = folder / file
+    if file.is_absolute() or not whole.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{path}: '{file}' leaves the machine's folder; copy the file into it and name it relative to the model")
+    if not whole.is_file():
+        raise InputError(f"{path}: no file '{file}' beside the model; copy it there or correct the name")
+    return whole
+
+
+def _check_masses(element: Element | None, where: str) -> None:
+    for key in _PHYSICAL if element is not None else ():
+        given = element.get(key) if element is not None else None
+        for value in (given or "").split():
+            _positive(value, f"{where}: {key}", zero=element is not None and element.tag == "geom")
+
+
+def _positive(text: str, where: str, zero: bool = False) -> None:
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{where} = '{text}' is no number; correct it") from None
+    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
+        raise InputError(f"{where} = {value:g} is impossible; give {'a number of at least' if zero else 'a number above'} 0")
+
+
+def _only_default(root: Element, name: str) -> bool:
+    """Do the joints of that name stand outside the tree of bodies (a sensor, an equality)?"""
+    world = root.findall("worldbody")
+    return sum(joint.get("name") == name for w in world for joint in w.iter("joint")) < 2
