@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tests.other_structures import write_slides
 from tests.small_machine import write_small_machine
 from twin.cli import main
 from twin.effects import EFFECTS
@@ -98,8 +99,9 @@ def moved(golden: Golden, case: Case) -> Golden:
                 feature, value=(feature.value - 1.01 * share["above_noise"] * feature.noise) / (1.0 + 1.01 * share["growth"])
             )
         else:
-            share = case.tolerance["summary"]
-            features[name] = replace(feature, value=feature.value + 1.2 * (share["absolute"] + share["relative"] * abs(feature.value)))
+            share = case.tolerance["parameters" if case.kind in ("identify", "diagnose") else "summary"]
+            allowed = share.get("absolute", 0.0) + share["relative"] * abs(feature.value) + share.get("of_interval", 0.0) * feature.noise
+            features[name] = replace(feature, value=feature.value + 1.2 * allowed)
     return replace(golden, trace=trace, features=features, events=tuple(e for e in golden.events if e not in kept.values()))
 
 
@@ -195,6 +197,47 @@ def test_the_workflow_tells_what_failed(suite: Path, tmp_path: Path) -> None:
     ran = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True)
     assert "## Regression runs: failed" in ran.stdout
     assert "- **u_move** failed: axis U differs" in ran.stdout
+
+
+OTHER = """kind = "run"
+machine = "slides.toml"
+compare = ["setpoint", "position", "velocity", "current", "voltage", "torque"]
+moves.X = { distances_mm = [4.0, -4.0], speed_mm_per_s = 20.0 }
+moves.Z = { distances_mm = [10.0, -10.0], speed_mm_per_s = 100.0 }
+moves.B = { distances_deg = [10.0, -10.0], speed_deg_per_s = 40.0 }
+"""
+
+
+def test_other_control_structures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """P/P on a voltage, P/PI on a current, P/P on a torque: what each commands is compared, and the block that changed is named."""
+    write_slides(tmp_path)
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    tolerances = TOLERANCES + "".join(
+        f'[tolerance.{signal}]\nrms = 1e-4\nmax = 1e-3\nunit = "{unit}"\nreason = "a thousandth"\n'
+        for signal, unit in (("voltage", "V"), ("torque", "Nm"))
+    )
+    good = OTHER.replace('"slides', '"../slides') + tolerances
+    (folder / "moves.toml").write_text("\n".join(line for line in good.splitlines() if not line.startswith("compare")))
+    capsys.readouterr()
+    assert regress(folder, tmp_path, "--update", "--reason", "first results") == 2
+    one_line(capsys, "axis X commands a voltage", 'compare = ["setpoint", "position", "velocity", "voltage"]')
+    (folder / "moves.toml").write_text(good)
+    assert regress(folder, tmp_path, "--update", "--reason", "first results") == 0
+    assert regress(folder, tmp_path) == 0
+    plain = (tmp_path / "slides.toml").read_text()
+    for old, new, axis, block in (
+        ("position_gain_per_s = 160.0", "position_gain_per_s = 161.0", "X", "position controller"),
+        ("speed_gain_v_s_per_m = 243.0", "speed_gain_v_s_per_m = 245.0", "X", "speed controller"),
+        ("coulomb_friction_n = 20.0", "coulomb_friction_n = 20.4", "X", "mechanics"),
+        ("speed_integral_time_s = 0.02", "speed_integral_time_s = 0.0205", "Z", "speed controller"),
+        ("torque_constant_nm_per_a = 0.5", "torque_constant_nm_per_a = 0.505", "Z", "speed controller"),
+        ("speed_gain_nm_s_per_rad = 0.04", "speed_gain_nm_s_per_rad = 0.0404", "B", "speed controller"),
+    ):
+        (tmp_path / "slides.toml").write_text(plain.replace(old, new))
+        assert regress(folder, tmp_path) == 1
+        place = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]["place"]
+        assert (place["axis"], place["block"]) == (axis, block), (new, place)
 
 
 def test_junit_is_what_servers_read(suite: Path, tmp_path: Path) -> None:

@@ -68,6 +68,7 @@ def regress_command(args: argparse.Namespace) -> int:
 def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     """Show old, new and difference; ask for a reason; write what changed."""
     from twin.progress import Progress
+    from twin.regress.compare import uncompared
     from twin.regress.golden import golden_paths, history_of, write_golden
     from twin.regress.run_suite import BROKEN, run_suite
     from twin.summary import table
@@ -89,6 +90,7 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         for c in sorted(differing, key=lambda c: -c.excess)[:12]:
             old, new = (_cell(value) for value in (c.golden, c.now))
             rows.append([v.case.name, c.quantity, old, new, f"{c.found:.4g} {c.unit}", f"{min(c.excess, 1e6):.2g}"])
+        rows += [[v.case.name, name, "-", _cell(v.new.features[name].value), "-", "-"] for name in uncompared(v.golden, v.new)[:12]]
         if not differing and v.golden.case != v.new.case:
             rows.append([v.case.name, "(the case's table)", v.golden.case, v.new.case, "-", "-"])
         if differing or v.note or v.golden.case != v.new.case:

@@ -15,7 +15,7 @@ from twin.regress.golden import Golden
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
 from twin.replay.events import Event
-from twin.trace import Trace
+from twin.trace import OTHER_UNITS, Trace
 from twin.units import ARCSEC, AXIS_UNITS
 
 TIME_TOLERANCE_S = 1e-9
@@ -92,7 +92,7 @@ def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
         return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal.startswith("velocity"):
         return units.speed
-    return ("Nm" if signal.startswith("torque") else "A", 1.0)
+    return (OTHER_UNITS[signal], 1.0)
 
 
 def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterator[Check]:
@@ -104,6 +104,12 @@ def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterato
             yield Check(f"axis {axis} is driven", axis, "", 1.0, 0.0, "yes", "no")
             continue
         for signal in case.compared:
+            recorded = [trace.has(axis, signal) for trace in (before, after)]
+            if not all(recorded):
+                if any(recorded):  # neither: the axis has no such signal, e.g. no current
+                    first, then = ("yes" if has else "no" for has in recorded)
+                    yield Check(f"{axis}.{signal} is recorded", axis, "", 1.0, 0.0, first, then)
+                continue
             tolerance = case.tolerance[signal]
             unit, factor = signal_unit(machine, axis, signal)
             difference = (after.get(axis, signal) - before.get(axis, signal)) * factor
@@ -142,32 +148,33 @@ def _grouped(events: tuple[Event, ...]) -> dict[tuple[str, str], list[Event]]:
     return groups
 
 
+def uncompared(golden: Golden, now: Golden) -> list[str]:
+    """Names of numbers that the golden result does not know: they fail nothing and are said."""
+    return [name for name in now.features if name not in golden.features]
+
+
 def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """|now - golden| <= absolute + relative |golden|; words stay the same; none comes or goes."""
-    tolerance = case.tolerance["summary"]
-    for name in (*golden.features, *(n for n in outcome.features if n not in golden.features)):
-        before, after = golden.features.get(name), outcome.features.get(name)
-        known = before or after
-        assert known is not None
-        if before is None or after is None:
-            told = [feature.value if feature else "not there" for feature in (before, after)]
-            yield Check(name, known.axis, known.unit, 1.0, 0.0, str(told[0]), str(told[1]), known.block)
-        elif isinstance(before.value, str) or isinstance(after.value, str):
-            yield Check(name, known.axis, "", float(before.value != after.value), 0.0, str(before.value), str(after.value), known.block)
+    """|now - golden| <= absolute + relative |golden|, of parameters relative |golden| + of_interval half its interval; words stay; none goes."""
+    tolerance = case.tolerance["parameters" if case.kind in ("identify", "diagnose") else "summary"]
+    absolute, of_interval = tolerance.get("absolute", 0.0), tolerance.get("of_interval", 0.0)
+    for name, before in golden.features.items():
+        after = outcome.features.get(name)
+        if after is None or isinstance(before.value, str) or isinstance(after.value, str):
+            now = str(after.value) if after else "not there"
+            yield Check(name, before.axis, before.unit, float(now != str(before.value)), 0.0, str(before.value), now, before.block)
         else:
-            allowed = tolerance["absolute"] + tolerance["relative"] * abs(before.value)
+            allowed = absolute + tolerance["relative"] * abs(before.value) + of_interval * before.noise
             found = abs(after.value - before.value)
-            yield Check(name, known.axis, known.unit, found, allowed, before.value, after.value, known.block)
+            yield Check(name, before.axis, before.unit, found, allowed, before.value, after.value, before.block)
 
 
 def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
     """The gap to the measurement must not grow by more than a share, plus a share of what noise alone makes; it may shrink."""
     tolerance = case.tolerance["gap"]
-    for name in (*golden.features, *(n for n in outcome.features if n not in golden.features)):
-        before, after = golden.features.get(name), outcome.features.get(name)
-        if before is None or after is None:
-            told = [str(feature.value) if feature else "not there" for feature in (before, after)]
-            yield Check(name, "", "", 1.0, 0.0, told[0], told[1])
+    for name, before in golden.features.items():
+        after = outcome.features.get(name)
+        if after is None:
+            yield Check(name, before.axis, before.unit, 1.0, 0.0, str(before.value), "not there", before.block)
             continue
         old, new = float(before.value), float(after.value)
         allowed = tolerance["growth"] * old + tolerance["above_noise"] * before.noise

@@ -25,7 +25,7 @@ class Feature:
     unit: str = ""
     axis: str = ""
     block: str = ""
-    noise: float = 0.0  # of a gap: what measuring noise alone makes
+    noise: float = 0.0  # of a gap: what measuring noise alone makes; of a parameter: half its interval
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import multiprocessing
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ import time
 import traceback
 
 from twin.errors import TwinError
-from twin.regress.compare import Check, compare
+from twin.regress.compare import Check, compare, uncompared
 from twin.regress.golden import Golden, golden_of, read_golden, versions
 from twin.regress.runners import Skip, run_case
 from twin.regress.suite import Case
@@ -30,7 +30,7 @@ class Verdict:
 
     case: Case
     status: str
-    seconds: float
+    seconds: float = 0.0
     checks: tuple[Check, ...] = ()
     text: str = ""
     place: Place | None = None
@@ -78,7 +78,7 @@ def run_suite(
                     verdict = future.result()
                 except BrokenProcessPool:
                     text = "not run: a process of the suite was killed (out of memory?); try --jobs 1"
-                    verdict = Verdict(running[future], BROKEN, 0.0, text=text)
+                    verdict = Verdict(running[future], BROKEN, text=text)
                 found[verdict.case.name] = verdict
                 if done:
                     done()
@@ -95,35 +95,44 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
             raise
         golden = None
     try:
-        outcome = run_case(case)
+        verdict = _judged(case, golden, out if not update else None)
     except Skip as reason:
-        return Verdict(case, SKIPPED, time.perf_counter() - began, text=str(reason))
+        verdict = Verdict(case, SKIPPED, text=str(reason))
     except TwinError as error:
-        return Verdict(case, BROKEN, time.perf_counter() - began, text=f"cannot run: {' '.join(str(error).split())}")
+        verdict = Verdict(case, BROKEN, text=f"cannot run: {' '.join(str(error).split())}")
     except Exception as error:
         line = traceback.extract_tb(error.__traceback__)[-1]
         told = " ".join(f"{type(error).__name__}: {error}".split())
-        text = f"cannot run: {told} in {Path(line.filename).name}, line {line.lineno}"
-        return Verdict(case, BROKEN, time.perf_counter() - began, text=text)
+        verdict = Verdict(case, BROKEN, text=f"cannot run: {told} in {Path(line.filename).name}, line {line.lineno}")
+    return replace(verdict, seconds=time.perf_counter() - began)
+
+
+def _judged(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
+    outcome = run_case(case)
     new, stopped = golden_of(outcome, case), bool(outcome.failed)
     if golden is None:
         text = f"the simulation stops: {outcome.failed}" if stopped else "no golden result so far"
-        return Verdict(case, BROKEN if stopped else PASSED, time.perf_counter() - began, text=text, new=new, stopped=stopped)
-    checks = tuple(compare(case, golden, outcome))
-    note = version_note(golden)
+        return Verdict(case, BROKEN if stopped else PASSED, text=text, new=new, stopped=stopped)
+    checks, new_names = tuple(compare(case, golden, outcome)), uncompared(golden, new)
+    told = (
+        f"{case.name}: {len(new_names)} without golden value, e.g. {new_names[0]}; to compare them from now on: --update"
+        if new_names
+        else ""
+    )
+    note = "; ".join(filter(None, (version_note(golden), told)))
     if all(check.ok for check in checks):
-        return Verdict(case, PASSED, time.perf_counter() - began, checks, note=note, new=new, golden=golden)
+        return Verdict(case, PASSED, checks=checks, note=note, new=new, golden=golden)
     place = None
     if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
         place = place_of(outcome.machine, golden.trace, outcome.trace, checks)
     place = place or place_of_numbers(checks)
     text = sentence(case, checks, place, outcome.failed)
     written = None
-    if out is not None and not update:
+    if out is not None:
         from twin.regress.evidence import write_evidence
 
         written = write_evidence(out / case.name, case, golden, outcome, checks, place, text)
-    return Verdict(case, FAILED, time.perf_counter() - began, checks, text, place, note, new, golden, written, stopped)
+    return Verdict(case, FAILED, checks=checks, text=text, place=place, note=note, new=new, golden=golden, written=written, stopped=stopped)
 
 
 def place_of_numbers(checks: Sequence[Check]) -> Place:

@@ -11,7 +11,7 @@ from typing import Any
 
 from twin.campaign import Campaign, read_campaign
 from twin.effects import settings_of, with_effects
-from twin.errors import SimulationError
+from twin.errors import InputError, SimulationError
 from twin.machine import Machine, load_machine
 from twin.regress.outcome import Feature, Outcome, flat
 from twin.regress.recorded import recorded_campaign, setpoints_of_moves
@@ -48,6 +48,9 @@ def machine_of(case: Case) -> Machine:
     return machine.with_feedforward(case.table.get("feedforward"))
 
 
+_SUMMARY_UNITS = {"a": "A", "v": "V", "nm": "Nm", "s": "s"}
+
+
 def _run(case: Case, machine: Machine) -> Outcome:
     from twin.replay.events import find_events
     from twin.run import simulate
@@ -68,11 +71,13 @@ def _run(case: Case, machine: Machine) -> Outcome:
     except SimulationError as error:
         trace = error.trace if isinstance(error.trace, Trace) else None
         return Outcome({}, trace, (), machine, str(error))
+    _check_compared(case, machine, run.trace)
     features: dict[str, Feature] = {}
     for axis, table in summary_of(machine, run)["axes"].items():
         for name, value in flat("", table, {}).items():
             if not isinstance(value, str):
-                unit = table.get(f"{name.rsplit('_', 1)[0]}_unit", name.rsplit("_", 1)[-1] if name.endswith(("_a", "_s")) else "")
+                what, _, last = name.rpartition("_")
+                unit = table.get(f"{what}_unit", _SUMMARY_UNITS.get(last, ""))
                 features[f"{axis}.{name}"] = Feature(value, unit, axis)
     trace = run.trace
     if program is not None:
@@ -84,6 +89,19 @@ def _run(case: Case, machine: Machine) -> Outcome:
                 features[f"error budget.{row['error']}.{name}"] = Feature(row[name], "um", "", block)
         trace = _with_program(trace, commanded)
     return Outcome(features, trace, tuple(find_events(machine, trace)), machine)
+
+
+def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
+    """Every compared signal is some axis' own, and what each axis commands is compared unless the case says what is."""
+    for signal in case.compared:
+        if "compare" in case.table and not any(trace.has(name, signal) for name in machine.axis_names):
+            raise InputError(f"{case.where}: compare: no axis of {machine.name} has '{signal}'; leave it out")
+    for axis in machine.axes:
+        if "compare" not in case.table and axis.effort not in case.compared:
+            signals = ", ".join(f'"{s}"' for s in (*case.compared[:-1], axis.effort))
+            raise InputError(
+                f"{case.where}: axis {axis.name} commands a {axis.effort}; write compare = [{signals}] and [tolerance.{axis.effort}]"
+            )
 
 
 def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
@@ -159,8 +177,7 @@ def _identify(case: Case, machine: Machine) -> Outcome:
         found = identify_campaign(machine, _campaign(case, machine, Path(folder)), refine=False, gaps=False)
     features = {}
     for p in found.parameters:
-        features[f"{p.axis}.{p.name}"] = Feature(p.value.value, p.unit, p.axis, "identification")
-        features[f"{p.axis}.{p.name} interval"] = Feature(0.5 * (p.value.high - p.value.low), p.unit, p.axis, "identification")
+        features[f"{p.axis}.{p.name}"] = Feature(p.value.value, p.unit, p.axis, "identification", 0.5 * (p.value.high - p.value.low))
     return Outcome(features, machine=machine)
 
 
@@ -171,10 +188,12 @@ def _diagnose(case: Case, machine: Machine) -> Outcome:
         diagnosis = diagnose(_campaign(case, machine, Path(folder)), machine, quick=True, seed=case.table.get("seed", 0))
         document = diagnosis.document()
     features = {"verdict": Feature(document["verdict"], "", "", "diagnosis")}
-    for i, e in enumerate(document["effects"]):
-        features[f"effect {i + 1}"] = Feature(f"{e['effect']} on {e['axis']}", "", "", "diagnosis")
+    found = [f"{e['effect']} on {e['axis']}" for e in document["effects"]]
+    features["effects"] = Feature(", ".join(found) or "none", "", "", "diagnosis")
+    for e in document["effects"]:
         for name, value in e["parameters"].items():
-            features[f"{e['axis']}.{e['effect']}.{name}"] = Feature(value["value"], value["unit"], e["axis"], "diagnosis")
+            half = 0.5 * (value["high"] - value["low"])
+            features[f"{e['axis']}.{e['effect']}.{name}"] = Feature(value["value"], value["unit"], e["axis"], "diagnosis", half)
     return Outcome(features, machine=machine)
 
 

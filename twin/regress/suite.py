@@ -41,7 +41,7 @@ _TYPES: dict[str, tuple[type, str]] = {
     "seed": (int, "a whole number"),
     **dict.fromkeys(("machine", "input", "part", "spec", "campaign"), (str, "a path beside the suite file")),
 }
-NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",)}
+NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",), "identify": ("parameters",), "diagnose": ("parameters",)}
 """What a kind compares besides its signals; every other kind compares `summary`."""
 
 SIGNAL_UNITS = {
@@ -52,6 +52,7 @@ SIGNAL_UNITS = {
     "velocity_setpoint": "mm/s, deg/s",
     "current": "A",
     "current_setpoint": "A",
+    "voltage": "V",
     "torque": "Nm",
     "torque_feedforward": "Nm",
     "torque_friction": "Nm",
@@ -66,6 +67,7 @@ _TOLERANCE_KEYS = {
     "summary": ("relative", "absolute", "reason"),
     "events": ("time_s", "reason"),
     "gap": ("growth", "above_noise", "reason"),
+    "parameters": ("relative", "of_interval", "reason"),
 }
 
 
@@ -207,8 +209,9 @@ def _check_tolerances(case: Case) -> None:
         where = f"{case.where}: [tolerance.{quantity}]"
         if not isinstance(table, dict):
             raise InputError(f"{where}: expected a table, found {table!r}; write [tolerance.{quantity}] and below it its keys")
-        if quantity not in (*SIGNAL_UNITS, "summary", "events", "gap"):
-            raise InputError(f"{where}: no such quantity; {nearest(quantity, (*SIGNAL_UNITS, 'summary', 'events', 'gap'))}")
+        known = (*SIGNAL_UNITS, *(q for q in _TOLERANCE_KEYS if q != "signal"))
+        if quantity not in known:
+            raise InputError(f"{where}: no such quantity; {nearest(quantity, known)}")
         keys = _keys_of(quantity)
         for key in table:
             if key not in keys:

@@ -1,12 +1,12 @@
 """Which block of an axis left its law first: the loop is cut, each block gets its own recorded inputs, in both traces.
 
     set points           the set point itself
-    position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            of the machine file, on the position cycles
-    speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt   integral of the speed from the motor encoder: exact,
-                         until the current set point meets its limit (there the integral stops)
-    current loop         torque                                        regressed on i* and speed, TAPS samples about each instant
-    mechanics            torque                                        regressed on a of all axes, sign v, v, position
-    transmission         motor position - scale                        regressed on torque, a, position, motor angle
+    position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            stated by the machine file, on the position cycles
+    speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt    stated; integral of the speed from the motor encoder: exact,
+                         until i* meets its limit (there the integral stops); regressed where the speed is not measured itself
+    current loop         torque        regressed on i* and speed, TAPS samples about each instant
+    mechanics            torque        regressed on a of all axes, sign v, v, position
+    transmission         motor position - scale      regressed on torque, a, position, motor angle
 
 A residual is taken in the golden and in the new trace by the same law. Where a block does what it did, both residuals are
 alike, whatever its inputs now are; where it does not, their difference is the block's own doing. Its share is RMS of the
@@ -19,7 +19,7 @@ signals and none, so that a millionth shows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,10 @@ from twin.machine import Axis, Machine
 from twin.regress.compare import Check, common
 from twin.run import commissioned_inertia
 from twin.trace import Trace
+
+Law = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""What a block makes of its inputs: the output that a stated law gives (sample,), or the rows of a regressed one (sample, column);
+the recorded output (sample,); the samples at which the law holds (sample,)."""
 
 SHARE = 0.6
 """Share of the change of its output that a block must have made itself to be named: in the mutations of scripts/mutate.py the block
@@ -78,27 +82,32 @@ def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check
 def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Iterator[tuple[str, float]]:
     """(block, share) of one axis in the order of the chain; both traces on the same samples."""
     actual = apply_effects(machine).machine
-    inertia = commissioned_inertia(machine)[machine.axis_names.index(axis.name)]
-    axis = actual.axis(axis.name)
-    cycle = actual.position_cycle
-    laws = []
-    if abs(golden.period / cycle - round(golden.period / cycle)) < 1e-6:
-        laws.append(("position controller", _position_controller))
-    if abs(golden.period - cycle) < 1e-9:
-        laws.append(("speed controller", _speed_controller))
-    limited = [np.flatnonzero(np.abs(t.get(axis.name, "current_setpoint")) >= AT_LIMIT * axis.motor.peak_current_a) for t in (golden, now)]
-    free = min((int(rows[0]) for rows in limited if rows.size), default=len(golden.time))
-    for block, law in laws:
-        before, after = (law(axis, inertia, cycle, trace) for trace in (golden, now))
-        until = free if block == "speed controller" else None
-        yield block, _share((after[0] - before[0])[:until], (after[1] - before[1])[:until])
-    for block, signals in (("current loop", _current_loop), ("mechanics", _mechanics), ("transmission", _transmission)):
-        (rows, output, use), (new_rows, new_output, new_use) = (signals(axis, trace) for trace in (golden, now))
+    inertia = float(commissioned_inertia(machine)[machine.axis_names.index(axis.name)])
+    axis, cycle = actual.axis(axis.name), actual.position_cycle
+    on_cycles = abs(golden.period / cycle - round(golden.period / cycle)) < 1e-6
+    each_cycle = abs(golden.period - cycle) < 1e-9
+    measured_speed = axis.loops.speed_mean_cycles == 0 and axis.loops.speed_filter_time_s == 0.0
+    blocks: list[tuple[str, Callable[[Trace], Law]]] = []
+    if on_cycles:
+        blocks.append(("position controller", lambda trace: _position_controller(axis, cycle, trace)))
+    if each_cycle and measured_speed:
+        blocks.append(("speed controller", lambda trace: _speed_controller(axis, inertia, cycle, trace)))
+    elif each_cycle:
+        blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(axis, cycle, trace)))
+    if axis.effort == "current":
+        blocks.append(("current loop", lambda trace: _current_loop(axis, trace)))
+    blocks += [("mechanics", lambda trace: _mechanics(axis, trace)), ("transmission", lambda trace: _transmission(axis, trace))]
+    for block, law in blocks:
+        (inputs, output, use), (new_inputs, new_output, new_use) = law(golden), law(now)
         both = use & new_use
-        if np.count_nonzero(both) < 3 * rows.shape[1]:
+        output, new_output = output[both], new_output[both]
+        if inputs.ndim == 1:
+            own = new_output - output - (new_inputs - inputs)[both]
+        elif np.count_nonzero(both) < 3 * inputs.shape[1]:
             continue
-        before, after = (_scaled(r[both], rows[both]) for r in (rows, new_rows))
-        yield block, _share(_own_change(before, output[both], after, new_output[both]), new_output[both] - output[both])
+        else:
+            own = _own_change(_scaled(inputs[both], inputs[both]), output, _scaled(new_inputs[both], inputs[both]), new_output)
+        yield block, _share(own, new_output - output)
 
 
 def _own_change(rows: np.ndarray, output: np.ndarray, new_rows: np.ndarray, new_output: np.ndarray) -> np.ndarray:
@@ -132,42 +141,64 @@ def _delayed(axis: Axis, trace: Trace, delay: float) -> np.ndarray:
     return CubicSpline(trace.time, s)(np.clip(trace.time - delay, trace.time[0], trace.time[-1]))
 
 
-def _position_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and output [axis units/s] of the position controller on the kept position cycles."""
+def _position_controller(axis: Axis, cycle: float, trace: Trace) -> Law:
+    """Speed set point [axis units/s] of the position controller on the kept position cycles."""
     loops, output = axis.loops, trace.get(axis.name, "velocity_setpoint")
     ahead = _delayed(axis, trace, loops.feedforward_delay_s) - _delayed(axis, trace, loops.feedforward_delay_s + cycle)
-    error = _delayed(axis, trace, loops.position_delay_s) - trace.get(axis.name, "position")
-    return output - loops.position_gain_per_s * error - loops.velocity_feedforward * ahead / cycle, output
+    error = _delayed(axis, trace, loops.position_delay_s) - trace.get(
+        axis.name, "motor_position" if axis.encoder == "motor" else "position"
+    )
+    return loops.position_gain_per_s * error + loops.velocity_feedforward * ahead / cycle, output, np.ones(len(output), bool)
 
 
-def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and output [A] of the speed controller: the integral of its error is a sum of w* and a way of the motor."""
+def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """What the speed controller commands [A, V, Nm], and the samples before it meets its limit."""
+    command = trace.get(axis.name, "current_setpoint" if axis.effort == "current" else axis.effort)
+    limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
+    return command, ~limited
+
+
+def _speed_integral(axis: Axis, cycle: float, trace: Trace) -> np.ndarray:
+    """Integral of the speed's error [motor rad]: a sum of w* less the way of the motor."""
+    wanted, way = trace.get(axis.name, "velocity_setpoint"), trace.get(axis.name, "motor_position")
+    return (np.concatenate([[0.0], np.cumsum(wanted[:-1]) * cycle]) - (way - way[0])) / axis.ratio
+
+
+def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> Law:
+    """Command [A, V, Nm] of a speed controller that measures the speed."""
     loops, r = axis.loops, axis.ratio
-    wanted, speed = trace.get(axis.name, "velocity_setpoint") / r, trace.get(axis.name, "velocity") / r
-    way = (trace.get(axis.name, "motor_position") - trace.get(axis.name, "motor_position")[0]) / r
-    integral = np.concatenate([[0.0], np.cumsum(wanted[:-1]) * cycle]) - way
+    error = (trace.get(axis.name, "velocity_setpoint") - trace.get(axis.name, "velocity")) / r
     d = loops.feedforward_delay_s
     curve = _delayed(axis, trace, d) - 2.0 * _delayed(axis, trace, d + cycle) + _delayed(axis, trace, d + 2.0 * cycle)
     forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
-    torque = loops.speed_gain_nm_s_per_rad * (wanted - speed + integral / loops.speed_integral_time_s) + forward
-    output = trace.get(axis.name, "current_setpoint")
-    constant = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
-    return output - torque / constant, output
+    integral = _speed_integral(axis, cycle, trace) / loops.speed_integral_time_s
+    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + forward
+    return torque / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a), *_command(axis, trace)
+
+
+def _speed_controller_of_samples(axis: Axis, cycle: float, trace: Trace) -> Law:
+    """The same where the speed is differentiated or filtered: its samples about each instant, feedforward and integral."""
+    rows = [*_samples(axis, trace, "velocity_setpoint"), *_samples(axis, trace, "velocity"), np.ones(len(trace.time))]
+    rows += [trace.get(axis.name, "torque_feedforward"), _speed_integral(axis, cycle, trace)]
+    return np.column_stack(rows), *_command(axis, trace)
+
+
+def _samples(axis: Axis, trace: Trace, signal: str) -> list[np.ndarray]:
+    """TAPS columns: a signal from two samples before to two after each instant."""
+    padded = np.pad(trace.get(axis.name, signal), TAPS // 2, mode="edge")
+    return list(np.lib.stride_tricks.sliding_window_view(padded, TAPS).T)
 
 
 def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
     return np.gradient(trace.get(axis.name, signal), trace.period)
 
 
-def _current_loop(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    columns = [np.ones(len(trace.time))]
-    for signal in ("current_setpoint", "velocity"):
-        padded = np.pad(trace.get(axis.name, signal), TAPS // 2, mode="edge")
-        columns += list(np.lib.stride_tricks.sliding_window_view(padded, TAPS).T)
+def _current_loop(axis: Axis, trace: Trace) -> Law:
+    columns = [np.ones(len(trace.time)), *_samples(axis, trace, "current_setpoint"), *_samples(axis, trace, "velocity")]
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 
 
-def _mechanics(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _mechanics(axis: Axis, trace: Trace) -> Law:
     v, x = trace.get(axis.name, "velocity"), trace.get(axis.name, "position")
     rows = [np.sign(v), v, np.ones(len(v)), x, np.sin(x), np.cos(x)]
     for name in trace.axes:
@@ -176,7 +207,7 @@ def _mechanics(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.column_stack(rows), trace.get(axis.name, "torque"), sliding
 
 
-def _transmission(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _transmission(axis: Axis, trace: Trace) -> Law:
     x = trace.get(axis.name, "position")
     angle = x / axis.ratio
     rows = [trace.get(axis.name, "torque"), _rates(axis, trace, "velocity"), trace.get(axis.name, "velocity")]

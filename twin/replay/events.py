@@ -1,6 +1,6 @@
 """Events of a run: where an axis met a limit, reversed, stuck, and where the program went to its next block.
 
-    current limit   |current| reaches the peak current
+    current limit   |current| reaches the peak current (voltage, torque limit where that is what the control commands)
     speed limit     |speed| reaches the axis' highest speed
     reversal        the set point's speed changes sign, after it moved by more than REVERSAL_MOVE both ways
     sticking        the set point moves, the axis stands
@@ -18,12 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.machine import Axis, Machine
+from twin.machine_keys import EFFORTS
 from twin.trace import PROGRAM, Trace
 from twin.units import ARCSEC, AXIS_UNITS, rad_from_deg
 
 TELLING = "telling stretch"
 """An event that a diagnosis adds."""
-KINDS = ("current limit", "speed limit", "reversal", "sticking", "block", TELLING)
+KINDS = (*(f"{effort} limit" for effort in EFFORTS), "speed limit", "reversal", "sticking", "block", TELLING)
 MOST_EVENTS = 5000
 """Marks beyond this number would only make the viewer slow; the summary says how many there are."""
 WORST = "largest contour error"

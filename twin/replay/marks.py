@@ -10,6 +10,7 @@ import rerun as rr
 
 from twin.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
 from twin.machine import Machine
+from twin.machine_keys import EFFORTS
 from twin.replay.curves import following_error
 from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
@@ -17,7 +18,7 @@ from twin.trace import Trace
 from twin.units import AXIS_UNITS
 
 _MARKS: dict[str, Any] = {
-    "current limit": "cross",
+    **{f"{effort} limit": "cross" for effort in EFFORTS},
     "speed limit": "plus",
     "reversal": "diamond",
     "sticking": "circle",
@@ -28,7 +29,7 @@ _MARKS: dict[str, Any] = {
 _STATES = {
     "follows": lighter(SETPOINT_COLOUR, 0.65),
     "sticking": (240, 150, 10),
-    "current limit": LIMIT_COLOUR,
+    **{f"{effort} limit": LIMIT_COLOUR for effort in EFFORTS},
     "speed limit": (176, 92, 220),
     TELLING: (235, 60, 150),
 }
