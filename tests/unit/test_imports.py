@@ -19,7 +19,7 @@ LAYERS = (
     ("run",),
     ("campaign", "gap", "summary", "cascade_reference", "toolpath", "surface"),
     ("report", "replay"),  # how pages and recordings are drawn; what they show is the business of those above
-    ("identify", "study"),
+    ("identify", "machines", "study"),
     ("readers",),
     ("diagnose", "exam", "regress"),
     ("demo", "benchmark", "friction_check"),

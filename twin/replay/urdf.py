@@ -44,7 +44,7 @@ def scene_from_urdf(path: Path) -> Scene:
         raise InputError(f"{path}: its joints form a circle; one link must have no parent")
     bodies: dict[str, Any] = {}
     for root in roots:
-        bodies[root] = _add_body(spec.worldbody, root, np.eye(4))
+        bodies[root] = spec.worldbody if root == "world" else _add_body(spec.worldbody, root, np.eye(4))
     # parents before children, whatever the order of the file
     waiting = list(robot.joint_map.values())
     while waiting:
