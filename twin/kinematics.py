@@ -67,8 +67,11 @@ class Kinematics:
     def part_position(self, axes: np.ndarray) -> np.ndarray:
         """Origin of the part frame in the bed frame (sample, 3)."""
         axes = np.atleast_2d(axes)
-        turned = rotation(self.turn_axis, axes[:, 4]) @ (self.part_origin - self.turn_anchor) + self.turn_anchor
-        return np.einsum("nij,nj->ni", rotation(self.tilt_axis, axes[:, 3]), turned - self.tilt_anchor) + self.tilt_anchor
+        return self._part_position(rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4]))
+
+    def _part_position(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        turned = turn @ (self.part_origin - self.turn_anchor) + self.turn_anchor
+        return np.einsum("nij,nj->ni", tilt, turned - self.tilt_anchor) + self.tilt_anchor
 
     def tip_in_bed(self, axes: np.ndarray) -> np.ndarray:
         """Tool tip in the bed frame (sample, 3)."""
@@ -76,8 +79,10 @@ class Kinematics:
 
     def forward(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool tip (sample, 3) and tool axis (sample, 3) in the part frame, for axes (sample, 5)."""
-        workpiece_from_bed = np.swapaxes(self.part_rotation(axes), 1, 2)
-        tip = np.einsum("nij,nj->ni", workpiece_from_bed, self.tip_in_bed(axes) - self.part_position(axes))
+        axes = np.atleast_2d(axes)
+        tilt, turn = rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
+        workpiece_from_bed = np.swapaxes(tilt @ turn @ self.part_axes, 1, 2)
+        tip = np.einsum("nij,nj->ni", workpiece_from_bed, self.tip_in_bed(axes) - self._part_position(tilt, turn))
         return tip, workpiece_from_bed @ self.tool_axis
 
     def linear_axes(self, tip: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import functools
 from pathlib import Path
 import typing
 
@@ -48,6 +49,7 @@ def _call(count: int) -> tuple[typing.Any, typing.Any]:
     return signature, generate
 
 
+@functools.cache
 def engine_function_address(name: str) -> int:
     """Address of a function of MuJoCo's C library, e.g. 'mj_step'."""
     import mujoco

@@ -31,7 +31,7 @@ SHORTEST_WINDOW = 0.1
 """Seconds before and after that are searched at least."""
 ARM = 0.1
 """Lever that turns an angle into a length where poses are compared [m]."""
-COARSE = 16
+COARSE = 4
 """Vertices of a window that are looked at first: they only tell which segments need no look."""
 LAGS = 4.0
 """The window is this many times the lag 1 / Kv of the slowest position controller: beyond it an axis is not following."""
@@ -142,12 +142,13 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
 
     Fills nearest (n, k), distance (n,) and where (n,), the place along the path in samples.
     """
-    longest = 0.0
+    way = np.zeros(len(path) + 1)
     for j in range(len(path) - 1):
         square = 0.0
         for c in range(path.shape[1]):
             square += (path[j + 1, c] - path[j, c]) ** 2
-        longest = max(longest, math.sqrt(square))
+        way[j + 1] = way[j] + math.sqrt(square)
+    way[len(path)] = way[len(path) - 1]
     guess = 0
     for i in range(len(points)):
         last = max(high[i], low[i] + 1)
@@ -161,7 +162,6 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
                 square += (points[i, c] - path[j, c]) ** 2
             reach = min(reach, square)
         reach = math.sqrt(reach) * (1.0 + 1e-9) + 1e-12
-        far = (reach + longest) ** 2 * (1.0 + 1e-9) if longest > 0.0 else np.inf
         best = np.inf
         j = low[i] - 1
         while j + 1 < last:
@@ -176,10 +176,14 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
                 square += a * a
                 length += b * b
                 along += a * b
-            # segments that the path cannot bring within the bound are passed over
-            if square > far:
-                j += int((math.sqrt(square) - reach) / longest) - 1
-                continue
+            # the path comes nearer by no more than its way: segments that it cannot bring within the bound are passed over
+            if square > reach * reach:
+                free = way[j] + math.sqrt(square) - reach
+                if way[k] < free:
+                    while j < last and way[j + 1] < free:
+                        j += 1
+                    j -= 1
+                    continue
             part = min(1.0, max(0.0, along / length)) if length > 0.0 else 0.0
             square = 0.0
             for c in range(points.shape[1]):

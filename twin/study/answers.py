@@ -25,6 +25,8 @@ GLOBAL_SPLINE = 600
 NEIGHBOURS = 60
 NO_EFFECT = 1e-9
 """A response that changes by less than this (relative) over all variants does not depend on any factor."""
+ROUNDING = 1e-9
+"""A response whose numbers all stay below this, in its own unit (um, A, W, s), is zero."""
 SURE = 1e-3
 """Chance of error at which a factor is said to move some response, where no two variants differ in it alone."""
 
@@ -112,7 +114,8 @@ def effects_of(names: Sequence[str], table: np.ndarray, y: np.ndarray) -> list[E
 
 def depends(y: np.ndarray) -> bool:
     """Does a response change over the variants at all?"""
-    return bool(np.ptp(y) > NO_EFFECT * max(float(np.abs(y).max()), 1e-12))
+    largest = float(np.abs(y).max())
+    return bool(largest > ROUNDING and np.ptp(y) > NO_EFFECT * largest)
 
 
 def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[str]:

@@ -7,6 +7,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 import contextlib
 from dataclasses import dataclass
 import hashlib
+import logging
 import os
 from typing import Any
 
@@ -22,6 +23,8 @@ AHEAD = 4
 """Variants in flight for each worker: enough to keep it busy, few enough to bound the memory."""
 SECONDS_TO_ANSWER = 10
 """A scheduler that does not answer within this time, or has no worker by then, is not there."""
+SECONDS_WITHOUT_WORKER = 30
+"""A cluster that has lost all workers has this time to get new ones."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,15 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
     shared: Any = None
     pending: dict[Future[Answer], int] = {}
     while True:
-        while len(pending) < AHEAD * workers.count() and (number := next(left, None)) is not None:
+        while len(pending) < AHEAD * max(1, workers.count()) and (number := next(left, None)) is not None:
             shared = shared if shared is not None else workers.share(work_of(study))
             pending[workers.executor.submit(evaluate, shared, tuple(variants[number].tolist()))] = number
         if not pending:
             return
-        for future in wait(pending, return_when=FIRST_COMPLETED).done:
+        arrived = wait(pending, timeout=SECONDS_WITHOUT_WORKER, return_when=FIRST_COMPLETED).done
+        if not arrived and workers.count() == 0:
+            raise InputError(f"{store.path}: no worker is left; what is done is kept: start some and go on with --resume")
+        for future in arrived:
             number = pending.pop(future)
             try:
                 answer = future.result()
@@ -89,6 +95,8 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
         from distributed import Client
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'twin[cluster]'") from None
+    for name in ("distributed", "distributed.client", "distributed.core", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line below
     try:
         client = Client(scheduler, timeout=SECONDS_TO_ANSWER, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
@@ -105,8 +113,11 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
             # a task of its own: sent once, and made again by the scheduler where the worker that held it is lost
             return client.submit(_same, work.packed(), pure=False)
 
-        with client.get_executor(pure=False) as executor:
-            yield Workers(executor, lambda: max(1, sum(client.nthreads().values())), share)
+        executor = client.get_executor(pure=False)
+        try:
+            yield Workers(executor, lambda: sum(client.nthreads().values()), share)
+        finally:
+            executor.shutdown(wait=False)  # what runs on after an error is not waited for
 
 
 def _same(work: Work) -> Work:

@@ -124,16 +124,18 @@ def _answer(machine: Machine, work: Work) -> Answer:
             found["mark_depth_um"] = _mark_depth(machine, run.trace, work.part, programmed)
         for what, times in (("current", run.current_limited_s), ("voltage", run.voltage_limited_s)):
             broken += [f"run {source.name}: axis {a} is at its {what} limit for {t * 1e3:.1f} ms" for a, t in times.items() if t > 0.0]
-    names = dict.fromkeys(name for found in by_run.values() for name in found)
-    responses = {name: _joined(name, [found[name] for found in by_run.values() if name in found]) for name in names}
+    if len(by_run) == 1:
+        (responses,) = by_run.values()
+    else:
+        names = dict.fromkeys(name for found in by_run.values() for name in found)
+        responses = {name: _joined(name, [found[name] for found in by_run.values() if name in found]) for name in names}
+        responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
     for setting in settings_of(machine):
         if setting.effect.name == "transmission_compliance":
             axis = machine.axis(setting.axis)
             responses[f"first_mode_{axis.name}_hz"] = math.sqrt(setting.parameters["stiffness"] / load_inertia(machine, axis)) / (
                 2 * math.pi
             )
-    if len(by_run) > 1:
-        responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
     return Answer(responses, "; ".join(broken) or None)
 
 
