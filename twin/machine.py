@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from twin import machine_keys as keys
+from twin import machine_sinumerik as sinumerik
 from twin.errors import InputError, nearest
 from twin.machine_axis import Axis, Loops, Motor, axis_of_table
 from twin.model_file import check_mjcf, copy_model
@@ -175,6 +176,10 @@ class Machine:
         """Path and value of a number as this file has it: 'axis.X.coulomb_friction_nm' of a direct drive is its `coulomb_friction_n`."""
         path = keys.path_in_file(self.document, path)
         *tables, key = path.split(".")
+        if tables[:1] == ["axis"] and len(tables) > 1:
+            datum = sinumerik.place(self.document["axis"].get(tables[1], {}), path.split(".", 2)[2], value)
+            if datum is not None:
+                return f"axis.{tables[1]}.{datum[0]}", datum[1]
         if key in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and tables[:1] == ["axis"] and tables[-1] == "loops":
             axis = self.axis(tables[1])
             have = self.document["axis"][axis.name]["loops"]

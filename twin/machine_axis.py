@@ -3,7 +3,7 @@
 An axis has one of the structures of `machine_keys.STRUCTURES`. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`;
 P/PI and P/P end in a speed controller whose command an ideal actuator turns into torque, `[axis.N.actuator]`. A linear
 axis with `drive = "direct"` (linear motor, or a screw that nobody knows) has all its numbers at the axis: metre, N and kg
-stand in for motor radian, Nm and kg m2, so that `ratio` is 1.
+stand in for motor radian, Nm and kg m2, so that `ratio` is 1. Machine data of a Sinumerik may stand for plain keys.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 from typing import Any
 
 from twin import machine_keys as keys
+from twin import machine_sinumerik as sinumerik
 from twin.errors import InputError, nearest
 
 
@@ -121,6 +122,8 @@ def axis_of_table(name: str, table: Any, where: str) -> Axis:
     kind = table.get("kind")
     if kind not in keys.AXIS:
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
+    if "sinumerik" in table:
+        table = sinumerik.completed(table, where)
     structure = _word(table, "structure", keys.STRUCTURES, where)
     encoder = _word(table, "encoder", keys.ENCODERS, where)
     direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"

@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "twin"
 LAYERS = (
     ("errors", "colours", "compiled", "progress"),
     ("units", "moves", "native"),
-    ("machine_keys",),
+    ("machine_keys", "machine_sinumerik"),
     ("machine_axis", "model_file"),
     ("machine", "trace"),
     ("cascade", "plant", "terms", "setpoints", "kinematics", "poses"),

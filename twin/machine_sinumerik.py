@@ -1,0 +1,260 @@
+"""Machine data of a Sinumerik 840D with 611D drives beside the plain keys of a machine file.
+
+An axis may have a table of machine data by number or name,
+
+    [axis.X.sinumerik]
+    MD32200 = 3.0            # POSCTRL_GAIN [1000/min]
+    SPEEDCTRL_GAIN_1 = 3.4   # MD1407 [Nms/rad]
+
+each standing for the plain key below; where both stand they must agree. `plain = factor * datum`. Machine data archives
+(lines `N32200 $MA_POSCTRL_GAIN[0,AX1]=3`) are read by `read_machine_data`. MD32620 FFW_MODE says which feedforward is on. What
+has no counterpart in the twin's law (filters, adaptations, motor data per phase) is left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import copy
+from dataclasses import dataclass
+import math
+from pathlib import Path
+import re
+import tomllib
+from typing import Any
+
+from twin.errors import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Datum:
+    """One machine datum: number, name, unit on the control, the plain key that it stands for and the factor to it."""
+
+    number: int
+    name: str
+    unit: str
+    key: str  # below the axis, e.g. loops.position_gain_per_s; travel_m.0 is the first of two numbers
+    factor: float
+
+    @property
+    def label(self) -> str:
+        return f"MD{self.number}"
+
+
+_COMMON = (
+    Datum(32200, "POSCTRL_GAIN", "1000/min", "loops.position_gain_per_s", 1000.0 / 60.0),
+    Datum(32610, "VELO_FFW_WEIGHT", "1", "loops.velocity_feedforward", 1.0),
+    Datum(32650, "AX_INERTIA", "kgm2", "commissioned.inertia_kg_m2", 1.0),
+    Datum(32810, "EQUIV_SPEEDCTRL_TIME", "s", "loops.position_delay_s", 1.0),
+    Datum(1104, "MOTOR_MAX_CURRENT", "A", "motor.peak_current_a", 1.0),
+    Datum(1113, "TORQUE_CURRENT_RATIO", "Nm/A", "motor.torque_constant_nm_per_a", 1.0),
+    Datum(1120, "CURRCTRL_GAIN", "V/A", "loops.current_gain_v_per_a", 1.0),
+    Datum(1121, "CURRCTRL_INTEGRATOR_TIME", "us", "loops.current_integral_time_s", 1e-6),
+    Datum(1407, "SPEEDCTRL_GAIN_1", "Nms/rad", "loops.speed_gain_nm_s_per_rad", 1.0),
+    Datum(1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", "loops.speed_integral_time_s", 1e-3),
+)
+DATA = {
+    "linear": (
+        Datum(31030, "LEADSCREW_PITCH", "mm/rev", "screw_lead_m_per_rev", 1e-3),
+        Datum(32000, "MAX_AX_VELO", "mm/min", "max_velocity_m_per_min", 1e-3),
+        Datum(32300, "MAX_AX_ACCEL", "m/s2", "max_acceleration_m_per_s2", 1.0),
+        Datum(32431, "MAX_AX_JERK", "m/s3", "max_jerk_m_per_s3", 1.0),
+        Datum(36100, "POS_LIMIT_MINUS", "mm", "travel_m.0", 1e-3),
+        Datum(36110, "POS_LIMIT_PLUS", "mm", "travel_m.1", 1e-3),
+        *_COMMON,
+    ),
+    "rotary": (
+        Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "gear_ratio", 1.0),
+        Datum(32000, "MAX_AX_VELO", "rev/min", "max_velocity_rev_per_min", 1.0),
+        Datum(32300, "MAX_AX_ACCEL", "rev/s2", "max_acceleration_rev_per_s2", 1.0),
+        Datum(32431, "MAX_AX_JERK", "rev/s3", "max_jerk_rev_per_s3", 1.0),
+        Datum(36100, "POS_LIMIT_MINUS", "deg", "travel_deg.0", 1.0),
+        Datum(36110, "POS_LIMIT_PLUS", "deg", "travel_deg.1", 1.0),
+        *_COMMON,
+    ),
+}
+
+# not by axis: cycles of control and drive; on the control in units of 31.25 us, in s, or as multiples
+CYCLE_UNIT_US = 31.25
+GEAR_DENOMINATOR = Datum(31050, "DRIVE_AX_RATIO_DENOM", "1", "", 1.0)
+GEAR_NUMERATOR = Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "", 1.0)
+FFW_MODE = Datum(32620, "FFW_MODE", "-", "", 1.0)
+CYCLES = {
+    1000: "CURRCTRL_CYCLE_TIME",
+    1001: "SPEEDCTRL_CYCLE_TIME",
+    10050: "SYSCLOCK_CYCLE_TIME",
+    10060: "POSCTRL_SYSCLOCK_TIME_RATIO",
+    10070: "IPO_SYSCLOCK_TIME_RATIO",
+}
+_EQUAL = 1e-6
+_KEY = re.compile(r"^(?:MD)?_?(\d{4,5})(?:_\w+)?$", re.IGNORECASE)
+_ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
+
+
+def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
+    """Machine data of one axis by number, whether the file has their numbers or names."""
+    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE)} | CYCLES
+    names = {name: number for number, name in known.items()}
+    out: dict[int, float] = {}
+    for key, value in table.items():
+        match = _KEY.match(key)
+        number = int(match[1]) if match else names.get(key.upper())
+        if number not in known:
+            raise InputError(f"{where}: '{key}' has no counterpart in the twin; {nearest(key, [*names, *(f'MD{n}' for n in known)])}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{where}: {key} = {value!r}: expected a number")
+        if number in out:
+            raise InputError(f"{where}: MD{number} stands twice, by number and by name; keep one")
+        out[number] = float(value)
+    return out
+
+
+def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
+    """Plain keys below the axis (dotted) with the values that machine data stand for."""
+    out: dict[str, Any] = {d.key: d.factor * data[d.number] for d in DATA[kind] if d.number in data}
+    ratio = data.get(GEAR_NUMERATOR.number, 1.0) / data.get(GEAR_DENOMINATOR.number, 1.0)
+    if kind == "rotary" and {GEAR_NUMERATOR.number, GEAR_DENOMINATOR.number} & data.keys():
+        out["gear_ratio"] = ratio
+    elif "screw_lead_m_per_rev" in out:
+        out["screw_lead_m_per_rev"] /= ratio  # per turn of the motor
+    if FFW_MODE.number in data:
+        mode = int(data[FFW_MODE.number])
+        if mode == 0:
+            out["loops.velocity_feedforward"] = 0.0
+        else:
+            out.setdefault("loops.velocity_feedforward", 1.0)
+        out["loops.torque_feedforward"] = 1.0 if mode in (2, 4) else 0.0
+    return out
+
+
+def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """An axis table in which its `sinumerik` table has become plain keys; two values that disagree are an InputError."""
+    plain = copy.deepcopy(dict(table))
+    given = plain.pop("sinumerik")
+    kind = plain.get("kind")
+    if not isinstance(given, Mapping) or kind not in DATA:
+        raise InputError(f"{where[:-1]}.sinumerik]: must be a table of machine data of an axis with a kind")
+    for key, value in plain_values(by_number(given, kind, f"{where[:-1]}.sinumerik]"), kind).items():
+        *tables, last = key.split(".")
+        target: Any = plain
+        if last in ("0", "1"):
+            target = target.setdefault(tables[0], [None, None])
+            if not isinstance(target, list):
+                raise InputError(f"{where}: {tables[0]} = {target!r} and software limits in [sinumerik] disagree; keep one")
+            slot: Any = int(last)
+            present = target[slot] is not None
+        else:
+            for name in tables:
+                target = target.setdefault(name, {})
+            slot, present = last, last in target
+        old = target[slot] if present else value
+        if isinstance(old, int | float) and not math.isclose(old, value, rel_tol=_EQUAL, abs_tol=1e-12):
+            raise InputError(f"{where}: {key} = {old:g} and its machine datum ({value:g}) disagree; keep one")
+        target[slot] = value
+    for key in ("travel_m", "travel_deg"):
+        if isinstance(plain.get(key), list) and None in plain[key]:
+            raise InputError(f"{where}: only one of MD36100 and MD36110 stands there; give both ends of the travel")
+    return plain
+
+
+def place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
+    """Where in an axis table with machine data a plain key stands: (key below the axis, value there), None where it is plain."""
+    given = table.get("sinumerik")
+    if not isinstance(given, Mapping) or table.get("kind") not in DATA:
+        return None
+    target: Any = table
+    for name in key.split("."):
+        target = target.get(name) if isinstance(target, Mapping) else None
+    if target is not None:
+        return None
+    for datum in DATA[table["kind"]]:
+        for written in given:
+            match = _KEY.match(written)
+            same = int(match[1]) == datum.number if match else written.upper() == datum.name
+            if datum.key == key and same and datum.number != GEAR_NUMERATOR.number:
+                return f"sinumerik.{written}", value / datum.factor
+    return None
+
+
+def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
+    """Machine data of a plain axis table, those that it has values for."""
+    out = []
+    for datum in DATA[table["kind"]]:
+        value: Any = table
+        for name in datum.key.split("."):
+            value = value[int(name)] if isinstance(value, list) else value.get(name) if isinstance(value, Mapping) else None
+        if isinstance(value, int | float):
+            out.append((datum, value / datum.factor))
+    loops = table.get("loops", {})
+    torque, velocity = loops.get("torque_feedforward", 0.0), loops.get("velocity_feedforward", 0.0)
+    return [*out, (FFW_MODE, 4.0 if torque else 3.0 if velocity else 0.0)]
+
+
+def control_cycles(data: Mapping[int, float]) -> dict[str, float]:
+    """Keys of `[control]` that machine data give."""
+    out = {}
+    for number, key in ((1000, "current_cycle_us"), (1001, "speed_cycle_us")):
+        if number in data:
+            out[key] = CYCLE_UNIT_US * data[number]
+    if 10050 in data:
+        for number, key in ((10060, "position_cycle_us"), (10070, "interpolation_cycle_us")):
+            if number in data:
+                out[key] = data[10050] * data[number] * 1e6
+    return out
+
+
+def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, dict[int, float]], list[str]]:
+    """Machine data of each axis from a TOML (`[X]` or `[axis.X]` tables) or an archive, and what was left alone.
+
+    `axes` maps axis names to their kind; in an archive AX1 is the first of them, or the one that AXCONF_MACHAX_NAME_TAB names.
+    Data without an axis (cycles) come under ''.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give machine data as TOML or as an archive of the control")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if path.suffix.lower() == ".toml":
+        try:
+            document = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
+        tables = document.get("axis", document)
+        out = {}
+        for name, table in tables.items():
+            if name not in axes:
+                raise InputError(f"{path}: [{name}]: no such axis; {nearest(str(name), axes)}")
+            given = table.get("sinumerik", table) if isinstance(table, Mapping) else {}
+            out[name] = by_number(given, axes[name], f"{path}: [{name}]")
+        return out, []
+    return _read_archive(text, path, axes)
+
+
+def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[str, dict[int, float]], list[str]]:
+    names = list(axes)
+    of_index = {f"AX{i + 1}": name for i, name in enumerate(names)}
+    out: dict[str, dict[int, float]] = {}
+    left: list[str] = []
+    found = False
+    for line in text.splitlines():
+        match = _ARCHIVE_LINE.match(line)
+        if not match:
+            continue
+        found = True
+        number, index, value = int(match[1]), [part.strip() for part in (match[4] or "").split(",")], match[5]
+        if number == 10000 and index[0].isdigit():  # AXCONF_MACHAX_NAME_TAB[0]="X1"
+            same = [n for n in names if value in (n, f"{n}1")]
+            if same:
+                of_index[f"AX{int(index[0]) + 1}"] = same[0]
+            continue
+        axis = of_index.get(index[-1], index[-1] if index[-1] in axes else "")
+        known = set(CYCLES) if not axis else {d.number for d in DATA[axes[axis]]} | {GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number, 32620}
+        first = len(index) < 2 or index[0] in ("", "0")  # parameter set 0, the one that is active
+        try:
+            number_value = float(value)
+        except ValueError:
+            continue
+        if number in known and first:
+            out.setdefault(axis, {})[number] = number_value
+        elif number not in known:
+            left.append(f"MD{number}")
+    if not found:
+        raise InputError(f"{path}: no line like N32200 $MA_POSCTRL_GAIN[0,AX1]=3; give an archive of machine data, or a TOML")
+    return out, sorted(set(left))
