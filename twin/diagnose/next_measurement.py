@@ -67,6 +67,18 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
     return _proposal(kind, machine.axis(best.setting.axis), reason)
 
 
+KINDS = tuple(_SEPARATES)
+"""Moves that can be proposed."""
+
+
+def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
+    """Set points of one kind of move for several axes at once; who is done waits."""
+    moves = [_move(kind, axis) for axis in axes]
+    count = max(len(time) for time, _ in moves)
+    columns = {(axis.name, "setpoint"): np.pad(q, (0, count - len(q)), mode="edge") for axis, (_, q) in zip(axes, moves)}
+    return Trace(np.arange(count) * PERIOD, columns, {axis.name: axis.kind for axis in axes})
+
+
 def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
     time, position = _move(kind, axis)
     trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})

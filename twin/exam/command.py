@@ -26,8 +26,10 @@ def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
         "--richness", choices=("off", "small", "full"), default="small", help="physics that no effect describes, always on (default small)"
     )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
+    parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten: a look in minutes")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
+    parser.add_argument("--open", action="store_true", help="end it here: open the seals, score what has been answered so far")
     parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: which effects this campaign's runs, signals and noise can show")
 
 
@@ -41,7 +43,7 @@ def exam_command(args: argparse.Namespace) -> int:
     from .questions import questions_of
     from .report import write_exam_report
     from .score import score
-    from .sitting import draw, each, processes, seal, sit, truths_text, unseal
+    from .sitting import TRUTHS, draw, each, is_answered, processes, seal, sit, truths_text, unseal
 
     if not 1 <= args.cases <= 100_000:
         raise InputError(f"--cases {args.cases}: give 1 or more")
@@ -57,7 +59,7 @@ def exam_command(args: argparse.Namespace) -> int:
         )
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    questions = questions_of(args.seed, args.cases)
+    questions = questions_of(args.seed, args.cases, args.short)
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
         with Progress("drawing cases", total=len(questions)) as bar:
@@ -66,7 +68,10 @@ def exam_command(args: argparse.Namespace) -> int:
         cases = {name: case for name, case in drawn.items() if not isinstance(case, str)}
         text = truths_text(cases)
         print(f"{len(cases)} cases sealed, SHA-256 of the truths {seal(text, out)}", flush=True)
-        asked = [q for q in questions if q.name in cases]
+        opened = args.open or (out / TRUTHS).exists()  # once they are open nothing is diagnosed any more
+        asked = [q for q in questions if q.name in cases and (not opened or is_answered(folders[q.name]))]
+        if not asked:
+            raise InputError(f"{out}: nothing has been answered yet; call it without --open first")
         with Progress("diagnosing", total=len(asked)) as bar:
             seconds = each(pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick) for q in asked}, bar)
         unseal(text, out)
@@ -78,9 +83,11 @@ def exam_command(args: argparse.Namespace) -> int:
         "seed": args.seed,
         "richness": args.richness,
         "quick": args.quick,
+        "short": args.short,
         "machine": tomllib.loads(Path(machine_file).read_text(encoding="utf-8")).get("name", Path(machine_file).stem),
         "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
         "not_drawn": impossible,
+        "not_answered": len(cases) - len(asked),
         "score": score(list(marks.values())),
         "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
         "marks": list(marks.values()),

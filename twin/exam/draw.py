@@ -35,7 +35,14 @@ EFFECTS = LIBRARY | OUTSIDE
 SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
 OUTSIDE_SINGLES = tuple((name, axis) for name, effect in OUTSIDE.items() for axis in effect.axes)
 RICH = Richness()
-RUN_SETS = {"all": ("test",), "program": ("program",), "exam": ("exam",), "test and program": ("test", "program")}
+# run set -> kinds or names of the runs in it
+RUN_SETS = {
+    "all": ("test",),
+    "short": ("constant_velocity", "acceleration", "reversal", "five_axis"),
+    "program": ("program",),
+    "exam": ("exam",),
+    "test and program": ("test", "program"),
+}
 SIGNALS = {
     "full": ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current"),
     "no motor position": ("setpoint", "position", "velocity", "velocity_setpoint", "current"),
@@ -91,7 +98,7 @@ def draw_case(
         raise ValueError(f"no kind {kind!r}; there are: {', '.join(KINDS)}")
     of_factors, of_effects = (np.random.default_rng(child) for child in np.random.SeedSequence([seed, 10]).spawn(2))
     factors = draw_factors(of_factors, machine["parameter_tolerance"] if spread is None else spread)
-    peaks = peaks_of(machine, factors, [r for r in programme(machine, seed) if r.kind in RUN_SETS[run_set]])
+    peaks = peaks_of(machine, factors, runs_of(machine, seed, run_set))
     for _ in range(20):
         chosen = _choose(kind, of_effects, effect, axis)
         s = settings_of(machine, factors)
@@ -103,6 +110,11 @@ def draw_case(
         f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): no draw of 20 leaves the "
         "control loops stable; use a smaller scale"
     )
+
+
+def runs_of(machine: dict, seed: int, run_set: str) -> list[TestRun]:
+    """The runs of a run set, in the order of the programme."""
+    return [r for r in programme(machine, seed) if r.kind in RUN_SETS[run_set] or r.name in RUN_SETS[run_set]]
 
 
 def _choose(kind: str, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
@@ -243,9 +255,7 @@ def write_campaign(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     lines, at, files = [f'machine = "{machine_name}"\n'], started_at_s, []
-    for test in programme(machine, case.seed):
-        if test.kind not in RUN_SETS[runs]:
-            continue
+    for test in runs_of(machine, case.seed, runs):
         trace = simulate(case, machine, test, at)
         file = f"{test.name}.parquet"
         pq.write_table(

@@ -11,7 +11,7 @@ outside           one effect that the library does not have
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,13 +60,16 @@ class Question:
         return f"{self.number:04d}"
 
 
-def questions_of(seed: int, cases: int) -> list[Question]:
-    """`cases` questions: strata by their shares, effects of a stratum in a shuffled round, order shuffled."""
+def questions_of(seed: int, cases: int, short: bool = False) -> list[Question]:
+    """`cases` questions: strata by their shares, effects of a stratum in a shuffled round, order shuffled.
+
+    short: campaigns of four runs instead of ten."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 50]))
     chosen = [(stratum, effect) for stratum, count in zip(STRATA, _counts(cases)) for effect in _effects(stratum, count, rng)]
     order = rng.permutation(len(chosen))
     seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
-    return [Question(i, chosen[k][0], int(seeds[i]), chosen[k][1]) for i, k in enumerate(order)]
+    strata = {s: replace(s, runs="short") if short and s.runs == "all" else s for s in STRATA}
+    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1]) for i, k in enumerate(order)]
 
 
 def _counts(cases: int) -> list[int]:

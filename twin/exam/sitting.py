@@ -67,11 +67,16 @@ def unseal(text: str, out: Path) -> None:
     (out / TRUTHS).write_text(text, encoding="utf-8")
 
 
+def is_answered(folder: str) -> bool:
+    """Has this case been diagnosed, or could it not be?"""
+    return any((Path(folder) / "answer" / name).exists() for name in ("diagnosis.json", "failed.txt"))
+
+
 def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool) -> float:
     """Write a case's campaign and have it diagnosed by another process; returns the seconds that the diagnosis took."""
     place = Path(folder)
     campaign, answer = place / "campaign", place / "answer"
-    if not (answer / "diagnosis.json").exists():
+    if not is_answered(folder):
         machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
         if not (campaign / "campaign.toml").exists():  # written last
             write_campaign(case, campaign, machine, runs=question.stratum.runs, signals=question.stratum.signals)

@@ -1,0 +1,231 @@
+"""The examination: what is asked, sealed and marked; and a short one, sat for real."""
+
+from __future__ import annotations
+
+from collections import Counter
+import hashlib
+import json
+import math
+from pathlib import Path
+import re
+
+import pytest
+
+from twin.cli import main
+from twin.errors import InputError
+from twin.exam.effects import LIBRARY
+from twin.exam.mark import mark_answer
+from twin.exam.questions import STRATA, questions_of
+from twin.exam.score import calibration, confusion, macro_f1, score, wilson
+from twin.exam.sitting import seal, unseal
+
+PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
+PLANT = ("control", "draw", "effects", "friction", "measurement", "mechanics", "outside", "parameters", "paths", "plant", "programme",
+         "richness", "tilting_pair", "compiled")  # fmt: skip
+
+
+def test_the_plant_imports_nothing_of_the_twin() -> None:
+    """A twin that is checked against itself proves nothing."""
+    for module in PLANT:
+        text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(from|import) (twin|mujoco)\b", text, re.MULTILINE), module
+        assert not re.search(r"^\s*from \.\.", text, re.MULTILINE), module
+
+
+def test_the_candidate_is_told_nothing() -> None:
+    """The process that is examined imports neither the drawing nor the marking."""
+    for module in ("candidate", "baselines"):
+        text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
+        assert not re.search(r"from \.(draw|mark|sitting|questions|score)\b", text)
+        assert "truth" not in text
+
+
+def test_questions_have_the_shares_of_their_strata() -> None:
+    questions = questions_of(3, 150)
+    count = Counter(q.stratum.name for q in questions)
+    assert len(questions) == 150
+    assert {s.name: round(150 * s.share) for s in STRATA} == pytest.approx(count, abs=1)
+    usual = Counter(q.effect for q in questions if q.stratum.name == "usual")
+    assert set(usual) == set(LIBRARY)
+    assert max(usual.values()) - min(usual.values()) <= 1
+    assert len({q.seed for q in questions}) == 150
+
+
+def test_same_seed_same_questions_and_another_seed_others() -> None:
+    assert questions_of(5, 40) == questions_of(5, 40)
+    assert [q.seed for q in questions_of(5, 40)] != [q.seed for q in questions_of(6, 40)]
+    assert {q.stratum.runs for q in questions_of(5, 40, short=True)} == {"short", "program"}
+
+
+def test_a_seal_holds(tmp_path: Path) -> None:
+    digest = seal("the truth\n", tmp_path)
+    assert digest == hashlib.sha256(b"the truth\n").hexdigest()
+    assert seal("the truth\n", tmp_path) == digest  # an examination that goes on
+    with pytest.raises(InputError, match="another examination was sealed here"):
+        seal("another truth\n", tmp_path)
+    with pytest.raises(InputError, match="not those that were sealed"):
+        unseal("a truth bent afterwards\n", tmp_path)
+    assert not (tmp_path / "truths.json").exists()
+    unseal("the truth\n", tmp_path)
+    assert (tmp_path / "truths.json").read_text(encoding="utf-8") == "the truth\n"
+
+
+def truth(*effects: tuple[str, str], outside: tuple[str, str, str] | None = None, **parameters: float) -> dict:
+    return {
+        "effect": [{"name": n, "axis": a, **parameters} for n, a in effects],
+        "outside": [{"name": outside[0], "axis": outside[1], "block": outside[2]}] if outside else [],
+    }
+
+
+def answer(verdict: str, *effects: tuple[str, str], ambiguous: tuple = (), where: tuple = (), parameters: dict | None = None) -> dict:
+    blocks = {"backlash": "transmission", "coulomb_friction": "mechanics"}
+    return {
+        "verdict": verdict,
+        "effects": [
+            {"effect": n, "axis": a, "block": blocks.get(n, "mechanics"), "probability": 0.9, "parameters": parameters or {}} for n, a in effects
+        ],
+        "ambiguous_with": [{"effect": n, "axis": a, "instead_of": i} for n, a, i in ambiguous],
+        "where": [{"axis": a, "block": b} for a, b in where],
+        "gap": {},
+    }
+
+
+@pytest.mark.parametrize(
+    ("there", "said", "first", "exact", "place"),
+    [
+        (truth(("backlash", "X")), answer("effect", ("backlash", "X")), True, True, True),
+        (truth(("backlash", "X")), answer("unknown", ("backlash", "X")), True, False, True),
+        (truth(("backlash", "X")), answer("effect", ("backlash", "Y")), False, False, False),
+        (truth(("backlash", "X")), answer("effect", ("backlash", "X"), ("stribeck", "Z")), True, False, True),
+        (truth(("backlash", "X"), ("stribeck", "Z")), answer("effect", ("stribeck", "Z"), ("backlash", "X")), True, True, True),
+        (truth(), answer("none"), True, True, True),
+        (truth(), answer("effect", ("backlash", "X")), False, False, False),
+        (truth(), answer("unknown"), False, False, False),
+        (truth(outside=("windage", "X", "mechanics")), answer("unknown", where=(("X", "mechanics"),)), True, True, True),
+        (truth(outside=("windage", "X", "mechanics")), answer("effect", ("viscous_friction", "X")), False, False, True),
+        (truth(outside=("windage", "X", "mechanics")), answer("none"), False, False, False),
+    ],
+)
+def test_marks(there: dict, said: dict, first: bool, exact: bool, place: bool) -> None:
+    m = mark_answer(there, said)
+    assert (m["first"], m["exact"], m["place"]) == (first, exact, place)
+
+
+def test_a_rival_counts_only_where_it_was_told_instead_of_the_first() -> None:
+    there = truth(("stribeck", "X"))
+    right = answer("effect", ("coulomb_friction", "X"), ambiguous=(("stribeck", "X", "coulomb_friction"),))
+    other = answer("effect", ("coulomb_friction", "X"), ambiguous=(("stribeck", "X", "backlash"),))
+    assert mark_answer(there, right)["first_or_ambiguous"]
+    assert not mark_answer(there, right)["first"]
+    assert not mark_answer(there, other)["first_or_ambiguous"]
+
+
+def test_errors_of_factors_are_against_their_deviation_and_angles_go_round() -> None:
+    said = answer("effect", ("coulomb_friction", "X"), parameters={"factor": {"value": 1.42, "low": 1.3, "high": 1.41}})
+    (row,) = mark_answer(truth(("coulomb_friction", "X"), factor=1.4), said)["parameters"]
+    assert row["error"] == pytest.approx(0.05)
+    assert row["covered"]
+    turned = answer("effect", ("table_unbalance", "A"), parameters={"angle_rad": {"value": 0.02, "low": -0.05, "high": 0.09}})
+    (row,) = mark_answer(truth(("table_unbalance", "A"), angle_rad=2 * math.pi - 0.02), turned)["parameters"]
+    assert row["error"] == pytest.approx(0.04 / math.pi)
+    assert row["covered"]
+
+
+def marked(stratum: str, there: dict, said: dict, size: float = 5.0) -> dict:
+    return {
+        "stratum": stratum,
+        "true": [[e["name"], e["axis"]] for e in there["effect"]],
+        "outside": [[e["name"], e["axis"], e["block"]] for e in there["outside"]],
+        "baselines": {},
+        "gap": {"before": 9.0, "after": 1.2, "floor": 1.0, "size": size},
+        **mark_answer(there, said),
+    }
+
+
+def test_scores_of_a_small_table() -> None:
+    marks = [
+        marked("usual", truth(("backlash", "X")), answer("effect", ("backlash", "X"))),
+        marked("usual", truth(("backlash", "Y")), answer("effect", ("stribeck", "Y")), 0.2),
+        marked("usual", truth(("stribeck", "Y")), answer("effect", ("stribeck", "Y"))),
+        marked("healthy", truth(), answer("none")),
+    ]
+    s = score([*marks, {"case": "9", "stratum": "usual", "failed": "no memory"}])
+    usual = next(t for t in s["targets"] if t["what"].startswith("exactly right, usual"))
+    assert (usual["right"], usual["of"], usual["met"]) == (2, 4, False)  # what could not be diagnosed is wrong
+    # backlash: 2 / (2 + 1), stribeck: 2 / (2 + 1), none: 1
+    assert macro_f1(marks) == pytest.approx((2 / 3 + 2 / 3 + 1) / 3)
+    assert confusion(marks)["backlash"] == {"backlash": 1, "stribeck": 1}
+    assert s["detection"]["backlash"]["largest_missed"] == 0.2
+    (row,) = calibration([(0.9, True), (0.92, False)])
+    assert (row["value"], row["of"]) == (0.5, 2)
+    brier = next(t for t in s["targets"] if t["what"] == "Brier score")
+    assert brier["value"] == pytest.approx((2 * 0.1**2 + 0.9**2) / 3)
+
+
+def test_wilson_interval_against_the_printed_one() -> None:
+    # 15 of 20: 0.531 to 0.888 (Brown, Cai, DasGupta 2001, formula 4)
+    assert wilson(15, 20) == pytest.approx((0.5313, 0.8881), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--cases", "0"], "give 1 or more"),
+        (["--seed", "-1"], "give 0 or more"),
+        (["--workers", "0"], "give 1 or more"),
+        (["--machine", "nowhere.toml"], "nowhere.toml"),
+        (["--plan", "nowhere"], "no such folder"),
+    ],
+)
+def test_bad_arguments_are_one_line(arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["exam", *arguments, "--out", str(tmp_path / "exam")]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def sat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A short examination, and how it was called."""
+    out = tmp_path_factory.mktemp("exam")
+    arguments = ["exam", "--seed", "11", "--cases", "12", "--short", "--quick", "--richness", "off", "--out", str(out)]
+    assert main(arguments) == 0
+    return out, arguments
+
+
+def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
+    out, _ = sat
+    document = json.loads((out / "exam.json").read_text(encoding="utf-8"))
+    marks = document["marks"]
+    assert len(marks) == 12
+    assert not document["not_drawn"]
+    assert document["score"]["failed"] == 0
+    assert sum(m["first"] for m in marks) >= 9
+    assert all(m["exact"] for m in marks if m["stratum"] == "healthy")
+    # no simpler method does as well
+    for baseline in ("re-tuning", "nearest signature", "sparse regression"):
+        assert sum(m["baselines"][baseline]["first"] for m in marks) < sum(m["first"] for m in marks)
+    # the plant is not the twin: with the same parameters they are close, and not the same
+    same = document["score"]["same_parameters"]
+    assert 0.5 < same["level"] < 2.0
+    assert (out / "report.html").stat().st_size > 50_000
+
+
+def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None:
+    out, _ = sat
+    digest = hashlib.sha256((out / "truths.json").read_bytes()).hexdigest()
+    assert (out / "seal.sha256").read_text(encoding="utf-8").strip() == digest
+    assert json.loads((out / "exam.json").read_text(encoding="utf-8"))["seal"] == digest
+    for campaign in (out / "cases").glob("*/campaign"):
+        assert {f.suffix for f in campaign.iterdir()} == {".parquet", ".toml"}
+        text = (campaign / "campaign.toml").read_text(encoding="utf-8")
+        assert not any(name in text for name in LIBRARY)
+
+
+def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> None:
+    out, arguments = sat
+    before = {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")}
+    first = (out / "exam.json").read_text(encoding="utf-8")
+    assert main(arguments) == 0
+    assert {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")} == before
+    assert (out / "exam.json").read_text(encoding="utf-8") == first
