@@ -51,6 +51,7 @@ class _Parser(argparse.ArgumentParser):
 def build_parser() -> argparse.ArgumentParser:
     from twin.exam.command import add_exam_arguments, exam_command
     from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
+    from twin.machines.commands import add_machine_arguments, machine_command
     from twin.readers import add_import_arguments, import_command
     from twin.regress import add_regress_arguments, regress_command
     from twin.replay import add_replay_arguments, replay_command
@@ -131,6 +132,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     replay = add("replay", replay_command, "open the viewer on a run, a recording, a trace or any MJCF or URDF")
     add_replay_arguments(replay)
+
+    machine = add("machine", machine_command, "make a machine file from a model, check it, show its data sheet")
+    add_machine_arguments(machine)
 
     effects = add("effects", "effects_command", "list the effects that a machine can have beyond the nominal model")
     effects.add_argument("name", nargs="?", metavar="NAME", help="tell one effect's law, parameters, bounds and usual sizes")
