@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
-"""Memory and time of `twin import` on a large CSV: peak resident set of the process at two sizes.
+"""Memory and time of `twin import` on a large CSV; or how well it tells the skew of channels.
 
-    scripts/measure_import.py [--gigabytes 1.0] [--folder DIR]
-
-Needs about three times the size of the file on the disk of DIR.
+scripts/measure_import.py [--gigabytes 1.0] [--folder DIR]     peak resident set of the process at three sizes (DIR needs twice the largest)
+scripts/measure_import.py --skew ../shared/campaigns           channels of recorded runs as they are, and shifted by 7 samples
 """
 
 from __future__ import annotations
@@ -92,11 +91,44 @@ def measure(folder: Path, size: int) -> None:
     source.unlink()
 
 
+def measure_skew(folder: Path, samples: int = 7) -> None:
+    """What is said of runs as they are, and by how much a shift is missed."""
+    from twin.readers.skew import late_channels
+    from twin.trace import read_trace
+
+    files = sorted(folder.glob("*/*.parquet"))
+    missed: dict[str, list[float]] = {}
+    silent: dict[str, int] = {}
+    for file in files:
+        trace = read_trace(file)
+        for late in late_channels(trace.signals, trace.period, trace.kinds):
+            if late.clear or late.against:
+                told = f"{late.axis}.{late.signal} {late.seconds * 1e3:.3f} ms +- {1.96e3 * late.deviation:.3f}"
+                print(f"said of {file.parent.name}/{file.stem} as it is: {told}{', sign' if late.against else ''}")
+        shifted = {k: v if k[1] in ("setpoint", "position") else np.roll(v, samples) for k, v in trace.signals.items()}
+        for late in late_channels(shifted, trace.period, trace.kinds):
+            if late.clear:
+                missed.setdefault(late.signal, []).append(abs(late.seconds - samples * trace.period))
+            else:
+                silent[late.signal] = silent.get(late.signal, 0) + 1
+    print(f"{len(files)} runs; shifted by {samples} samples:")
+    for signal, errors in missed.items():
+        values = np.array(errors) * 1e6
+        print(
+            f"  {signal}: told in {len(values)} cases, estimated but not clear in {silent.get(signal, 0)}; "
+            f"off by {np.median(values):.3g} us median, {np.percentile(values, 95):.3g} us 95 %"
+        )
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gigabytes", type=float, default=1.0)
     parser.add_argument("--folder", help="where the file is made (default: the system's temporary folder)")
+    parser.add_argument("--skew", metavar="CAMPAIGNS", help="folder of campaigns")
     args = parser.parse_args()
+    if args.skew:
+        measure_skew(Path(args.skew))
+        return 0
     for part in (0.01, 0.25, 1.0):
         with tempfile.TemporaryDirectory(prefix="twin_measure_import_", dir=args.folder) as folder:
             measure(Path(folder), int(part * args.gigabytes * 1e9))

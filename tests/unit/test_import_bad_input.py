@@ -233,6 +233,12 @@ def _cut(path: Path, part: float) -> None:
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * part)])
 
 
+def _patched(path: Path, at: int, data: bytes) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + len(data)] = data
+    path.write_bytes(content)
+
+
 BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
     "TDMS is none": ("run.tdms", lambda p: p.write_bytes(b"MDF     4.10"), ("not a TDMS file",)),
     "TDMS cut off": ("run.tdms", lambda p: _cut(write_tdms(p, move(TIME), 1e-3), 0.5), ("cut off",)),
@@ -244,8 +250,19 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         lambda p: _cut(write_mdf(p, [(TIME, {n: (v, "") for n, v in move(TIME).items()})]), 0.3),
         ("damaged MDF file",),
     ),
+    "MDF of a version that does not exist": (
+        "run.mf4",
+        lambda p: _patched(write_mdf(p, [(TIME, {n: (v, "") for n, v in move(TIME).items()})]), 8, b"9.99\xff\xff\xff\xff" + bytes(20)),
+        ("damaged MDF file",),
+    ),
+    "number beyond measure": (
+        "run.tdms",
+        lambda p: write_tdms(p, {**move(TIME), "ist": np.full(len(TIME), 1e200)}, 1e-3),
+        ("holds 1e+200",),
+    ),
     "MAT is none": ("run.mat", lambda p: p.write_bytes(b"PAR1" + bytes(200)), ("not a readable MATLAB file",)),
     "MAT cut off": ("run.mat", lambda p: (savemat(p, {"t": TIME, **move(TIME)}), _cut(p, 0.5)), ("not a readable MATLAB file",)),
+    "MAT that crashes scipy": ("run.mat", lambda p: (savemat(p, {"t": TIME, **move(TIME)}), _patched(p, 145, b"\x08")), ("MATLAB file",)),
     "MAT 7.3": ("run.mat", _mat_7_3, ("MATLAB",)),
     "MAT of other lengths": (
         "run.mat",

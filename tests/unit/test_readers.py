@@ -12,6 +12,13 @@ from twin.readers.delimited import find_dialect
 from twin.trace import Trace, read_trace
 
 TIME = np.arange(3000) * 1e-3
+ROOT = Path(__file__).resolve().parents[2]
+TRACES = ROOT / "examples" / "traces"
+EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+EMPS_MAP = "".join(
+    f'[[column]]\nname = "{name}"\naxis = "X"\nsignal = "{signal}"\nunit = "{unit}"\n'
+    for name, signal, unit in (("qg", "setpoint", "m"), ("qm", "motor_position", "m"), ("vir", "voltage", "V"))
+)
 
 
 def imported(tmp_path: Path, files: list[Path], text: str = MAP, run: str | None = None) -> Trace:
@@ -195,3 +202,35 @@ def test_without_a_map_the_files_are_listed_and_a_map_begun(tmp_path: Path, caps
     assert "strom" in out
     assert "1 ms" in out
     assert out.count("[[column]]") == 4
+
+
+def test_the_example_of_the_documentation(tmp_path: Path) -> None:
+    from twin.campaign import read_campaign
+    from twin.machine import load_machine
+
+    files = sorted(str(f) for f in TRACES.glob("x_*"))
+    assert main(["import", *files, "--map", str(TRACES / "map.toml"), "--out", str(tmp_path / "out")]) == 0
+    campaign = read_campaign(tmp_path / "out", load_machine())
+    assert [(r.name, r.feedforward, len(r.trace.time)) for r in campaign.runs] == [
+        ("x_feedforward_off", "off", 1548),
+        ("x_velocity_feedforward", "velocity", 1547),
+    ]
+    for run in campaign.runs:
+        # both are one move: 200 mm at 15 m/min; without feedforward 5.5 mm behind, with it what 2 ms are
+        trace = run.trace
+        error = trace.get("X", "setpoint") - trace.get("X", "position")
+        assert np.abs(error).max() == pytest.approx(5.5e-3 if run.feedforward == "off" else 0.5e-3, rel=0.02)
+        assert np.abs(trace.get("X", "motor_position") - trace.get("X", "position")).max() < 2e-6
+        assert (tmp_path / "out" / f"{run.name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(not EMPS.is_file(), reason="needs the EMPS record, which lies outside the repository")
+def test_a_measured_axis(tmp_path: Path) -> None:
+    from scipy.io import loadmat
+
+    trace = imported(tmp_path, [EMPS], EMPS_MAP)
+    record = loadmat(EMPS)
+    for name, signal in (("qg", "setpoint"), ("qm", "motor_position"), ("vir", "voltage")):
+        # written in mm, which costs a rounding
+        assert np.abs(trace.get("X", signal) - record[name].ravel()).max() <= 4e-16 * np.abs(record[name]).max()
+    assert trace.period == pytest.approx(1e-3, rel=1e-12)

@@ -49,15 +49,17 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
     kind = _KIND.get(quantity)
     if quantity in ("turns", "turning speed"):
         if column.per_turn is None:
-            raise InputError(f"{where}: [{unit}] are turns of the motor; say mm_per_rev or deg_per_rev in the map")
+            raise InputError(
+                f"{where}: [{unit}] are turns of the motor; say mm_per_rev or deg_per_rev in the map (a direct drive has none)"
+            )
         factor *= column.per_turn / (2.0 * math.pi)
         quantity, kind = ("position" if quantity == "turns" else "velocity"), column.kind
     elif quantity in _KIND:
         quantity = "position" if quantity in ("length", "angle") else "velocity"
     if quantity == "force" and wanted == "torque":
-        if column.per_turn is None:
+        if column.per_turn is None and column.kind is None:
             raise InputError(f"{where}: a force becomes the motor's torque by the travel of a turn; say mm_per_rev in the map")
-        factor *= column.per_turn / (2.0 * math.pi)
+        factor *= column.per_turn / (2.0 * math.pi) if column.per_turn else 1.0  # a direct drive: N stands for Nm
         quantity = "torque"
     if quantity != wanted:
         raise InputError(

@@ -17,7 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.readers.signals import How, Recording, Signal, Stored, find_time_column, known_unit, split_heading, time_factor
+from twin.readers.signals import NO_MEASUREMENT, How, Recording, Signal, Stored, find_time_column, known_unit, split_heading, time_factor
 
 SAMPLE_BYTES = 1 << 16
 BLOCK_BYTES = 1 << 22
@@ -282,7 +282,7 @@ def _append(spool: _Spool, column: Any, time: np.ndarray, time_file: IO[bytes], 
     """One block of a column to disk; a NaN or infinite number is a fault, an empty cell is no sample."""
     values = column.to_numpy(zero_copy_only=False)
     valid = np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool) if column.null_count else None
-    fault = ~np.isfinite(values) & (valid if valid is not None else True)
+    fault = ~(np.abs(values) < NO_MEASUREMENT) & (valid if valid is not None else True)
     if fault.any():
         row = int(np.argmax(fault))
         held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"

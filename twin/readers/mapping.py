@@ -28,7 +28,7 @@ sign = 1
 offset = 0.0
 skew_ms = 0.0                      # how much later than the position this column was recorded; taken back
 mm_per_rev = 10.0                  # travel of a motor turn (deg_per_rev): for rev, rev/min, and N as torque
-optional = false                   # true: some files lack it
+optional = false                   # true: some files lack it, or name it differently
 
 [[run]]                            # default: each file is a run, named like the file
 file = "reversal.csv"              # or files = ["control.xml", "scope.tdms"], recorded together
@@ -140,8 +140,10 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     if not columns:
         raise InputError(f'{where}: no [[column]]; say at least which column is the set point, e.g. name, axis = "X", signal = "setpoint"')
     keys = [c.key for c in columns]
-    if twice := next((k for k in keys if keys.count(k) > 1), None):
-        raise InputError(f"{where}: two columns are {'.'.join(twice)}; leave one out")
+    if twice := next((c.key for c in columns if keys.count(c.key) > 1 and not c.optional), None):
+        raise InputError(
+            f"{where}: two columns are {'.'.join(twice)}; leave one out, or say optional = true to both where files name it differently"
+        )
     return Map(
         path, machine, name, _feedforward(document, where), None if period is None else period * 1e-3,
         document.get("gaps", "split"), document.get("skew", "say"), document.get("units", "refuse"),
@@ -223,8 +225,8 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
             if per_turn is not None or (kind or told) != told:
                 raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if told == 'linear' else 'mm'}_per_rev")
             per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, told
-    if per_turn is None and machine is not None:
-        per_turn = machine.axis(axis).ratio * 2.0 * math.pi
+    if per_turn is None and machine is not None and not (kind == "linear" and machine.axis(axis).ratio == 1.0):
+        per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no turns
     optional = table.get("optional", False)
     if not isinstance(optional, bool):
         raise InputError(f"{where}: optional = {optional!r}; use true or false")

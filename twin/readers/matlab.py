@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
 from twin.readers.signals import How, Recording, share_time, starts_with
+
+_TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
 
 
 def read(path: Path, how: How) -> Recording:
@@ -37,6 +41,10 @@ def read(path: Path, how: How) -> Recording:
 def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     from scipy.io import loadmat
 
+    # a damaged file can make the library crash instead of raising: it is tried in a process of its own first
+    trial = subprocess.run([sys.executable, "-c", _TRIAL, str(path)], capture_output=True, check=False)
+    if trial.returncode not in (0, 1):
+        raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
     try:
         content = loadmat(path, squeeze_me=False, struct_as_record=True)
     except Exception as error:  # scipy raises many classes on a damaged file

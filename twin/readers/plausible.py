@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from twin.machine import Machine
-from twin.trace import POSITIONS, SPEEDS
+from twin.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
 """A ratio this near to 1, or to a known factor, is that factor."""
@@ -156,12 +156,19 @@ def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, 
             )
         elif 0.0 < high - low < _SHORTEST[kind] and signal == "setpoint":
             out.append(Doubt(axis, signal, f"{axis}.{signal} moves by {high - low:.3g} {unit} in all: wrong unit? correct unit or scale"))
-    if "current" in own:
-        peak = float(np.abs(own["current"]).max())
+    effort = known.effort if known else "current"
+    if effort in own:
+        peak = float(np.abs(own[effort]).max())
         most = 3.0 * known.motor.peak_current_a if known else MOST_CURRENT
         if peak > most:
-            told = f", the machine file's peak is {known.motor.peak_current_a:.3g} A" if known else ""
-            out.append(Doubt(axis, "current", f"{axis}.current reaches {peak:.4g} A{told}: wrong unit (mA?) or scale; correct the map"))
+            told = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
+            out.append(
+                Doubt(
+                    axis,
+                    effort,
+                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{told}: wrong unit (mA?) or scale; correct the map",
+                )
+            )
     return out
 
 

@@ -17,6 +17,8 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.units import RECORDED_UNITS, dimension_recorded
 
+NO_MEASUREMENT = 1e15
+"""No recorder measures a number as large, in whatever unit; NaN and infinity are none either."""
 BLOCK = 1 << 17
 """Samples that are in memory at a time of a signal that is stored on disk."""
 

@@ -115,14 +115,13 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
     left = {}
     for shift in range(-reach, reach + 1):
         x = columns[inner - shift]
-        left[shift] = float(np.mean((y[inner] - x @ np.linalg.lstsq(x, y[inner], rcond=None)[0]) ** 2))
+        left[shift] = _unexplained(x, y[inner])
     best = min(left, key=lambda s: left[s])
     if left[best] > (1.0 - (CLEAR_FORCE if signal in FORCES else CLEAR)) * variance or abs(best) == reach:
         return None
     if signal in FORCES:
         x = columns[inner - best][:, 1:]
-        slow = float(np.mean((y[inner] - x @ np.linalg.lstsq(x, y[inner], rcond=None)[0]) ** 2))
-        if slow - left[best] < INERTIA * variance:
+        if _unexplained(x, y[inner]) - left[best] < INERTIA * variance:
             return None  # friction alone: at slow reversals it leads the motion
     # fine: y - m(t - d), linear in what is left of d
     spline = CubicSpline(rows * period, columns)
@@ -144,3 +143,8 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
         if abs(d) > reach * period:
             return None
     return d, deviation, wrong
+
+
+def _unexplained(x: np.ndarray, y: np.ndarray) -> float:
+    """Mean square of y that the columns of x leave; by normal equations, enough to compare shifts."""
+    return float(np.mean((y - x @ np.linalg.lstsq(x.T @ x, x.T @ y, rcond=None)[0]) ** 2))

@@ -16,7 +16,7 @@ from twin.readers.convert import Conversion, conversion_of, kinds_of
 from twin.readers.grid import Piece, Source, liveliest, on_grid, pieces_of
 from twin.readers.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
 from twin.readers.plausible import doubts_of
-from twin.readers.signals import Recording, Signal
+from twin.readers.signals import NO_MEASUREMENT, Recording, Signal
 from twin.readers.skew import Late, late_channels
 from twin.readers.timing import Timing, timing_of
 
@@ -65,17 +65,21 @@ class Understood:
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
     """Everything that is known of a run before it is written. Raises InputError where the map does not fit or units contradict."""
     notes = [note for recording in recordings for note in recording.notes]
-    channels = []
+    channels, missing = [], []
     for column in mapping.columns:
         found = _find(column, recordings, str(mapping.path))
         if found is None:
-            notes.append(f"no column '{column.name}' ({column.axis}.{column.signal}); it is optional")
+            missing.append(column)
             continue
         recording, signal = found
         where = f"{recording.path}: column '{signal.name}'"
         if signal.time is None:
             raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
         channels.append((column, recording, signal, conversion_of(column, signal, str(recording.path))))
+    keys = [c.key for c, *_ in channels]
+    if twice := next((k for k in keys if keys.count(k) > 1), None):
+        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
+    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
     axes = dict.fromkeys(c.axis for c, *_ in channels)
     for axis in axes:
         own = {c.signal for c, *_ in channels if c.axis == axis}
@@ -156,7 +160,7 @@ def _check_numbers(recording: Recording, signal: Signal) -> None:
     if recording.format == "CSV":
         return  # the reader has looked at every cell
     for first, values in signal.blocks():
-        bad = ~np.isfinite(values)
+        bad = ~(np.abs(values) < NO_MEASUREMENT)
         if bad.any():
             row = first + int(np.argmax(bad))
             assert signal.time is not None
