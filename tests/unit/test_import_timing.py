@@ -103,6 +103,7 @@ def test_part_of_a_recording(tmp_path: Path) -> None:
     (trace,) = imported(tmp_path, recorded(tmp_path, TIME), text).values()
     assert len(trace.time) == 1001
     assert trace.get("X", "position")[0] * 1e3 == pytest.approx(move(TIME)["ist"][500])
+    assert "started_at_s = 0.5\n" in (tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8").replace("00000", "")
 
 
 @pytest.mark.parametrize("late", [-0.04, -0.0023, 0.0037, 0.12])

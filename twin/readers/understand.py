@@ -51,6 +51,7 @@ class Understood:
     notes: tuple[str, ...]
     late: tuple[Late, ...]
     started: datetime | None
+    begin: float  # of the recordings [s]
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
@@ -114,7 +115,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         raise InputError(
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
-    known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings))
+    known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings), begin)
     longest = max(pieces, key=lambda p: p.count)
     rows = liveliest(lead.source, longest, fill)
     window = known.block(longest, *rows)

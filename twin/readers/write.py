@@ -46,7 +46,8 @@ class Written:
 def write_run(known: Understood, started_at_s: float, out: Path) -> list[Written]:
     """The traces of a run: one, or one for each piece between gaps, named name_1, name_2."""
     written = []
-    start = known.pieces[0].begin
+    # what the map says is when the run began; else a part of a recording begins later than the recording
+    start = known.pieces[0].begin if known.run.started_at_s is not None else known.begin
     for i, piece in enumerate(known.pieces):
         name = known.run.name if len(known.pieces) == 1 else f"{known.run.name}_{i + 1}"
         written.append(_write_piece(known, piece, name, started_at_s + piece.begin - start, out))
