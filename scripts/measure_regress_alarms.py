@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """False alarms of the regression suite: the unchanged twin again and again, with 1 and 2 processes and threads.
 
-    python scripts/measure_regress_alarms.py [--repeats 20] [--only NAME] [--fresh]
+    python scripts/measure_regress_alarms.py [--repeats 20] [--only NAME] [--fresh] [--plain]
 
 Prints how often a case failed, and how near any number came to its tolerance. `--fresh` runs each repeat on a copy of the package
-without compiled loops, so that everything is compiled anew.
+without compiled loops, so that everything is compiled anew; `--plain` for a processor without AVX and fused multiply-add: other
+instructions round otherwise.
 """
 
 from __future__ import annotations
@@ -23,12 +24,20 @@ HERE = Path(__file__).resolve().parents[1]
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def once(folder: Path, count: int, only: list[str]) -> tuple[int, list[dict]]:
+PLAIN = {
+    "NUMBA_CPU_NAME": "generic",
+    "NUMBA_CPU_FEATURES": "",
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3",
+}
+
+
+def once(folder: Path, count: int, only: list[str], more: dict[str, str]) -> tuple[int, list[dict]]:
     """Exit code and cases of one run of the suite in a folder that holds the package."""
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-m", "twin", "regress", str(folder / "examples/regression"), "--out", out, "--jobs", str(count)]
         command += [word for name in only for word in ("--only", name)]
-        environment = {**os.environ, "PYTHONPATH": str(folder), **dict.fromkeys(THREADS, str(count))}
+        environment = {**os.environ, "PYTHONPATH": str(folder), **dict.fromkeys(THREADS, str(count)), **more}
         ran = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=900, check=False)
         file = Path(out) / "regress.json"
         if not file.is_file():
@@ -46,7 +55,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--only", action="append", default=[], help="as in twin regress")
-    parser.add_argument("--fresh", action="store_true")
+    parser.add_argument("--fresh", action="store_true", help="compile everything anew each time")
+    parser.add_argument("--plain", action="store_true", help="as on a processor without AVX and fused multiply-add")
     args = parser.parse_args()
     alarms = 0
     for count in (1, 2):
@@ -58,8 +68,11 @@ def main() -> int:
                     folder = Path(base)
                     for name in ("twin", "models", "examples"):
                         shutil.copytree(HERE / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-                code, cases = once(folder, count, args.only)
-            failed += sum(case["status"] in ("failed", "error") for case in cases)
+                code, cases = once(folder, count, args.only, PLAIN if args.plain else {})
+            for case in cases:
+                if case["status"] in ("failed", "error"):
+                    failed += 1
+                    print(f"  {case['name']}: {case['text']}", flush=True)
             number += len(cases)
             worst = max(worst, nearest(cases))
             alarms += code != 0

@@ -97,7 +97,7 @@ def mutated(folder: Path, mutation: Mutation) -> None:
 def judged(folder: Path, arguments: list[str]) -> tuple[int, dict, str]:
     """Exit code, document and last words of the suite on a copy."""
     out = folder / "out"
-    command = [sys.executable, "-m", "twin", "regress", "examples/regression", "--out", str(out), *arguments]
+    command = [sys.executable, "-m", "twin", "regress", "examples/regression", "--out", str(out), "--no-evidence", *arguments]
     ran = subprocess.run(
         command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, capture_output=True, text=True, timeout=600, check=False
     )

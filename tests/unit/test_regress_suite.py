@@ -6,6 +6,8 @@ from dataclasses import replace
 import json
 import os
 from pathlib import Path
+import re
+import shutil
 import subprocess
 import sys
 from textwrap import dedent
@@ -370,6 +372,21 @@ def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: 
     told = capsys.readouterr().out
     assert "mujoco 3.9.9 -> " in told
     assert "--update --reason" in told
+
+
+def test_the_suites_of_the_page_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What docs/regression.md tells a user to write is a suite, makes its golden results and passes."""
+    blocks = re.findall(r"```toml\n(.*?)```", (HERE / "docs/regression.md").read_text(), re.DOTALL)
+    assert len(blocks) == 2
+    for name in ("mikron_ucp710.toml", "mikron_ucp710.xml"):
+        shutil.copy(HERE / "models" / name, tmp_path / name.replace("mikron_ucp710.toml", "my_machine.toml"))
+    folder = tmp_path / "my_suite"
+    folder.mkdir()
+    for name, block in zip(("moves", "measured"), blocks):
+        (folder / f"{name}.toml").write_text(block)
+    assert regress(folder, tmp_path, "--update", "--reason", "first golden results") == 0
+    assert regress(folder, tmp_path, "--only", "x_*") == 0
+    assert "2 passed" in capsys.readouterr().out
 
 
 def test_usage(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

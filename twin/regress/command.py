@@ -31,6 +31,7 @@ def add_regress_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="out/regress", metavar="DIR", help="folder for results and evidence (default: out/regress)")
     parser.add_argument("--junit", metavar="FILE", help="JUnit XML (default: junit.xml in --out)")
     parser.add_argument("--json", metavar="FILE", help="the same as JSON (default: regress.json in --out)")
+    parser.add_argument("--no-evidence", action="store_true", help="verdicts only: no folder for each failed case")
     parser.add_argument("--list", action="store_true", help="list the cases and what they guard, and run nothing")
     parser.add_argument("--update", action="store_true", help="take what the cases give now as golden results; needs a reason")
     parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
@@ -55,9 +56,10 @@ def regress_command(args: argparse.Namespace) -> int:
     if args.update:
         return _update(args, cases)
     out = Path(args.out)
+    evidence = None if args.no_evidence else out
     began = time.perf_counter()
     with Progress("regression", total=len(cases)) as bar:
-        verdicts = run_suite(cases, jobs=args.jobs, out=out, done=lambda: bar(None))
+        verdicts = run_suite(cases, jobs=args.jobs, out=evidence, done=lambda: bar(None))
     seconds = time.perf_counter() - began
     write_results(verdicts, seconds, Path(args.junit or out / "junit.xml"), Path(args.json or out / "regress.json"))
     print(verdict_table(verdicts))

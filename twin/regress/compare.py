@@ -54,7 +54,8 @@ class Check:
         if isinstance(self.golden, str) or isinstance(self.now, str):
             return f"{self.quantity}: {self.golden} before, {self.now} now"
         if self.golden is not None and self.now is not None:
-            return f"{self.quantity}: {self.golden:.6g} before, {self.now:.6g} now {self.unit} (allowed {self.allowed:.2g})"
+            told = f"{self.quantity}: {self.golden:.6g} before, {self.now:.6g} now {self.unit}".rstrip()
+            return f"{told} (allowed to differ by {self.allowed:.2g})"
         return f"{self.quantity} {self.found:.4g} {self.unit} (allowed {self.allowed:.4g})"
 
 

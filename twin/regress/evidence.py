@@ -112,10 +112,10 @@ def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
     from twin.report import new_figure, save_png
     from twin.report.figure import BLUE, RED
 
-    shown = sorted((c for c in checks if c.allowed > 0 or not c.ok), key=lambda c: c.excess)[-20:]
+    shown = sorted((c for c in checks if c.excess > 1e-3), key=lambda c: c.excess)[-20:]
     figure, panels = new_figure(1, 1, width=11.0, height=0.28 * len(shown) + 1.4)
     panel = panels[0][0]
-    sizes = [min(max(c.excess, 1e-3), 1e6) for c in shown]
+    sizes = [min(c.excess, 1e6) for c in shown]
     panel.barh([c.quantity for c in shown], sizes, color=[BLUE if c.ok else RED for c in shown])
     panel.set_xscale("log")
     panel.axvline(1.0, color="black", linewidth=1.0)

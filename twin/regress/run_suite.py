@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+import contextlib
 from dataclasses import dataclass, field, replace
 import multiprocessing
 import os
 from pathlib import Path
+import signal
+import threading
 import time
 import traceback
 
@@ -62,27 +65,47 @@ def run_suite(
         for case in cases:
             read_golden(case)  # what is wrong with the suite is said before an hour of runs, not after
     order = sorted(cases, key=lambda case: HEAVY[case.kind])
-    count = min(jobs or os.cpu_count() or 1, len(order))
     found: dict[str, Verdict] = {}
+    for verdict in _verdicts(order, min(jobs or os.cpu_count() or 1, len(order)), out, update):
+        found[verdict.case.name] = verdict
+        if done:
+            done()
+    return [found[case.name] for case in cases]
+
+
+def _verdicts(order: Sequence[Case], count: int, out: Path | None, update: bool) -> Iterator[Verdict]:
+    """Verdicts as they come, `count` cases at a time."""
     if count <= 1:
-        for case in order:
-            found[case.name] = judge(case, out, update)
-            if done:
-                done()
-    else:
-        # fresh processes: no state of this one, and the compiled loops come from the cache on disk
-        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-            running = {pool.submit(judge, case, out, update): case for case in order}
+        yield from (judge(case, out, update) for case in order)
+        return
+    # fresh processes: no state of this one, and the compiled loops come from the cache on disk
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            with _deaf_children():
+                running = {pool.submit(judge, case, out, update): case for case in order}
             for future in as_completed(running):
                 try:
-                    verdict = future.result()
+                    yield future.result()
                 except BrokenProcessPool:
-                    text = "not run: a process of the suite was killed (out of memory?); try --jobs 1"
-                    verdict = Verdict(running[future], BROKEN, text=text)
-                found[verdict.case.name] = verdict
-                if done:
-                    done()
-    return [found[case.name] for case in cases]
+                    yield Verdict(running[future], BROKEN, text="not run: a process of the suite was killed (out of memory?); try --jobs 1")
+        except BaseException:  # stopped by the user: what waits is not begun, what runs is ended
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes begun in here leave Ctrl-C to this one, which ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def judge(case: Case, out: Path | None, update: bool) -> Verdict:

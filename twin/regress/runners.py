@@ -127,6 +127,10 @@ def _with_program(trace: Trace, commanded: Trace) -> Trace:
     return Trace(trace.time, {**trace.signals, **columns}, trace.kinds)
 
 
+_JUMPING = ("mark.u_mm", "mark.v_mm")
+"""Where the deepest point lies jumps along a mark of even depth with the last digit: no number to hold on to."""
+
+
 def _cut(case: Case, machine: Machine) -> Outcome:
     from twin.surface.levels import LEVELS, levels_of_program
     from twin.surface.machining import machine_part, report_of
@@ -142,7 +146,7 @@ def _cut(case: Case, machine: Machine) -> Outcome:
         report = report_of(machining, one)
         name = " ".join(filter(None, (report["surface"], report["level"], report["feedforward"])))
         for key, value in flat("", report, {}).items():
-            if key not in ("surface", "level", "feedforward"):
+            if key not in ("surface", "level", "feedforward", *_JUMPING):
                 features[f"{name}.{key}"] = Feature(value, "um" if "um" in key else "", "", "cut surface")
     return Outcome(features, machine=machine)
 

@@ -48,7 +48,7 @@ SLIDING = 1e-3
 
 @dataclass(frozen=True)
 class Place:
-    """Where a case left its golden result: axis, time, block, and what share of the change of its output each block made itself."""
+    """Where a case left its golden result: axis, time, block ('': not told), and what share of the change of its output each block made."""
 
     axis: str
     since_s: float | None
@@ -74,8 +74,9 @@ def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check
     if moved:
         return Place(axis, since, "set points")
     shares = dict(block_shares(machine, machine.axis(axis), *common(golden, now)[:2])) if axis in now.axes else {}
-    named = next((block for block, share in shares.items() if share > SHARE), None)
-    named = named or max(shares, key=lambda block: shares[block], default="")
+    named = next((block for block, share in shares.items() if share > SHARE), "")
+    if not named and len(shares) > 1:
+        named = max(shares, key=lambda block: shares[block])
     return Place(axis, since, named, shares)
 
 
@@ -90,13 +91,14 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
     if on_cycles:
         blocks.append(("position controller", lambda trace: _position_controller(axis, cycle, trace)))
-    if each_cycle and measured_speed:
-        blocks.append(("speed controller", lambda trace: _speed_controller(axis, inertia, cycle, trace)))
-    elif each_cycle:
-        blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(axis, cycle, trace)))
-    if axis.effort == "current":
-        blocks.append(("current loop", lambda trace: _current_loop(axis, trace)))
-    blocks += [("mechanics", lambda trace: _mechanics(axis, trace)), ("transmission", lambda trace: _transmission(axis, trace))]
+    if each_cycle:  # on samples further apart the faster loops cannot be told apart
+        if measured_speed:
+            blocks.append(("speed controller", lambda trace: _speed_controller(axis, inertia, cycle, trace)))
+        else:
+            blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(axis, cycle, trace)))
+        if axis.effort == "current":
+            blocks.append(("current loop", lambda trace: _current_loop(axis, trace)))
+        blocks += [("mechanics", lambda trace: _mechanics(axis, trace)), ("transmission", lambda trace: _transmission(axis, trace))]
     for block, law in blocks:
         (inputs, output, use), (new_inputs, new_output, new_use) = law(golden), law(now)
         both = use & new_use
