@@ -31,6 +31,10 @@ MOVING = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
 """Set point speeds above which the current (or the command) is compared: the current of an axis that sticks is history."""
 
 
+LEAST_COMMAND = 1e-4
+"""What is not told apart of a command, as a share of its limit: the resolution of a converter."""
+
+
 @dataclass(frozen=True)
 class SignalGap:
     """Gap of one signal of one axis in one run, in `unit`: RMS, largest, and the RMS that noise alone makes."""
@@ -135,8 +139,19 @@ def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
 
 
 def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
-    """Standard deviation that a sensor adds to a record, rounding included [SI]."""
+    """Standard deviation that a sensor adds to a record, rounding included [SI].
+
+    A command is no measurement, but one step of the encoder jumps through the gains: K (1 / (n Ts) + Kv) step.
+    """
     noise = machine.noise(axis)
+    if signal == axis.effort and not axis.has_current_loop:
+        told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+        gain = axis.loops.speed_gain_nm_s_per_rad / (told * axis.ratio)
+        n = axis.loops.speed_mean_cycles
+        steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
+            noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
+        )
+        return max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
     deviation, resolution = {
         "position": (noise.position, noise.position_resolution),
         "motor_position": (noise.motor if axis.encoder == "motor" else 0.0, noise.motor_resolution),

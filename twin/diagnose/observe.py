@@ -26,7 +26,7 @@ from twin.campaign import MeasuredRun
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import is_moving
+from twin.gap import is_moving, sensor_noise
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import Motion, ReducedPlant
@@ -49,6 +49,9 @@ BREAK_AWAY_S = 0.06
 
 SETTLED_S = 0.2
 """Time after break-away from which nothing shows any more how long and where an axis was stuck."""
+
+UNSETTLED = 0.03
+"""Weight as evidence of the samples before that."""
 
 LONGEST_CORRELATION = 150
 """Samples over which the noise of a channel may be correlated (the loop's own memory)."""
@@ -166,6 +169,14 @@ class Group:
             key = (channel.axis, channel.name)
             out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
+
+    @functools.cached_property
+    def credit(self) -> np.ndarray:
+        """What a row counts as evidence (row,): where an axis was stuck is one draw of chance that many samples repeat."""
+        out = np.ones(self.size)
+        for channel in self.channels:
+            out[channel.rows][~channel.settled(self.views[channel.run])] = UNSETTLED
+        return out
 
     def run_rows(self, run: int) -> np.ndarray:
         """True for the rows of one run (row,)."""
@@ -331,12 +342,19 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
                 channels.append(Channel(r, *key, residual, sigma, 1.0))
                 continue
             jitter = np.var([c[key] for c in clean], axis=0, ddof=1)
-            sigma = _sigma(deviations, jitter, residual)
+            sigma = np.maximum(_sigma(deviations, jitter, residual), _least(view.machine, view.machine.axis(key[0]), key[1]))
             if key[1] == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
                 axis = view.machine.axis(key[0])
                 sigma = np.hypot(sigma, np.where(rests(view, key[0]), RESTING * NORMAL_SLIP[axis.kind], 0.0))
             channels.append(Channel(r, key[0], key[1], residual, sigma, _correlation(deviations / sigma)))
     return Group(axes, views, channels, nominal, shaken, seed)
+
+
+def _least(machine: Machine, axis: Axis, channel: str) -> float:
+    """What a channel cannot tell anyway [SI]: a machine file without noise makes no record without."""
+    if channel == "current":
+        return 0.0 if axis.has_current_loop and machine.noise(axis).current else max(sensor_noise(machine, axis, axis.effort), 1e-4)
+    return {"position": 1e-9, "windup": 1e-9, "velocity": 1e-7}[channel]
 
 
 def rebased(group: Group, machine_of: Variant) -> Group:

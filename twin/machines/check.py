@@ -43,6 +43,7 @@ FINE_ERROR = 10.0
 """A following error should hold this many steps of the encoder, at a hundredth of the highest speed."""
 
 SLOW = 0.01
+SHOWN = 4
 MOST_INERTIA_ERROR = 0.2
 
 
@@ -107,10 +108,10 @@ def _of_machine(machine: Machine) -> Iterator[Finding]:
     assumed = assumed_values(machine)
     for axis in dict.fromkeys(path.split(".")[1] for path in assumed if path.startswith("axis.")):
         of_axis = [path.split(".", 2)[2] for path in assumed if path.startswith(f"axis.{axis}.")]
-        yield Finding("missing", axis, f"{len(of_axis)} numbers are still those that were assumed: {', '.join(of_axis)}")
+        yield Finding("missing", axis, f"{len(of_axis)} numbers are still those that were assumed: {_some(of_axis)}")
     rest = [path for path in assumed if not path.startswith("axis.")]
     if rest:
-        yield Finding("missing", "", f"still as assumed: {', '.join(rest)}")
+        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still those that were assumed: {_some(rest)}")
     noiseless = [a.name for a in machine.axes if not any(vars(machine.noise(a)).values())]
     if noiseless:
         yield Finding(
@@ -122,6 +123,11 @@ def _of_machine(machine: Machine) -> Iterator[Finding]:
     still = [joint.name for joint in load_spec(machine.model_path).joints if joint.name not in driven]
     if still:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
+
+
+def _some(names: list[str]) -> str:
+    """The first few, and how many more."""
+    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more; search the file for '{ASSUMED}'" if len(names) > SHOWN else "")
 
 
 def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:

@@ -141,6 +141,8 @@ def _limits(joint: Any) -> JointLimits:
 
 def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> None:
     """The visible shapes, without mass."""
+    import trimesh
+
     from twin.replay.urdf import scene_from_urdf
 
     scene = scene_from_urdf(path)
@@ -151,9 +153,10 @@ def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> N
             if shape.vertices is None or shape.faces is None:
                 continue
             name = f"{body.name}_{i}"
-            mesh = spec.add_mesh(name=name, uservert=np.asarray(shape.vertices, float).ravel())
-            if len(shape.faces) <= MOST_FACES:
-                mesh.userface = np.asarray(shape.faces, np.int32).ravel()
+            merged = trimesh.Trimesh(shape.vertices, shape.faces)  # an STL has each corner once a triangle
+            mesh = spec.add_mesh(name=name, uservert=np.asarray(merged.vertices, float).ravel())
+            if len(merged.faces) <= MOST_FACES:
+                mesh.userface = np.asarray(merged.faces, np.int32).ravel()
             more["meshname"] = name
         else:
             more["size"] = shape.size
