@@ -156,7 +156,8 @@ class Machine:
 
         `effect` replaces the list of effects. Raises InputError for a path that does not exist.
         """
-        document = copy.deepcopy(dict(self.document))
+        # tables on the way get copies of their own, the others are shared
+        document = dict(self.document)
         for asked, value in values.items():
             path, value = self.in_file(asked, value)
             *tables, key = path.split(".")
@@ -165,6 +166,8 @@ class Machine:
                 if not isinstance(table, dict) or name not in table:
                     known = table if isinstance(table, dict) else {}
                     raise InputError(f"machine {self.name}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
+                if isinstance(table[name], dict):
+                    table[name] = dict(table[name])
                 table = table[name]
             if not isinstance(table, dict) or (key not in table and key not in ("effect", "commissioned")):
                 raise InputError(f"machine {self.name}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")

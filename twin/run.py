@@ -113,8 +113,9 @@ def simulate(
     limited = np.zeros((len(machine.axes), 2), np.int64)
     total = (rows - 1) * record_ticks + 1
     stretch = int(np.lcm(position_ticks, record_ticks)) * max(1, STRETCH_TICKS // int(np.lcm(position_ticks, record_ticks)))
-    for first in (*([-actual.lead_ticks] if actual.lead_ticks else []), *range(0, total, stretch)):
-        ticks = -first if first < 0 else min(stretch, total - first)
+    for first in (*([-actual.lead_ticks] if actual.lead_ticks else []), *range(0, max(total - 1, 1), stretch)):
+        # the last sample is no stretch of its own
+        ticks = -first if first < 0 else total - first if total - first <= stretch + 1 else stretch
         command = command_of(actual.machine, inertia, setpoints, first // position_ticks, -(-ticks // position_ticks))
         failed = loop.advance(
             plant.engine,

@@ -133,7 +133,7 @@ def factors_figure(study: Study, r: Response) -> Any:
     for row in axes:
         row[0].set_ylabel(r.name)
     if r.surrogate is not None:
-        panels[0].legend()
+        panels[0].legend(frameon=False, fontsize=8.5)
     return figure
 
 
@@ -166,5 +166,5 @@ def _pareto_figure(answers: Answers) -> Any:
             panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
     panel.set_xlabel(a)
     panel.set_ylabel(b)
-    panel.legend()
+    panel.legend(frameon=False, fontsize=8.5)
     return figure
