@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import json
 from pathlib import Path
 import re
@@ -183,6 +182,7 @@ def test_new_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "spindle.stl" in refused(capsys, "machine", "new", tmp_path / "gantry.urdf", "--out", tmp_path / "n.toml")
     text = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(encoding="utf-8"))
     (tmp_path / "light.urdf").write_text(text, encoding="utf-8")
+    shutil.copy(GANTRY / "spindle.stl", tmp_path / "spindle.stl")
     assert "has no <inertial>" in refused(capsys, "machine", "new", tmp_path / "light.urdf", "--out", tmp_path / "n.toml")
 
 
@@ -206,23 +206,10 @@ def broken(machine: Machine) -> dict[str, tuple[Machine, str, str]]:
         "speed loop": (machine.with_axis("X", speed_integral_time_s=5e-4), "unusual", "the speed loop has a phase margin of"),
         "ratio": (machine.with_axis("X", position_gain_per_s=200.0), "unusual", "times the position loop's"),
         "mode": (with_effects(machine, [compliance]), "unusual", "the first mode of 27 Hz is less than 2 times"),
-        "travel": (machine.with_axis("X", speed_gain_nm_s_per_rad=0.003), "unusual", "the speed loop crosses at"),
     }
 
 
-RULES = (
-    "acceleration",
-    "spare current",
-    "weight",
-    "bus",
-    "inertia ratio",
-    "feedforward",
-    "unstable",
-    "speed loop",
-    "ratio",
-    "mode",
-    "travel",
-)
+RULES = ("acceleration", "spare current", "weight", "bus", "inertia ratio", "feedforward", "unstable", "speed loop", "ratio", "mode")
 
 
 @pytest.mark.parametrize("rule", RULES)
