@@ -20,8 +20,9 @@ from twin.gap import gap_of_campaign
 from twin.machine import Machine, load_machine
 from twin.machines.check import assumed_values, check_machine
 from twin.machines.sheet import check_text, sheet, sinumerik_sheet
+from twin.reduced import Motion, ReducedPlant
 from twin.run import simulate
-from twin.setpoints import setpoints_of
+from twin.setpoints import Setpoints, setpoints_of
 from twin.trace import Trace, read_trace, write_trace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -283,3 +284,37 @@ def test_bad_structures(tmp_path: Path, capsys: pytest.CaptureFixture[str], case
     line = refused(capsys, "machine", "show", write_slides(tmp_path, text.replace(old, new)))
     assert re.search(message, line), line
     assert "slides.toml" in line
+
+
+ARM = """<mujoco model="arm"><compiler angle="degree"/>
+<worldbody><body name="base" pos="0 0 0.5">
+ <joint name="q1" type="hinge" axis="0 0 1"/><joint name="q2" type="hinge" axis="0 1 0" range="-90 90"/>
+ <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" density="2700"/>
+ <body name="fore" pos="0.4 0 0"><joint name="q3" type="hinge" axis="0 1 0" range="-120 120"/>
+  <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" density="2700"/>
+  <body name="tip" pos="0.3 0 0"><joint name="d4" type="slide" axis="0 0 1" range="-0.1 0.1"/><geom type="box" size=".02 .02 .1"/></body></body>
+</body></worldbody>
+<actuator><position name="q1" joint="q1" kp="10"/></actuator></mujoco>
+"""
+
+
+def test_an_arm_of_four_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two joints in one body, masses from shapes, a foreign servo, a slide on hinges: it runs, and both plants agree."""
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    assert command(capsys, "machine", "new", tmp_path / "arm.xml", "--out", tmp_path / "m.toml", "--structure", "P/PI")[0] == 0
+    machine = load_machine(tmp_path / "m.toml")
+    assert machine.axis_names == ("q1", "q2", "q3", "d4")
+    part = np.linspace(0.0, 1.0, 700)
+    position = np.outer(part**3 * (10.0 - 15.0 * part + 6.0 * part**2), [1.0, -0.8, 0.7, 0.05])
+    full = simulate(machine, Setpoints(position, 4e-3)).trace
+    for axis in machine.axes:
+        assert np.abs(full.get(axis.name, "setpoint") - full.get(axis.name, "position")).max() < 1e-4
+    # the tip hangs on its slide; at rest in the end its weight acts along the tilted slide
+    weight = 9.81 * machine.axis("d4").moving_mass_kg
+    gravity = full.get("d4", "torque_gravity") / machine.axis("d4").ratio
+    assert gravity[[0, -1]] == pytest.approx([weight, weight * np.cos(0.1)], rel=1e-3)
+    along = full.matrix("position")
+    speed = np.gradient(along, full.period, axis=0)
+    motion = Motion(along, speed, np.gradient(speed, full.period, axis=0), full.period)
+    reduced = simulate(machine, Setpoints(position, 4e-3), plant_of=lambda change: ReducedPlant(change, motion)).trace
+    assert np.abs(along - reduced.matrix("position")).max() < 1e-7
