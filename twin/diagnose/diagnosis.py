@@ -451,6 +451,8 @@ def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
     """Is a signal recorded in any run? The command of an axis without current loop stands for its current; one encoder is enough."""
     if signal == "position" and axis.encoder == "motor":
         return True
+    if signal in ("velocity", "velocity_setpoint") and not axis.has_speed_integral and axis.loops.speed_mean_cycles:
+        signal = axis.effort  # the law of both controllers is seen in the command as a whole
     return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
 
 

@@ -32,6 +32,8 @@ BLOCKS_NEED = {
 }
 """Blocks in the order of the loop, and the recorded signals without which a block cannot be seen."""
 
+CONTROLLERS = ("position controller", "speed controller")
+
 STRETCH_S = 0.5
 """Length of the stretch that is shown where no block was named."""
 
@@ -127,12 +129,19 @@ def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str
         for block, signals in BLOCKS_NEED.items():
             place = placed.get((axis, block))
             seen = any(_moves(run, axis) and _has_all(diagnosis, run, axis, signals) for run in diagnosis.campaign.runs)
+            seen = seen or (block in CONTROLLERS and _law_seen(diagnosis, axis))
             if place:
                 row.append(("place", float(place["share"]), float(place.get("level", 0.0))))
             else:
                 row.append(("healthy" if seen else "unseen", 0.0, 0.0))
         rows.append(row)
     return axes, rows
+
+
+def _law_seen(diagnosis: Diagnosis, axis: str) -> bool:
+    """Was the law of two P controllers held against their command as a whole?"""
+    channels = {(c.axis, c.name) for f in diagnosis.found for c in f.group.channels}
+    return not diagnosis.machine.axis(axis).has_speed_integral and (axis, "controller") in channels
 
 
 def _has_all(diagnosis: Diagnosis, run: MeasuredRun, axis: str, signals: Sequence[str]) -> bool:
