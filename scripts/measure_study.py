@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 import math
 import os
 from pathlib import Path
@@ -36,6 +37,7 @@ from twin.moves import phases_of_move
 from twin.study import read_study, surrogate_from
 from twin.study.design import machine_of, variants_of
 from twin.study.evaluate import evaluate, work_of
+from twin.study.paths import with_numbers
 from twin.trace import Trace, write_trace
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "studies"
@@ -212,6 +214,7 @@ def closed_forms() -> None:
             command = [sys.executable, "-m", "twin", "study", str(EXAMPLES / f"{name}.toml"), "--out", f"{folder}/{name}", "--no-replay"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         corner(Path(folder) / "corner_mass")
+        friction_share()
         payload(Path(folder) / "table_payload")
         matching(Path(folder) / "inertia_matching")
 
@@ -229,6 +232,16 @@ def corner(out: Path) -> None:
         theory /= a.loops.speed_gain_nm_s_per_rad * a.loops.position_gain_per_s
         share = 700.0 * a.ratio**2 / a.commissioned_inertia if axis == "X" else 1050.0 * a.ratio**2 / a.commissioned_inertia
         print(f"  {axis}: {more / 2:.4f}, {theory * 1e6:.4f}; the moved mass is {100 * share:.0f} % of the inertia at the motor")
+
+
+def friction_share() -> None:
+    """The nominal corner with and without Coulomb friction on X and Y."""
+    study = read_study(EXAMPLES / "corner_mass.toml")
+    smooth = with_numbers(study.machine, {f"axis.{axis}.coulomb_friction_nm": 0.0 for axis in "XY"})
+    print("corner of the machine as it is, um: deviation of X, contour error")
+    for words, machine in (("with Coulomb friction", study.machine), ("without", smooth)):
+        found = evaluate(replace(work_of(study), study=replace(study, machine=machine)), (700.0, 1050.0, 1.0)).responses
+        print(f"  {words}: {found['control_deviation_max_X_um']:.2f}, {found['contour_error_max_um']:.2f}")
 
 
 def least_at(out: Path, response: str, rotor: float, low: float, high: float) -> tuple[float, float]:
