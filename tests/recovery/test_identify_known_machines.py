@@ -6,23 +6,32 @@ from dataclasses import replace
 import importlib.util
 from pathlib import Path
 import sys
+import tomllib
 from types import ModuleType
 
 import numpy as np
 import pytest
 
 from tests.conftest import ROOT, SHARED
-from tests.identify_campaigns import campaign, usual_runs
+from tests.identify_campaigns import QUICK, campaign, recorded, usual_runs
+from twin.campaign import read_campaign
+from twin.exam.programme import programme
 from twin.identify import identify_campaign, plan_campaign, write_identified, write_plan
 from twin.identify.judge import LIMITS, Judged
+from twin.identify.plan import Plan, _acceleration_runs, _check_runs
+from twin.identify.write import machine_comments
 from twin.machine import Machine, load_machine
+from twin.program import interpolate, read_program
+from twin.setpoints import limit_warnings
+from twin.trace import read_trace, write_trace
 
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
     """scripts/measure_identification.py: the same campaigns and judgement as the long study."""
     spec = importlib.util.spec_from_file_location("measure_identification", ROOT / "scripts" / "measure_identification.py")
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
@@ -49,9 +58,15 @@ def test_a_recorded_machine(study: ModuleType, mikron: Machine) -> None:
     assert result.seconds["regression"] < 60.0
 
 
-def test_a_machine_thirty_percent_off_with_a_richer_plant(study: ModuleType, tmp_path: Path) -> None:
+FEW = ("constant_velocity", "acceleration_ff_off", "acceleration", "tilt_hold", "circle_xy")
+"""Runs of a drawn campaign that hold what there is to know; the last one is left out of the fit."""
+
+
+def test_a_machine_thirty_percent_off_with_a_richer_plant(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twin.exam.draw.programme", lambda machine, seed: [r for r in programme(machine, seed) if r.name in FEW])
     judged, _, findings = study.drawn(5001, tmp_path, refine=False)
     assert not findings
+    assert len(judged) == 55
     check(judged)
 
 
@@ -59,11 +74,8 @@ def test_refinement_closes_the_gap_and_keeps_what_is_known(mikron: Machine, tmp_
     """X 4 % off in friction, 3 % in inertia: the re-simulated machine is within noise of the measured one."""
     machine = replace(mikron.with_axes(["X"]), parameter_tolerance=0.05)
     axis = machine.axis("X")
-    true = machine.with_axis(
-        "X", coulomb_friction_nm=1.04 * axis.coulomb_friction_nm, rotor_inertia_kg_m2=1.03 * axis.rotor_inertia_kg_m2
-    )
-    runs = [r for seed in (0, 10) for r in usual_runs(true, seed)]
-    runs = [replace(r, name=f"{r.name}_{i}") for i, r in enumerate(runs)]
+    true = machine.with_axis("X", coulomb_friction_nm=1.04 * axis.coulomb_friction_nm, rotor_inertia_kg_m2=1.03 * axis.rotor_inertia_kg_m2)
+    runs = [*usual_runs(true), recorded(true, "check", QUICK, "velocity+torque", 7)]
     result = identify_campaign(machine, campaign(runs), torque_constant_tolerance=0.0)
     for stage in ("regression", "refined"):
         for signal, gap in result.gaps[stage]["X"].items():
@@ -75,7 +87,10 @@ def test_refinement_closes_the_gap_and_keeps_what_is_known(mikron: Machine, tmp_
     # the file that is written says so, and loads
     write_identified(result, tmp_path / "x.toml")
     again = load_machine(tmp_path / "x.toml")
-    assert again.axis("X").coulomb_friction_nm == pytest.approx(coulomb.refined.value if result.chosen == "refined" else coulomb.value.value, rel=1e-6)
+    chosen = coulomb.refined if result.chosen == "refined" else coulomb.value
+    assert again.axis("X").coulomb_friction_nm == pytest.approx(chosen.value, rel=1e-4)  # the product at the split torque constant
+    for path, comment in machine_comments(result).items():
+        assert comment.startswith("identified"), path
     text = (tmp_path / "x.toml").read_text()
     assert "[identified]" in text
     assert "identified  95 %" in text
@@ -85,7 +100,9 @@ def test_a_contradicted_tolerance_keeps_the_torque_constants(mikron: Machine) ->
     """Everything 20 % off in a file that promises 1 %: nothing is split, the product is the value."""
     machine = mikron.with_axes(["X"])
     axis = machine.axis("X")
-    true = machine.with_axis("X", coulomb_friction_nm=1.2 * axis.coulomb_friction_nm, viscous_friction_nm_s_per_rad=0.8 * axis.viscous_friction_nm_s_per_rad)
+    true = machine.with_axis(
+        "X", coulomb_friction_nm=1.2 * axis.coulomb_friction_nm, viscous_friction_nm_s_per_rad=0.8 * axis.viscous_friction_nm_s_per_rad
+    )
     result = identify_campaign(machine, campaign(usual_runs(true)), refine=False, gaps=False)
     assert result.tolerance_holds == {"X": False}
     coulomb = result.parameter("X", "coulomb_friction")
@@ -93,17 +110,47 @@ def test_a_contradicted_tolerance_keeps_the_torque_constants(mikron: Machine) ->
     assert coulomb.value.holds(1.2 * axis.coulomb_friction_nm)
 
 
-def test_a_planned_campaign_keeps_travel_and_says_what_it_will_tell(mikron: Machine, tmp_path: Path) -> None:
-    machine = mikron.with_axes(["X", "Z"])
-    plan = plan_campaign(machine, precision=0.01)
-    known = {(p.axis, p.name): p.half for p in plan.predicted}
-    assert known["X", "inertia"] < 0.01
-    assert known["Z", "gravity_torque"] < 0.01
-    files = write_plan(plan, machine, tmp_path)
-    program = next(f for f in files if f.suffix == ".mpf").read_text()
-    assert "M30" in program
-    assert "G1 X=" in program
-    from twin.setpoints import limit_warnings
-
+def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(mikron: Machine, tmp_path: Path) -> None:
+    """Z by itself: planned, recorded by the twin with other noise, identified: intervals come out as predicted, and hold."""
+    machine = mikron.with_axes(["Z"])
+    plan = plan_campaign(machine, precision=0.02)
     for run in plan.runs:
         assert not limit_warnings(run.setpoints, machine)
+    known = {(p.axis, p.name): p for p in plan.predicted}
+    assert {"inertia", "coulomb_friction", "viscous_friction", "gravity_torque", "position_delay_s"} <= {name for _, name in known}
+    assert max(p.half for p in plan.predicted) < 0.02
+    runs = [recorded(machine, r.name, r.setpoints.position[:, 0], r.feedforward, 900 + i) for i, r in enumerate(plan.runs)]
+    result = identify_campaign(machine, campaign(runs), refine=False, gaps=False)
+    assert result.left_out == ("plan_check",)
+    if plan.runs[0].repeats == 1:
+        for (axis, name), promised in known.items():
+            achieved = result.parameter(axis, name).estimate.half / abs(promised.value)
+            assert 0.4 < achieved / promised.half < 2.5, name
+    held = [result.parameter(axis, name).estimate.holds(p.value) for (axis, name), p in known.items()]
+    assert np.mean(held) >= 0.8
+
+
+def test_more_precision_takes_more_rounds(mikron: Machine) -> None:
+    machine = mikron.with_axes(["Z"])
+    coarse, fine = (plan_campaign(machine, precision=p, longest_s=3600.0) for p in (0.02, 0.002))
+    assert fine.runs[0].repeats > coarse.runs[0].repeats
+    assert all(f.half <= c.half for f, c in zip(fine.predicted, coarse.predicted))
+    assert all(p.half >= p.law for p in fine.predicted)
+
+
+def test_a_plan_is_written_as_part_programs_and_a_campaign_to_fill(mikron: Machine, tmp_path: Path) -> None:
+    machine = mikron.with_axes(["X", "C"])
+    plan = Plan((*_acceleration_runs(machine), *_check_runs(machine)), ())
+    write_plan(plan, machine, tmp_path)
+    for run in plan.runs:
+        program = read_program(tmp_path / f"{run.name}.mpf", mikron)
+        ends = {name: target for block, _ in run.blocks for name, target in block.items()}
+        trace = interpolate(program, mikron)
+        for name, target in ends.items():
+            assert trace.get(name, "setpoint")[-1] == pytest.approx(target, abs=1e-6)
+    waiting = tomllib.loads((tmp_path / "recordings" / "campaign.toml").read_text(encoding="utf-8"))
+    assert [r["feedforward"] for r in waiting["run"]] == [r.feedforward for r in plan.runs]
+    for run in plan.runs:  # a control that follows perfectly
+        trace = read_trace(tmp_path / f"{run.name}.parquet")
+        write_trace(trace, tmp_path / "recordings" / f"{run.name}.parquet")
+    assert len(read_campaign(tmp_path / "recordings", machine).runs) == len(plan.runs)

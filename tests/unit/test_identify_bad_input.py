@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.identify_campaigns import ONE_WAY, campaign, path, recorded, usual_runs, with_signal
+from tests.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, usual_runs, with_signal
 from twin.campaign import MeasuredRun
 from twin.errors import InputError
 from twin.identify import Identification, identify_campaign
@@ -40,7 +40,11 @@ def test_a_good_recording_has_no_findings(machine: Machine, runs: list[MeasuredR
 
 @pytest.mark.parametrize(
     ("signal", "words"),
-    [("current", "no current in any run: cannot tell inertia"), ("velocity_setpoint", "no velocity_setpoint in any run"), ("velocity", "no velocity in any run")],
+    [
+        ("current", "no current in any run: cannot tell inertia"),
+        ("velocity_setpoint", "no velocity_setpoint in any run"),
+        ("velocity", "no velocity in any run"),
+    ],
 )
 def test_missing_signals_are_named_with_what_they_cost(machine: Machine, runs: list[MeasuredRun], signal: str, words: str) -> None:
     result = identified(machine, [with_signal(r, "X", signal, None) for r in runs])
@@ -97,6 +101,45 @@ def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[Mea
     result = identified(machine, clipped)
     assert "current at its limit or clipped" in said(result)
     assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
+
+
+@pytest.mark.parametrize("signal", ["velocity", "velocity_setpoint", "motor_position", "position"])
+def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, runs: list[MeasuredRun], signal: str) -> None:
+    share = 0.6 if signal.startswith("velocity") else 0.8
+    clipped = []
+    for run in runs:
+        values = run.trace.get("X", signal)
+        limit = share * np.abs(values).max()
+        clipped.append(with_signal(run, "X", signal, np.clip(values, -limit, limit)))
+    result = identified(machine, clipped)
+    assert f"{signal} stays on its largest value for" in said(result)
+    assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
+    assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=20e-6)
+
+
+def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
+    weak = machine.with_axis("X", peak_current_a=4.5)
+    result = identified(weak, usual_runs(weak))
+    assert "current at its limit or clipped" in said(result)
+    assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
+    assert "no run tells speed_gain_nm_s_per_rad; add runs that stay below the current limit" in said(result)
+
+
+def test_a_late_speed_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+    late = [with_signal(r, "X", "velocity", np.roll(r.trace.get("X", "velocity"), 2)) for r in runs]
+    item = next(c for c in identified(machine, late).late if c.signal == "velocity")
+    assert item.seconds == pytest.approx(2e-3, abs=5e-5)
+
+
+def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, runs: list[MeasuredRun]) -> None:
+    result = identified(machine, [r for r in runs if r.feedforward != "velocity+torque"])
+    assert "no run tells torque_feedforward; add accelerations with torque feedforward on" in said(result)
+
+
+def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun]) -> None:
+    assert identified(machine, runs).left_out == ()
+    again = [*runs, recorded(machine, "again", LADDER, "velocity", 9)]
+    assert identified(machine, again).left_out == ("again",)
 
 
 def test_one_direction_only_is_said(machine: Machine) -> None:

@@ -19,7 +19,7 @@ from scipy.signal import firwin
 
 from twin.campaign import MeasuredRun
 from twin.errors import InputError
-from twin.identify.between_samples import measured_ripple
+from twin.identify.between_samples import SETTLED_CYCLES, measured_ripple
 from twin.machine import Axis, Machine
 
 BAND_HZ = 20.0
@@ -53,12 +53,14 @@ class AxisRun:
     speed: np.ndarray  # at the middle [rad/s]
     acceleration: np.ndarray  # [rad/s2]
     speed_setpoint: np.ndarray | None  # held in the cycle [rad/s]
+    motor_speed: np.ndarray | None  # mean of the cycle's samples of the speed channel [rad/s]
     current: np.ndarray | None  # mean of the cycle's samples [A]
     current_ripple: np.ndarray | None
     speed_ripple: np.ndarray | None
     torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
-    limited: np.ndarray  # current at its limit or clipped
+    limited: np.ndarray  # current at its limit, or a channel clipped
+    clipped: dict[str, float]  # signal -> seconds that its recording stays on its largest value while the axis goes on
 
     def filtered(self, values: np.ndarray) -> np.ndarray:
         """Zero-phase low-pass of (cycle,) values; at the ends of the run with the end value beyond."""
@@ -85,7 +87,9 @@ class AxisRun:
     def sliding(self) -> np.ndarray:
         """(cycle,) True where the axis slides, unlimited, all through the window of the filter."""
         reach = len(_window(self.cycle)) // 2
-        slow = (np.abs(self.speed) < SLIDING_RAD_PER_S) | self.limited
+        # the current between samples remembers a limit as long as it remembers a step
+        remembered = np.convolve(self.limited, np.ones(SETTLED_CYCLES + 1))[: len(self.limited)] > 0.5
+        slow = (np.abs(self.speed) < SLIDING_RAD_PER_S) | remembered
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         near[:reach] = near[-reach:] = True
         return ~near
@@ -150,7 +154,12 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     limited = np.zeros(cycles, bool)
     if samples is not None:
         limited = (np.abs(samples.reshape(cycles, n)) > 0.97 * axis.motor.peak_current_a).any(axis=1)
-        limited |= _clipped(samples).reshape(cycles, n).any(axis=1)
+        limited |= _flat(samples, CLIPPED_SAMPLES).reshape(cycles, n).any(axis=1)
+    beyond = {}
+    for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
+        if has[name]:
+            beyond[name] = _clipped(signal(name), setpoint(time, 1 if name.startswith("velocity") else 0))
+            limited |= beyond[name][window].reshape(cycles, n).any(axis=1)
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,
@@ -166,6 +175,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         speed=spline(middle, 1),
         acceleration=spline(middle, 2),
         speed_setpoint=speed_setpoint,
+        motor_speed=signal("velocity")[window].reshape(cycles, n).mean(axis=1) / axis.ratio if has["velocity"] else None,
         current=current,
         current_ripple=ripple(samples),
         speed_ripple=ripple(signal("velocity")[window] / axis.ratio if has["velocity"] else None),
@@ -174,6 +184,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         if has["motor_position"] and has["position"]
         else None,
         limited=limited,
+        clipped={name: float(b.sum() * trace.period) for name, b in beyond.items() if b.any()},
     )
 
 
@@ -188,12 +199,29 @@ CLIPPED_SAMPLES = 5
 """So many equal samples in a row at a channel's largest value are a limit, not noise."""
 
 
-def _clipped(values: np.ndarray) -> np.ndarray:
-    """(sample,) True where a noisy channel stays on its largest or smallest value."""
+def _flat(values: np.ndarray, least: int) -> np.ndarray:
+    """(sample,) True where a noisy channel stays on its largest or smallest value for `least` samples or more."""
     out = np.zeros(len(values), bool)
     for extreme in (values.max(), values.min()):
         at = values == extreme
-        if extreme != 0.0 and at.sum() >= CLIPPED_SAMPLES:
-            runs = np.convolve(at, np.ones(CLIPPED_SAMPLES), "same") >= CLIPPED_SAMPLES
-            out |= np.convolve(runs, np.ones(CLIPPED_SAMPLES), "same") > 0
+        if extreme != 0.0 and at.sum() >= least:
+            runs = np.convolve(at, np.ones(least), "same") >= least
+            out |= np.convolve(runs, np.ones(least), "same") > 0
     return out
+
+
+GOES_ON = 0.02
+"""A channel is clipped where the set point goes beyond its largest or smallest value by this share of the set point's range."""
+
+
+def _clipped(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """(sample,) True where a channel is flat at its end while its set point `reference` (sample,) goes on."""
+    flat = _flat(values, 4 * CLIPPED_SAMPLES)
+    if not flat.any():
+        return flat
+    # an axis may rest at the end of its way, and a motor encoder count from elsewhere: neither goes on
+    reference = reference - np.median(reference - values)
+    beyond = np.maximum(reference - values.max(), values.min() - reference) > GOES_ON * np.ptp(reference)
+    # one sample that contradicts says it of its whole stretch: the axis lags behind the set point
+    stretch = np.cumsum(np.diff(flat, prepend=False))
+    return flat & np.isin(stretch, stretch[flat & beyond])

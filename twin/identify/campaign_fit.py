@@ -60,14 +60,14 @@ def identify_campaign(
     say("regression on the runs left out")
     other = direct_route(machine, recording.part(left_out)) if left_out else Direct()
     parameters = parameters_of(machine, direct, other, splits)
-    findings = [*recording.findings, *unseen(parameters)]
+    findings = [*recording.findings, *unseen(machine, parameters)]
     clock["regression"] = time.perf_counter() - started
     chosen, refined = "regression", None
     if refine:
         from twin.identify.refine import refined_machine
 
         say("refinement by re-simulation")
-        refined = refined_machine(found, training, doubts_of(found, parameters), say)
+        refined = refined_machine(found, training, recording.part(training), direct.current, doubts_of(found, parameters), say)
         parameters = with_refined(parameters, refined.machine, refined.deviations)
         clock["refinement"] = time.perf_counter() - started
     tables = {}
@@ -109,7 +109,7 @@ def _simulated(machine: Machine, runs: Sequence[MeasuredRun]) -> Runs | None:
 
 
 def _with_loops(machine: Machine, direct: Direct) -> Machine:
-    """Control values into the machine file; those that the signals did not show keep the file's."""
+    """Control values and windings into the machine file; those that the signals did not show keep the file's."""
     values: dict[str, float] = {}
     for axis in machine.axes:
         for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
@@ -119,6 +119,10 @@ def _with_loops(machine: Machine, direct: Direct) -> Machine:
                 if math.isfinite(found.deviations[name]):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
+        mean = direct.current.get(axis.name)
+        if mean is not None and math.isfinite(mean.fit.misfit):  # the winding, read off the saw-tooth
+            values[f"axis.{axis.name}.motor.inductance_h"] = mean.fit.loop.inductance
+            values[f"axis.{axis.name}.motor.resistance_ohm"] = mean.fit.loop.resistance
     return machine.with_values(values)
 
 

@@ -6,9 +6,12 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twin.errors import InputError
+
+if TYPE_CHECKING:
+    from twin.identify.plan import Predicted
 
 STEPS = 14
 """About so many steps are reported by an identification with refinement."""
@@ -98,14 +101,18 @@ def plan_command(args: argparse.Namespace) -> int:
         files = write_plan(plan, machine, Path(args.out))
     except OSError as error:
         raise InputError(f"{args.out}: cannot be written ({error.strerror}); give another --out") from None
-    rows = [
-        [p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", "" if p.half <= args.precision else "not reached"]
-        for p in plan.predicted
-    ]
+    rows = [[p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p, args.precision)] for p in plan.predicted]
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))
     print("runs: " + ", ".join(f"{r.name} {r.duration:.1f} s ({r.feedforward}, {r.repeats} x)" for r in plan.runs))
     print(f"written: {', '.join(str(f) for f in files)}")
     return 0
+
+
+def _missed(p: Predicted, precision: float) -> str:
+    """What stands behind a parameter that does not reach the wanted precision."""
+    if p.half <= precision:
+        return ""
+    return "more rounds do not help" if p.law >= 0.95 * precision else "needs more --minutes"
 
 
 class _steps:

@@ -158,14 +158,10 @@ def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun 
     ones, sign = np.ones(len(speed)), np.sign(speed)
     if seen.deflection is not None:
         late("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
-    if run.trace.has(axis.name, "velocity"):
-        velocity = run.trace.get(axis.name, "velocity") / axis.ratio
-        n = seen.samples_per_cycle
-        first = round(seen.start[0] / run.trace.period)
-        mean = velocity[first : first + n * len(seen.start)].reshape(-1, n).mean(axis=1)
+    if seen.motor_speed is not None:
         # the mean of a cycle's samples lies before its middle by half a sample
-        ahead = 0.5 * seen.cycle / n
-        late("velocity", [acceleration, speed, ones], (f(mean) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
+        ahead = 0.5 * seen.cycle / seen.samples_per_cycle
+        late("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None:
         # the mean current of a cycle, with the machine file's saw-tooth, goes with the acceleration in its middle
         mean_current = MeanCurrent.start(machine, axis, [seen], axis.commissioned_inertia or axis.rotor_inertia_kg_m2).of(seen)
@@ -231,7 +227,19 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
         out.append(Finding("", name, "hardly accelerates: inertia cannot be told; add accelerated moves ('twin plan')"))
     limited = sum(float(r.limited.sum() * r.cycle) for r in runs)
     if limited > 0.0:
-        out.append(Finding("", name, f"current at its limit or clipped for {limited * 1e3:.0f} ms: those parts are left out"))
+        out.append(
+            Finding(
+                "",
+                name,
+                f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: those parts are left out",
+            )
+        )
+    for signal in dict.fromkeys(s for r in runs for s in r.clipped):
+        seconds = sum(r.clipped.get(signal, 0.0) for r in runs)
+        told = (
+            f"{signal} stays on its largest value for {seconds * 1e3:.0f} ms while the axis goes on: clipped; record it with a wider range"
+        )
+        out.append(Finding("", name, told))
     return out
 
 

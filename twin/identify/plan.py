@@ -1,10 +1,14 @@
 """The other way round: a measuring campaign for a machine, and how well each parameter will be known from it.
 
-Every axis gets the same three kinds of moves, inside its travel and limits, one axis after the other or all together where they do not
-disturb each other: constant speeds there and back from creeping to rapid (friction), accelerated moves (inertia, torque feedforward), and,
-for a tilting table, slow turns of A over its range while C stands in several places (first moments). The predicted interval is that of the
-regression on the planned moves themselves: the same rows as `identify` would build, the noise of the machine file. Runs are repeated until
-the wanted precision is reached or the time is used.
+Every axis gets the same moves, inside its travel and limits, one axis after the other: constant speeds there and back from creeping to
+rapid (friction), accelerated moves with and without feedforward (inertia, weights, gains), and, for a tilting table, slow turns of A over
+its range while C stands in several places and the other way round (first moments). A last run moves all axes at once: it is for checking,
+`identify` leaves it out of the fit.
+
+The predicted interval is that of the regression on the planned moves themselves, simulated with the noise of the machine file,
+    half(n)^2 = law^2 + scatter^2 / n
+after n rounds: scatter shrinks with repeating, what the laws leave open does not. Regressing one round and two tells them apart. A real
+drive adds cogging and pre-sliding; docs/identify.md says how much wider intervals came out on a plant that has them.
 """
 
 from __future__ import annotations
@@ -20,11 +24,13 @@ import numpy as np
 from twin.campaign import MeasuredRun
 from twin.errors import InputError
 from twin.identify import tilting_pair
-from twin.identify.axis_run import axis_run
+from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Direct, direct_route
 from twin.identify.parameters import parameters_of
 from twin.identify.products import split_products
+from twin.identify.result import Parameter
 from twin.machine import Axis, Machine
+from twin.moves import jerk_limited_move, phases_of_move
 from twin.run import simulate
 from twin.setpoints import Setpoints, check_travel
 from twin.trace import Trace, write_trace
@@ -50,7 +56,7 @@ class PlannedRun:
     feedforward: str
     setpoints: Setpoints
     repeats: int
-    blocks: tuple[tuple[dict[str, float], float], ...]  # targets in axis units, path feed in axis units a second (of the first axis)
+    blocks: tuple[tuple[dict[str, float], float], ...]  # targets in axis units, feed in axis units a second
 
     @property
     def duration(self) -> float:
@@ -59,13 +65,14 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Predicted:
-    """A parameter's predicted relative half interval (95 %) from the planned campaign."""
+    """A parameter's predicted relative half interval (95 %) after all rounds, and the part of it that more rounds would not shrink."""
 
     axis: str
     name: str
     value: float
     unit: str
     half: float
+    law: float
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,7 @@ def plan_campaign(
     machine: Machine, precision: float = 0.01, longest_s: float = 900.0, progress: Callable[[str], None] | None = None
 ) -> Plan:
     """Plan runs for every axis of the machine; repeats grow until each parameter is within `precision` or the time is used."""
-    runs = [*_friction_runs(machine), *_acceleration_runs(machine), *_table_runs(machine)]
+    runs = [*_friction_runs(machine), *_acceleration_runs(machine), *_table_runs(machine), *_check_runs(machine)]
     if not runs:
         raise InputError(f"machine {machine.name}: no axis to plan for; describe at least one axis in the machine file")
     for run in runs:
@@ -88,28 +95,20 @@ def plan_campaign(
     total = sum(r.duration for r in runs)
     if total > longest_s:
         raise InputError(f"one round of the plan takes {total:.0f} s, allowed are {longest_s:.0f} s; allow more with --minutes")
-    once = _predict(machine, runs, progress)
-    # precision improves with the root of the repeats; the part that repeating does not improve is the law's doubt
-    worst = max((p.half for p in once), default=0.0)
-    repeats = int(np.clip(math.ceil((worst / precision) ** 2), 1, max(1, int(longest_s // total))))
-    final = [replace(p, half=p.half / math.sqrt(repeats)) for p in once]
+    parts = _predict(machine, runs[:-1], progress)
+    # as many rounds as the slowest parameter needs, of those that rounds can bring there
+    needed = [scatter**2 / (precision**2 - law**2) for _, law, scatter in parts if law < 0.95 * precision]
+    repeats = int(np.clip(math.ceil(max(needed, default=1.0)), 1, max(1, int(longest_s // total))))
+    final = [Predicted(p.axis, p.name, p.before, p.unit, math.hypot(law, scatter / math.sqrt(repeats)), law) for p, law, scatter in parts]
     return Plan(tuple(replace(r, repeats=repeats) for r in runs), tuple(final))
 
 
 def move(distance: float, speed: float, acceleration: float, jerk: float, period: float) -> np.ndarray:
-    """Jerk-limited rest-to-rest move from 0 (sample,): a speed pulse smoothed by two boxes of v/a and a/j, slowed where it is short."""
-    length = abs(distance)
-    if length == 0.0:
+    """Jerk-limited rest-to-rest move from 0 (sample,)."""
+    if distance == 0.0:
         return np.zeros(1)
-    a = min(acceleration, math.sqrt(speed * jerk))
-    while speed * (speed / a + a / jerk) > length:
-        speed *= 0.95
-        a = min(a, math.sqrt(speed * jerk))
-    boxes = [max(1, math.ceil(t / period)) for t in (length / speed, speed / a, a / jerk)]
-    pulse = np.ones(1)
-    for n in boxes:
-        pulse = np.convolve(pulse, np.full(n, 1.0 / n))
-    return math.copysign(length, distance) * np.concatenate([[0.0], np.cumsum(pulse)])
+    t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
+    return jerk_limited_move(distance, speed, acceleration, jerk, np.arange(math.ceil((4.0 * t_j + 2.0 * t_a + t_v) / period) + 1) * period)
 
 
 def _reach(axis: Axis) -> tuple[float, float]:
@@ -184,56 +183,93 @@ def _table_runs(machine: Machine) -> list[PlannedRun]:
     return [_path(machine, _home(machine), moves, "plan_table", "velocity+torque")]
 
 
-def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[Predicted]:
-    """Identify the machine from its own simulated plan, noise and all, and take the intervals."""
-    measured = []
-    for i, run in enumerate(runs):
-        trace = simulate(machine.with_feedforward(run.feedforward), run.setpoints, noise_seed=i).trace
-        measured.append(MeasuredRun(run.name, trace, run.feedforward, 0.0))
-        if progress:
-            progress(f"simulating {run.name}")
-    seen = {axis.name: [axis_run(machine, axis, r) for r in measured] for axis in machine.axes}
-    direct = direct_route(machine, seen, None, progress)
-    parameters = parameters_of(machine, direct, Direct(), split_products(machine, direct))
+def _check_runs(machine: Machine) -> list[PlannedRun]:
+    """All axes at once on straight lines there and back: nothing is learnt from it."""
+    period = machine.sample_period
+    at = np.array(list(_home(machine).values()))
+    dwell = np.tile(at, (round(DWELL_S / period), 1))
+    rows, blocks = [dwell], []
+    for share in (0.2, -0.1, 0.3, 0.0):
+        target = np.array([middle + share * half for middle, half in map(_reach, machine.axes)])
+        way = target - at
+        # the share of the way, as fast as the slowest axis goes
+        speed, acceleration, jerk = (
+            min(SHARE * limit(a) / abs(d) for a, d in zip(machine.axes, way))
+            for limit in (lambda a: 0.6 * a.max_velocity, lambda a: 0.6 * a.max_acceleration, lambda a: a.max_jerk)
+        )
+        rows += [at + way * move(1.0, speed, acceleration, jerk, period)[1:, None], np.tile(target, (len(dwell), 1))]
+        # the control's feed is that of the linear axes together, of the first axis where there are none
+        lead = [d for a, d in zip(machine.axes, way) if a.kind == "linear"] or way[:1]
+        blocks.append((dict(zip(machine.axis_names, target.tolist())), float(np.linalg.norm(lead)) * speed))
+        at = target
+    return [PlannedRun("plan_check", "velocity+torque", Setpoints(np.vstack(rows), period), 1, tuple(blocks))]
+
+
+PREDICTED = (
+    *("inertia", "coulomb_friction", "viscous_friction", "gravity_torque", "moment_y", "moment_z", "table_x", "table_y"),
+    *("position_gain_per_s", "velocity_feedforward", "position_delay_s", "speed_gain_nm_s_per_rad", "speed_integral_time_s"),
+    "torque_feedforward",
+)
+
+
+def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[tuple[Parameter, float, float]]:
+    """Parameter, relative half interval of the law alone, and that of one round's scatter: from one simulated round and from two."""
+    seen: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}
+    quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # without noise: instruments
+    halves: list[dict[tuple[str, str], Parameter]] = []
+    for rounds in (1, 2):
+        for i, run in enumerate(runs):
+            there = machine.with_feedforward(run.feedforward)
+            for runs_seen, noise_seed in ((seen, 100 * rounds + i), (quiet, None)):
+                trace = simulate(there, run.setpoints, noise_seed=noise_seed).trace
+                measured = MeasuredRun(f"{run.name}_{rounds}", trace, run.feedforward, 0.0)
+                for axis in machine.axes:
+                    runs_seen[axis.name].append(axis_run(machine, axis, measured))
+            if progress:
+                progress(f"simulating {run.name}")
+        direct = direct_route(machine, seen, quiet)
+        table = parameters_of(machine, direct, Direct(), split_products(machine, direct))
+        halves.append({(p.axis, p.name): p for p in table})
     out = []
-    wanted = (
-        "inertia",
-        "coulomb_friction",
-        "viscous_friction",
-        "gravity_torque",
-        "moment_y",
-        "moment_z",
-        "table_x",
-        "table_y",
-        "position_delay_s",
-    )
-    for p in parameters:
-        if p.name in (*wanted, "velocity_feedforward", "torque_feedforward", "position_gain_per_s") and p.before:
-            out.append(Predicted(p.axis, p.name, p.before, p.unit, p.estimate.half / abs(p.before)))
+    for key, p in halves[0].items():
+        if p.name in PREDICTED and p.before and key in halves[1]:
+            one, two = (h[key].estimate.half / abs(p.before) for h in halves)
+            scatter = 2.0 * max(one**2 - two**2, 0.0)
+            out.append((p, math.sqrt(max(one**2 - scatter, 0.0)), math.sqrt(min(scatter, one**2))))
     return out
 
 
 def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
-    """Part programs (Siemens), set points (Parquet), a campaign.toml to fill with recordings, and plan.json."""
+    """Part programs (Siemens), set points (Parquet), recordings/campaign.toml that waits for the recordings, and plan.json."""
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for run in plan.runs:
         signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}
         trace = Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds)
         write_trace(trace, out / f"{run.name}.parquet")
+        files.append(out / f"{run.name}.parquet")
         (out / f"{run.name}.mpf").write_text(siemens_program(run, machine), encoding="utf-8")
-        files += [out / f"{run.name}.mpf", out / f"{run.name}.parquet"]
+        files.append(out / f"{run.name}.mpf")
+    # a folder that `twin identify` reads as soon as the recordings lie in it
+    lines = [f'machine = "{machine.path.stem if machine.path else machine.name}"']
+    lines += [f'\n[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "{run.feedforward}"' for run in plan.runs]
+    (out / "recordings").mkdir(exist_ok=True)
+    (out / "recordings" / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    files.append(out / "recordings" / "campaign.toml")
     document = {
         "machine": machine.name,
         "runs": [{"name": r.name, "feedforward": r.feedforward, "duration_s": r.duration, "repeats": r.repeats} for r in plan.runs],
-        "predicted": [{"axis": p.axis, "name": p.name, "value": p.value, "unit": p.unit, "half_interval": p.half} for p in plan.predicted],
+        "predicted": [
+            {"axis": p.axis, "name": p.name, "value": p.value, "unit": p.unit, "half_interval": p.half, "of_the_law": p.law}
+            for p in plan.predicted
+        ],
     }
     (out / "plan.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     return [*files, out / "plan.json"]
 
 
 def siemens_program(run: PlannedRun, machine: Machine) -> str:
-    """The moves as a part program for a Sinumerik: exact stops, feed of one axis in mm/min or deg/min, dwells between."""
+    """The moves as a part program for a Sinumerik: exact stops, feed of the linear axes in mm/min, else deg/min, dwells between."""
     words = {"off": "FFWOF", "velocity": "FFWON", "velocity+torque": "FFWON"}
     lines = [
         f"; {run.name}: feedforward '{run.feedforward}' - set the axes' feedforward mode (MD32620) to it before the run",
@@ -245,10 +281,9 @@ def siemens_program(run: PlannedRun, machine: Machine) -> str:
     lines.append("G0 " + " ".join(_word(machine.axis(name), value) for name, value in start.items()))
     lines += ["R1=0", "AGAIN:", f"G4 F{DWELL_S:g}"]
     for targets, speed in run.blocks:
-        for name, target in targets.items():
-            axis = machine.axis(name)
-            feed = speed * AXIS_UNITS[axis.kind].position[1] * 60.0
-            lines += [f"G1 {_word(axis, target)} F{feed:.1f}", f"G4 F{DWELL_S:g}"]
+        first = machine.axis(next(iter(targets)))
+        words_of = " ".join(_word(machine.axis(name), target) for name, target in targets.items())
+        lines += [f"G1 {words_of} F{speed * AXIS_UNITS[first.kind].position[1] * 60.0:.1f}", f"G4 F{DWELL_S:g}"]
     lines += [
         "G0 " + " ".join(_word(machine.axis(name), value) for name, value in start.items()),
         "R1=R1+1",

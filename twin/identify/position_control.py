@@ -51,9 +51,10 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun]) -> PositionControl
         rows, y, clusters = [], [], []
         for k, run in enumerate(runs):
             j, e = _linearised(run, axis, x, on[k])
-            rows.append(j)
-            y.append(e)
-            clusters.append(run.strokes + 100_000 * k)
+            use = ~run.limited
+            rows.append(j[use])
+            y.append(e[use])
+            clusters.append((run.strokes + 100_000 * k)[use])
         fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
         x = x + fit.values
         if np.all(np.abs(fit.values) < 1e-9):

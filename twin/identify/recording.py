@@ -37,9 +37,15 @@ class Recording:
     late: list[Late]
 
     def divided(self) -> tuple[list[MeasuredRun], list[MeasuredRun]]:
-        """Runs to learn from, and the last ones to check on."""
+        """Runs to learn from, and the last ones to check on; the only run with a feedforward setting is never left out."""
         count = max(int(LEFT_OUT_SHARE * len(self.runs)), 1) if len(self.runs) >= 3 else 0
-        return self.runs[: len(self.runs) - count], self.runs[len(self.runs) - count :]
+        training = list(self.runs)
+        aside: list[MeasuredRun] = []
+        for run in reversed(self.runs):
+            if len(aside) < count and sum(r.feedforward == run.feedforward for r in training) > 1:
+                training = [r for r in training if r is not run]
+                aside.insert(0, run)
+        return training, aside
 
     def part(self, runs: Sequence[MeasuredRun]) -> Runs:
         """The axis runs of some of the runs."""

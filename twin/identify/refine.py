@@ -1,16 +1,19 @@
 """The second route: Gauss-Newton on the closed-loop gap, every evaluation a simulation of the training runs in MuJoCo.
 
-    min sum over axis, signal, sample of ((measured - simulated) / d)^2,     d: noise of the sensor, and a floor
+    min sum over axis, signal, cycle of (F(measured - simulated) / d)^2,     d: noise of the sensor through F, or what the start leaves
+
+Signals are position, motor angle and mean current where the axis slides; F is the window of the regressions. Above it a drive train's
+mode and the saw-tooth between samples answer to what no knob here turns, and at a reversal friction does.
 
 X, Y, Z and the pair A, C do not feel each other, so one simulation perturbs one parameter of every axis at once: a dozen simulations a
 step, whatever the number of axes. The simulations are free of noise: with noise in their loop the differences would answer the noise,
-too, and bias what they estimate. Samples follow each other in strokes, so the intervals come from clusters of CLUSTER_S, as in the
-regression. It starts at the regression's machine, and the regression's own doubts weigh against what it finds.
+too, and bias what they estimate. The intervals come from clusters of CLUSTER_S, as in the regression. It starts at the regression's machine, and the regression's
+own doubts weigh against what it finds. Both come from the same data: their informations are averaged, not added.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
@@ -20,22 +23,23 @@ import numpy as np
 
 from twin.campaign import MeasuredRun
 from twin.errors import SimulationError
-from twin.gap import COMPARED, is_moving, sensor_noise
+from twin.gap import is_moving
+from twin.identify.axis_run import AxisRun, _window, axis_run
+from twin.identify.between_samples import fast_loop_of
+from twin.identify.direct import Runs
+from twin.identify.drive_balance import EVERY, MeanCurrent, mean_of
 from twin.identify.least_squares import RELATED
-from twin.machine import Machine
+from twin.machine import Axis, Machine
+from twin.plant import home_inertia_at_motor
 from twin.run import simulate
 from twin.setpoints import setpoints_of
-from twin.trace import Trace
-
-EVERY = 4
-"""Each so many samples count: the signals' noise is white, their misfit is not."""
 
 CLUSTER_S = 0.5
 STEPS = 2
 """Gauss-Newton steps; a start from the regression lies within the linear range."""
 
-FLOOR = {"position": 2e-8, "motor_position": 2e-8, "velocity": 1e-6, "current": 5e-3}
-"""Deviation that no law undercuts, added to the sensors' noise [m or rad at 180 and 120 : 1 less, SI]."""
+FLOOR = {"linear": (2e-8, 2e-8, 2e-3), "rotary": (1.2e-7, 1.2e-7, 2e-3)}
+"""Deviation of scale, motor position [m or rad] and current [A] that no law undercuts, added to the sensors' noise."""
 
 # field of the axis, its motor or loops, and the step of the difference quotient: relative, delays in seconds
 FIELDS = {
@@ -46,9 +50,8 @@ FIELDS = {
     "velocity_feedforward": 0.002,
     "position_delay_s": 2e-5,
     "torque_feedforward": 0.01,
-    "speed_gain_nm_s_per_rad": 0.02,
-    "speed_integral_time_s": 0.02,
 }
+# gain and integral time of the speed loop stay the regression's: in closed loop a drive train's spring passes for them
 
 
 @dataclass(frozen=True)
@@ -81,12 +84,12 @@ def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
         slots.append([Knob(a.name, field, step, (a.name,)) for a in moving])
     names = [a.name for a in moving]
     weights = [Knob(a.name, "moving_mass_kg", 0.01, (a.name,)) for a in moving if a.moving_mass_kg is not None and _weighs(machine, a.name)]
-    pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "workpiece"}
+    pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "table", "workpiece"}
     first = weights + ([Knob("A", "body.cradle", 0.01, ("A",))] if pair else [])
     if first:
         slots.append(first)
     if pair:
-        slots.append([Knob("A", "body.workpiece", 0.01, ("A", "C"))])
+        slots += [[Knob("A", f"body.{b}", 0.01, ("A", "C"))] for b in ("table", "workpiece")]
     return slots
 
 
@@ -118,9 +121,14 @@ def turned(machine: Machine, knob: Knob, amount: float) -> Machine:
 
 
 def refined_machine(
-    machine: Machine, runs: Sequence[MeasuredRun], prior: dict[tuple[str, str], float], say: Callable[[str], None] | None = None
+    machine: Machine,
+    runs: Sequence[MeasuredRun],
+    measured: Runs,
+    mean_current: Mapping[str, MeanCurrent],
+    prior: dict[tuple[str, str], float],
+    say: Callable[[str], None] | None = None,
 ) -> Refined:
-    """Refine from `machine` on the training runs.
+    """Refine from `machine` on the training runs; `measured` are these on the position cycles, `mean_current` as the regression left it.
 
     `prior`: the regression's standard deviation of each knob by (axis, field), relative (delays in seconds); what it does not know is free.
     """
@@ -129,16 +137,22 @@ def refined_machine(
     groups = [[n] for n in names if n not in ("A", "C")] + [[n for n in names if n in ("A", "C")]]
     groups = [g for g in groups if g and any(k.felt_by[0] in g for slot in slots for k in slot)]
     now, misfits, deviations = machine, [], {}
+    seen = {n: [_seen(r, mean_current.get(n)) if r is not None else None for r in measured[n]] for n in names if n in measured}
     so_far: dict[Knob, float] = {}
+    weights: dict[str, np.ndarray] = {}
     for step in range(STEPS + 1):
         last = step == STEPS
         variants = [now] if last else [now, *(_turn_all(now, slot) for slot in slots)]
-        residuals = _residuals(variants, runs)
+        residuals = _residuals(variants, runs, seen)
         if residuals[0] is None:
             raise SimulationError(
                 "refinement: the identified machine diverges on its own set points; give --no-refine and look at the report"
             )
+        if step == 0:
+            weights = {n: _weights(pieces) for n, pieces in residuals[0].items()}
+        residuals = [{n: [(weights[n] * p).ravel() for p in q] for n, q in r.items()} if r is not None else None for r in residuals]
         base = residuals[0]
+        assert base is not None
         misfits.append(float(np.sqrt(np.mean(np.concatenate([v for axis in base.values() for v in axis]) ** 2))))
         if last:
             break
@@ -178,12 +192,36 @@ def _turn_all(machine: Machine, slot: Sequence[Knob]) -> Machine:
     return machine
 
 
-def _residuals(machines: Sequence[Machine], runs: Sequence[MeasuredRun]) -> list[dict[str, list[np.ndarray]] | None]:
-    """Per machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None where it diverges."""
-    tasks = [(m, r) for m in machines for r in runs]
+@dataclass(frozen=True)
+class Seen:
+    """One axis of one run as it is compared: rows (cycle,), cluster and filtered scale, motor position [axis units], current [A] (k, cycle)."""
 
-    def one(task: tuple[Machine, MeasuredRun]) -> dict[str, list[np.ndarray]] | None:
-        machine, run = task
+    rows: np.ndarray
+    signals: np.ndarray
+    present: tuple[bool, bool, bool]
+
+
+def _seen(run: AxisRun, current: MeanCurrent | None) -> Seen:
+    return Seen(np.flatnonzero(run.sliding)[::EVERY], *_filtered(run, current.of(run) if current is not None else None))
+
+
+def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tuple[bool, bool, bool]]:
+    signals = (run.position, run.angle[:-1], current)
+    # from the start of the run: a filter has no trouble with a constant, the ends of a run do
+    filled = [run.filtered(s - s[0]) + s[0] if s is not None else np.zeros(len(run.speed)) for s in signals]
+    return np.array(filled), tuple(s is not None for s in signals)  # type: ignore[return-value]
+
+
+def _residuals(
+    machines: Sequence[Machine], runs: Sequence[MeasuredRun], seen: Mapping[str, Sequence[Seen | None]]
+) -> list[dict[str, list[np.ndarray]] | None]:
+    """Per machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None where it diverges."""
+    inertias = [home_inertia_at_motor(m) for m in machines]
+    tasks = [(m, i, k) for m, i in zip(machines, inertias) for k in range(len(runs))]
+
+    def one(task: tuple[Machine, np.ndarray, int]) -> dict[str, list[np.ndarray]] | None:
+        machine, inertia, k = task
+        run = runs[k]
         try:
             trace = simulate(
                 machine.with_feedforward(run.feedforward), setpoints_of(run.trace, machine), sample_period=run.trace.period,
@@ -191,7 +229,13 @@ def _residuals(machines: Sequence[Machine], runs: Sequence[MeasuredRun]) -> list
             ).trace  # fmt: skip
         except SimulationError:
             return None
-        return _pieces(machines[0], run, trace)
+        twin = replace(run, trace=trace)
+        out = {}
+        for axis, j in zip(machine.axes, inertia):
+            there = seen[axis.name][k] if axis.name in seen else None
+            if there is not None and len(there.rows) > 10:
+                out[axis.name] = _pieces(machines[0], machine, axis, twin, float(j), there)
+        return out
 
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         done = list(pool.map(one, tasks))
@@ -203,33 +247,36 @@ def _residuals(machines: Sequence[Machine], runs: Sequence[MeasuredRun]) -> list
             continue
         joined: dict[str, list[np.ndarray]] = {}
         for part in parts:
-            for axis, pieces in (part or {}).items():
-                joined.setdefault(axis, []).extend(pieces)
+            for axis_name, pieces in (part or {}).items():
+                joined.setdefault(axis_name, []).extend(pieces)
         out.append(joined)
     return out
 
 
-def _pieces(reference: Machine, run: MeasuredRun, trace: Trace) -> dict[str, list[np.ndarray]]:
-    """Weighted residuals of one run where each axis moves; weights from the reference machine, so that all variants share them."""
-    out: dict[str, list[np.ndarray]] = {}
-    n = min(len(trace.time), len(run.trace.time))
-    piece = max(1, round(CLUSTER_S / (EVERY * run.trace.period)))
-    for axis in reference.axes:
-        if axis.name not in run.trace.axes:
-            continue
-        use = np.flatnonzero(is_moving(run.trace, axis)[:n])[::EVERY]
-        if len(use) < piece:
-            continue
-        columns = []
-        for signal in COMPARED:
-            if run.trace.has(axis.name, signal):
-                scale = 1.0 if axis.kind == "linear" or signal == "current" else 6.0
-                d = math.hypot(sensor_noise(reference, axis, signal), FLOOR[signal] * scale)
-                columns.append((run.trace.get(axis.name, signal)[:n] - trace.get(axis.name, signal)[:n])[use] / d)
-        if columns:
-            stack = np.column_stack(columns)
-            out[axis.name] = [stack[i : i + piece].ravel() for i in range(0, len(use), piece)]
-    return out
+def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun, inertia: float, there: Seen) -> list[np.ndarray]:
+    """Weighted residuals of one axis in one run; weights from the reference machine, so that all variants share them."""
+    run = axis_run(machine, axis, twin)
+    assert run is not None
+    weight = axis.loops.torque_feedforward if twin.feedforward == "velocity+torque" else 0.0
+    signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, weight))
+    rows = there.rows[there.rows < signals.shape[1]]
+    noise = reference.noise(reference.axis(axis.name))
+    quiet = float(np.sqrt(np.sum(_window(run.cycle) ** 2)))  # what the filter leaves of white noise
+    scale = np.array([1.0, axis.ratio, 1.0])
+    d = np.hypot(quiet * np.array([noise.position, noise.position, noise.current]), FLOOR[axis.kind])
+    use = np.flatnonzero(there.present)
+    left = ((there.signals - signals) * scale[:, None] / d[:, None])[use][:, rows]
+    piece = max(1, round(CLUSTER_S / (EVERY * run.cycle)))
+    return [left[:, i : i + piece] for i in range(0, len(rows), piece)]
+
+
+def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
+    """Weight (signal, 1) that brings a signal which the regression's machine leaves above its noise down to what it leaves.
+
+    What no knob mends (a drive train's spring between motor and scale) must not steer the knobs.
+    """
+    left = np.sqrt(np.mean(np.concatenate(pieces, axis=1) ** 2, axis=1, keepdims=True))
+    return 1.0 / np.maximum(left, 1.0)
 
 
 def _gauss_newton(
@@ -257,7 +304,8 @@ def _gauss_newton(
     np.add.at(scores, group, x * (weight * left)[:, None])
     covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread / np.outer(length[seen], length[seen])
     information = np.linalg.pinv(covariance, hermitian=True)
-    known = np.where(np.isfinite(prior[seen]), prior[seen], np.inf) ** -2.0
+    known = 0.5 * np.where(np.isfinite(prior[seen]), prior[seen], np.inf) ** -2.0
+    information = 0.5 * information
     joined = np.linalg.inv(information + np.diag(known) + 1e-30 * np.eye(len(known)))
     change[seen] = joined @ (information @ (found / length[seen]) - known * so_far[seen])
     spread[seen] = np.sqrt(np.diag(joined))
