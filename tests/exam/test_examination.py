@@ -55,6 +55,7 @@ def test_same_seed_same_questions_and_another_seed_others() -> None:
     assert questions_of(5, 40) == questions_of(5, 40)
     assert [q.seed for q in questions_of(5, 40)] != [q.seed for q in questions_of(6, 40)]
     assert {q.stratum.runs for q in questions_of(5, 40, short=True)} == {"short", "program"}
+    assert {q.stratum.kind for q in questions_of(5, 7, only="healthy")} == {"healthy"}
 
 
 def test_a_seal_holds(tmp_path: Path) -> None:
@@ -82,7 +83,8 @@ def answer(verdict: str, *effects: tuple[str, str], ambiguous: tuple = (), where
     return {
         "verdict": verdict,
         "effects": [
-            {"effect": n, "axis": a, "block": blocks.get(n, "mechanics"), "probability": 0.9, "parameters": parameters or {}} for n, a in effects
+            {"effect": n, "axis": a, "block": blocks.get(n, "mechanics"), "probability": 0.9, "parameters": parameters or {}}
+            for n, a in effects
         ],
         "ambiguous_with": [{"effect": n, "axis": a, "instead_of": i} for n, a, i in ambiguous],
         "where": [{"axis": a, "block": b} for a, b in where],
@@ -173,6 +175,7 @@ def test_wilson_interval_against_the_printed_one() -> None:
         (["--cases", "0"], "give 1 or more"),
         (["--seed", "-1"], "give 0 or more"),
         (["--workers", "0"], "give 1 or more"),
+        (["--only", "health"], "healthy"),
         (["--machine", "nowhere.toml"], "nowhere.toml"),
         (["--plan", "nowhere"], "no such folder"),
     ],

@@ -34,6 +34,9 @@ that are not in proportion to their size, which a start may underrate), at most 
 EVIDENCE_IN_SAMPLE = 60.0
 """The same where no run could be left out."""
 
+ALONE = 0.99
+"""Share of what is known of a parameter that one fold holds and from which the others cannot predict it."""
+
 LEAST_SHARE = 0.3
 """Share that an effect must close of what the ones before left above noise: where much is left that no effect closes, small gains
 are of a model that is not right, and stand for nothing."""
@@ -41,8 +44,8 @@ are of a model that is not right, and stand for nothing."""
 NEAR_NOISE = 0.02
 """Excess over noise up to which a residual counts as noise, and evidence alone decides."""
 
-IMPERFECT = 4e-3
-"""Share of what noise makes that imperfections without a law (cogging, a little Stribeck) may imitate."""
+IMPERFECT = 2e-3
+"""Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate."""
 
 STANDS_OUT = 1.3
 """Mean square over noise from which a single channel counts as not explained."""
@@ -65,6 +68,9 @@ SMALLEST, LARGEST = 0.12, 4.0
 
 BEYOND_TOLERANCE = {"torque_constant": 2.0, "inertia": 2.0, "coulomb_friction": 3.0, "viscous_friction": 4.0}
 """Multiples of the tolerance from which a deviation is an effect: friction is what slip, lubrication and load change first."""
+
+IMITATED = 5.0
+"""Multiple of the tolerance up to which inertia is not believed on an axis whose drive train gives a little."""
 
 
 @dataclass
@@ -121,7 +127,11 @@ def search(
         best = next((c for c in candidates if c.plausible), None)
         if best is None or best.evidence < evidence_needed(found, folds) or not _closes_enough(found, best.fit):
             break
+        before = found.fit
         _accept(found, best.fit, machine, mapper)
+        if not before.settings and found.retuned.loss - found.fit.loss < evidence_needed(found, folds):
+            found.fit = found.retuned  # what is normal, seen better beside the effect, explains it as well
+            break
     _try_removals(found, machine, folds)
     return found
 
@@ -140,10 +150,9 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
 
 
 def evidence_needed(found: Found, folds: Sequence[Sequence[int]]) -> float:
-    """Evidence that an effect must bring; more on a machine that shows normal imperfections: it has others that have no law here."""
+    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate."""
     least = EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE
-    imperfect = any(n.quantity in NORMAL for n in found.tuning.nuisances)
-    return least + (IMPERFECT * expected_loss(found.group) if imperfect else 0.0)
+    return least + IMPERFECT * expected_loss(found.group)
 
 
 def _closes_enough(found: Found, fit: Fit) -> bool:
@@ -210,7 +219,8 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
         drop = min(found.fit.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
         gain = min(base - held_out_loss(found, fit, folds), drop - PRICE * (len(fit.free) - len(found.fit.free)))
         evidence = gain / min(found.inflation, _inflation(group, tuning, fit))
-        candidates.append(Candidate(fit, evidence, is_plausible(fit.settings[-1], machine)))
+        last = fit.settings[-1]
+        candidates.append(Candidate(fit, evidence, is_plausible(last, machine) and not _is_imitated(found, last, machine)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
 
 
@@ -292,7 +302,7 @@ def loss_within(found: Found, fit: Fit, tolerance: float) -> float:
     residual = found.group.residual - fit.response
     theta = bounded(found.tuning, residual, fit.tuning, tolerance, weight=1.0)
     left = residual - found.tuning.jacobian @ theta
-    return 0.5 * float(left @ left)
+    return 0.5 * float(found.group.credit @ left**2)
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
@@ -308,14 +318,28 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     r = group.residual - fit.response - tuning.jacobian @ fit.tuning
     loss = 0.0
     for fold in folds:
-        rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
+        rows = _rows_of(group, fold)
         if not rows.size:
             continue
         xf, rf = x[rows], r[rows]
+        information = xf.T @ xf
         if len(folds) > 1:
-            rf = rf + xf @ np.linalg.lstsq(normal - xf.T @ xf, xf.T @ rf, rcond=None)[0]
-        loss += 0.5 * float(np.minimum(rf**2, _OUTLIER * np.maximum(1.0, rf**2) ** 0.5).sum())
+            if _knows_alone(information, normal, fit):
+                loss += EVIDENCE_IN_SAMPLE - EVIDENCE
+            else:
+                rf = rf + xf @ np.linalg.lstsq(normal - information, xf.T @ rf, rcond=None)[0]
+        loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, _OUTLIER * np.maximum(1.0, rf**2) ** 0.5))
     return loss
+
+
+def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
+    return np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
+
+
+def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit) -> bool:
+    """Do no other runs tell a parameter of the effects? Then leaving these out would leave it to chance."""
+    p = fit.columns.shape[1]
+    return bool(np.any(np.diag(information)[:p] > ALONE * np.diag(normal)[:p]))
 
 
 _OUTLIER = 5.0
@@ -328,8 +352,11 @@ def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray
     x = beside(fit.columns, tuning.jacobian)
     prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
     r = group.residual - fit.response - tuning.jacobian @ fit.tuning
-    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
-    shift = -np.linalg.lstsq(x.T @ x + prior - x[rows].T @ x[rows], x[rows].T @ r[rows], rcond=None)[0]
+    rows = _rows_of(group, fold)
+    normal, information = x.T @ x + prior, x[rows].T @ x[rows]
+    if _knows_alone(information, normal, fit):
+        return np.zeros(fit.columns.shape[1]), np.zeros(tuning.jacobian.shape[1])
+    shift = -np.linalg.lstsq(normal - information, x[rows].T @ r[rows], rcond=None)[0]
     return shift[: fit.columns.shape[1]], shift[fit.columns.shape[1] :]
 
 
@@ -361,6 +388,15 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
         total_share = abs(value) / max(high / 0.35, 1e-12)
         return total_share > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
     return SMALLEST * low < abs(value) < LARGEST * high
+
+
+def _is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
+    """A little inertia on an axis whose drive train gives: mass on the load side and a softer spring look alike."""
+    gives = any(n.owner == setting.axis and NORMAL.get(n.quantity) == "transmission_compliance" for n in found.tuning.nuisances)
+    if setting.effect.name != "inertia" or not gives:
+        return False
+    _, high = size_parameter(setting.effect).usual_range(machine, machine.axis(setting.axis))
+    return abs(setting.parameters["added"]) < IMITATED * machine.parameter_tolerance * high / 0.35
 
 
 def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]]) -> None:

@@ -8,10 +8,7 @@ from pathlib import Path
 import tomllib
 
 import twin
-from twin.errors import InputError
-from twin.machine import default_machine_path, load_machine
-from twin.progress import Progress
-from twin.summary import table
+from twin.errors import InputError, nearest
 
 
 def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +23,11 @@ def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
         "--richness", choices=("off", "small", "full"), default="small", help="physics that no effect describes, always on (default small)"
     )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
+    parser.add_argument(
+        "--only",
+        metavar="KIND",
+        help="nothing but one kind of case, e.g. healthy, 'a fifth', outside",
+    )
     parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten: a look in minutes")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
@@ -39,8 +41,11 @@ def exam_command(args: argparse.Namespace) -> int:
         from .foresee import foresee_command
 
         return foresee_command(args)
+    from twin.machine import default_machine_path, load_machine
+    from twin.progress import Progress
+
     from .mark import mark
-    from .questions import questions_of
+    from .questions import STRATA, questions_of
     from .report import write_exam_report
     from .score import score
     from .sitting import TRUTHS, draw, each, is_answered, processes, seal, sit, truths_text, unseal
@@ -51,6 +56,8 @@ def exam_command(args: argparse.Namespace) -> int:
         raise InputError(f"--seed {args.seed}: give 0 or more")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: give 1 or more")
+    if args.only not in (None, *(s.name for s in STRATA)):
+        raise InputError(f"--only {args.only}: no such kind of case; {nearest(args.only, [s.name for s in STRATA])}")
     machine_file = str(Path(args.machine).resolve() if args.machine else default_machine_path())
     machine = load_machine(machine_file)
     if machine.axis_names != ("X", "Y", "Z", "A", "C"):
@@ -59,7 +66,7 @@ def exam_command(args: argparse.Namespace) -> int:
         )
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    questions = questions_of(args.seed, args.cases, args.short)
+    questions = questions_of(args.seed, args.cases, args.short, args.only)
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
         with Progress("drawing cases", total=len(questions)) as bar:
@@ -84,6 +91,7 @@ def exam_command(args: argparse.Namespace) -> int:
         "richness": args.richness,
         "quick": args.quick,
         "short": args.short,
+        "only": args.only,
         "machine": tomllib.loads(Path(machine_file).read_text(encoding="utf-8")).get("name", Path(machine_file).stem),
         "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
         "not_drawn": impossible,
@@ -101,6 +109,8 @@ def exam_command(args: argparse.Namespace) -> int:
 
 def summary(document: dict) -> str:  # type: ignore[type-arg]
     """The score as a table for the terminal."""
+    from twin.summary import table
+
     s = document["score"]
     rows = []
     for t in s["targets"]:

@@ -11,6 +11,7 @@ outside           one effect that the library does not have
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,21 +61,22 @@ class Question:
         return f"{self.number:04d}"
 
 
-def questions_of(seed: int, cases: int, short: bool = False) -> list[Question]:
+def questions_of(seed: int, cases: int, short: bool = False, only: str | None = None) -> list[Question]:
     """`cases` questions: strata by their shares, effects of a stratum in a shuffled round, order shuffled.
 
-    short: campaigns of four runs instead of ten."""
+    short: campaigns of four runs instead of ten. only: nothing but this stratum."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 50]))
-    chosen = [(stratum, effect) for stratum, count in zip(STRATA, _counts(cases)) for effect in _effects(stratum, count, rng)]
+    asked = [s for s in STRATA if only in (None, s.name)]
+    chosen = [(stratum, effect) for stratum, count in zip(asked, _counts(asked, cases)) for effect in _effects(stratum, count, rng)]
     order = rng.permutation(len(chosen))
     seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
     strata = {s: replace(s, runs="short") if short and s.runs == "all" else s for s in STRATA}
     return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1]) for i, k in enumerate(order)]
 
 
-def _counts(cases: int) -> list[int]:
+def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:
     """Cases of each stratum: largest remainders."""
-    exact = np.array([s.share for s in STRATA]) / sum(s.share for s in STRATA) * cases
+    exact = np.array([s.share for s in strata]) / sum(s.share for s in strata) * cases
     counts = np.floor(exact).astype(int)
     for k in np.argsort(counts - exact)[: cases - counts.sum()]:
         counts[k] += 1
