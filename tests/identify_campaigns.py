@@ -18,7 +18,9 @@ from twin.trace import Trace
 PERIOD = 1e-3
 
 
-def path(targets: Sequence[float], speeds: Sequence[float], acceleration: float = 2.0, jerk: float = 5.0, dwell: float = 0.12) -> np.ndarray:
+def path(
+    targets: Sequence[float], speeds: Sequence[float], acceleration: float = 2.0, jerk: float = 5.0, dwell: float = 0.12
+) -> np.ndarray:
     """Rest-to-rest moves from 0 with dwells (sample,) [m]."""
     at, parts = 0.0, [np.zeros(round(dwell / PERIOD))]
     for target, speed in zip(targets, speeds):
