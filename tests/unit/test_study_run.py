@@ -13,9 +13,11 @@ import pytest
 from study_files import FACTOR, GRID, rows_of, write_move, write_spec
 from test_bad_input import refused
 
+from tests.other_structures import write_slides
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine import load_machine
+from twin.moves import moves_in_turn
 from twin.run import simulate
 from twin.setpoints import setpoints_of
 from twin.study import surrogate_from
@@ -28,7 +30,7 @@ from twin.study.store import FILE, Store
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
 from twin.surface.part import read_part
-from twin.trace import read_trace
+from twin.trace import Trace, read_trace, write_trace
 
 
 def listed(rows: str) -> str:
@@ -91,6 +93,41 @@ def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Pa
     study = read_study(spec)
     answers = answers_of(study, found)
     assert (answers.failed, answers.broken, answers.best, answers.pareto) == (2, 2, 0, [0])
+
+
+def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
+    """P/P on a voltage, P/PI on a current, P/P on a torque: each answers with what it is commanded, in its unit."""
+    write_slides(tmp_path)
+    machine = load_machine(tmp_path / "slides.toml")
+    moves = {
+        "X": moves_in_turn(0.0, [0.01], 0.1, 2.0, 50.0, 0.06, 1e-3),
+        "Z": moves_in_turn(0.0, [0.01], 0.1, 2.0, 50.0, 0.06, 1e-3),
+        "B": moves_in_turn(0.0, [0.1], 0.6, 4.0, 80.0, 0.06, 1e-3),
+    }
+    time = max((t for t, _ in moves.values()), key=len)
+    signals = {(a, "setpoint"): np.pad(p, (0, len(time) - len(p)), mode="edge") for a, (_, p) in moves.items()}
+    write_trace(Trace(time, signals, machine.kinds), tmp_path / "move.csv")
+    factors = (("mass", "axis.X.moving_mass_kg"), ("peak", "axis.X.actuator.peak_voltage_v"), ("load", "axis.Z.moving_mass_kg"))
+    text = "".join(f'[[factor]]\nname = "{name}"\npath = "{path}"\n' for name, path in factors)
+    text += '[design]\nkind = "list"\nrows = [[95, 10, 20], [95, 0.5, 20], [110, 10, 22]]\n'
+    for told in (True, False):
+        spec = write_spec(tmp_path, f'machine = "slides.toml"\nrecommission = {str(told).lower()}\n{text}')
+        nominal, limited, heavier = rows_of(spec, tmp_path / f"out_{told}")
+        found = nominal[2]
+        assert {"voltage_max_X_v", "current_rms_Z_a", "torque_limit_used_B", "voltage_limit_used_X"} <= found.keys()
+        assert not any(name.startswith("copper_loss") or name == "current_max_X_a" for name in found)
+        run = simulate(machine, setpoints_of(read_trace(tmp_path / "move.csv", axes=machine.kinds), machine))
+        for axis, signal, name in (
+            ("X", "voltage", "voltage_max_X_v"),
+            ("Z", "current", "current_max_Z_a"),
+            ("B", "torque", "torque_max_B_nm"),
+        ):
+            assert found[name] == pytest.approx(np.abs(run.trace.get(axis, signal)).max())
+        assert found["voltage_limit_used_X"] == pytest.approx(found["voltage_max_X_v"] / 10.0)
+        assert nominal[3] is None
+        assert "axis X is at its voltage limit" in (limited[3] or "")
+        assert heavier[2]["current_max_Z_a"] > found["current_max_Z_a"]
+        assert heavier[3] is None
 
 
 def test_a_fault_of_the_twin_is_a_row_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

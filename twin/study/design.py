@@ -11,6 +11,7 @@ from scipy.stats import qmc
 
 from twin.errors import InputError
 from twin.machine import Machine
+from twin.machine_keys import DIRECT, EFFORTS
 from twin.plant import home_inertia_at_motor
 from twin.study.paths import number_at, with_numbers
 from twin.study.spec import INERTIA, Factor, Study
@@ -109,12 +110,11 @@ def commissioned(machine: Machine, known: Machine) -> Machine:
     """The machine with a control that was told the torque constants and inertias of the machine `known`."""
     if known is not machine and all(axis.commissioned_inertia is not None for axis in machine.axes):
         return machine
-    inertia = home_inertia_at_motor(known)
-    told = {
-        f"axis.{axis.name}.commissioned": {
-            "torque_constant_nm_per_a": axis.motor.torque_constant_nm_per_a,
-            "inertia_kg_m2": float(j),
-        }
-        for axis, j in zip(known.axes, inertia)
-    }
+    told: dict[str, Any] = {}
+    for axis, inertia in zip(known.axes, home_inertia_at_motor(known).tolist()):
+        numbers = {"inertia_kg_m2": inertia}
+        if constant := EFFORTS[axis.effort].constant:
+            numbers[constant] = axis.motor.torque_constant_nm_per_a
+        direct = known.document["axis"][axis.name].get("drive") == "direct"
+        told[f"axis.{axis.name}.commissioned"] = {DIRECT.get(k, k): v for k, v in numbers.items()} if direct else numbers
     return machine.with_values(told)

@@ -122,8 +122,10 @@ def _answer(machine: Machine, work: Work) -> Answer:
         _contour(machine, run.trace, source.commanded, found.__setitem__)
         if work.part:
             found["mark_depth_um"] = _mark_depth(machine, run.trace, work.part, programmed)
-        for what, times in (("current", run.current_limited_s), ("voltage", run.voltage_limited_s)):
-            broken += [f"run {source.name}: axis {a} is at its {what} limit for {t * 1e3:.1f} ms" for a, t in times.items() if t > 0.0]
+        for axis in machine.axes:
+            for what, times in ((axis.effort, run.current_limited_s), ("voltage", run.voltage_limited_s)):
+                if (seconds := times[axis.name]) > 0.0:
+                    broken.append(f"run {source.name}: axis {axis.name} is at its {what} limit for {seconds * 1e3:.1f} ms")
     if len(by_run) == 1:
         (responses,) = by_run.values()
     else:
@@ -154,7 +156,7 @@ def _axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) 
     time = run.trace.time
     delayed = {d: setpoints.at(time - d) for d in {axis.loops.position_delay_s for axis in machine.axes}}
     for a, axis in enumerate(machine.axes):
-        setpoint, position, current = (run.trace.get(axis.name, s) for s in ("setpoint", "position", axis.effort))
+        setpoint, position, effort = (run.trace.get(axis.name, s) for s in ("setpoint", "position", axis.effort))
         if np.ptp(setpoint) < 1e-9:
             continue  # an axis that stands
         unit, factor = AXIS_UNITS[axis.kind].error
@@ -162,14 +164,14 @@ def _axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) 
         for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.position_delay_s][:, a] - position)):
             add(f"{name}_max_{axis.name}_{unit}", float(np.abs(e).max()) * factor)
             add(f"{name}_rms_{axis.name}_{unit}", math.sqrt(e @ e / len(e)) * factor)
-        current_max, current_square = float(np.abs(current).max()), float(current @ current) / len(current)
-        unit = axis.effort_unit.lower()
-        add(f"{axis.effort}_max_{axis.name}_{unit}", current_max)
-        add(f"{axis.effort}_rms_{axis.name}_{unit}", math.sqrt(current_square))
-        add(f"{axis.effort}_limit_used_{axis.name}", current_max / axis.motor.peak_current_a)
+        largest, square = float(np.abs(effort).max()), float(effort @ effort) / len(effort)
+        per = axis.effort_unit.lower()
+        add(f"{axis.effort}_max_{axis.name}_{per}", largest)
+        add(f"{axis.effort}_rms_{axis.name}_{per}", math.sqrt(square))
+        add(f"{axis.effort}_limit_used_{axis.name}", largest / axis.motor.peak_current_a)
         add(f"speed_limit_used_{axis.name}", float(np.abs(run.trace.get(axis.name, "velocity")).max()) / axis.max_velocity)
         if axis.has_current_loop:
-            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * current_square)
+            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * square)
         # settled: the last sample outside lies before the end of the record
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
         outside = np.flatnonzero(np.abs(error[last:]) > SETTLED[axis.kind])
