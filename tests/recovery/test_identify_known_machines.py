@@ -64,7 +64,8 @@ FEW = ("constant_velocity", "acceleration_ff_off", "acceleration", "tilt_hold", 
 
 def test_a_machine_thirty_percent_off_with_a_richer_plant(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.exam.draw.programme", lambda machine, seed: [r for r in programme(machine, seed) if r.name in FEW])
-    judged, _, findings = study.drawn(5001, tmp_path, refine=False)
+    routes, _, findings = study.drawn(5001, tmp_path, refine=False)
+    judged = routes["regression"]
     assert not findings
     assert len(judged) == 55
     check(judged)
