@@ -201,7 +201,7 @@ def _actuator(table: Mapping[str, Any]) -> tuple[str, Motor]:
 
 def _speed_gain(loops: dict[str, float], effort: str, told: float, ratio: float, where: str) -> dict[str, float]:
     """The speed gain in Nm s/rad, whichever of its units the file has: per motor radian or per axis unit, torque or command."""
-    factors = {k: (1.0 if torque else told) * (ratio**2 if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
+    factors = {k: (1.0 if torque else told) * (ratio if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
     given = [k for k in factors if k in loops]
     if len(given) != 1:
         told_twice = (

@@ -129,6 +129,35 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert "speed_gain_v_s_per_m" in corrected.document["axis"]["X"]["loops"]
 
 
+def test_a_speed_gain_means_the_same_per_metre_and_per_radian(tmp_path: Path) -> None:
+    """Behind a screw a metre a second is 1 / r radians a second, once: the command is the same."""
+    text = machine_text("Z").replace("speed_gain_nm_s_per_rad = 0.05", "speed_gain_a_s_per_rad = 0.1")
+    per_radian = load_machine(write_slides(tmp_path, text))
+    ratio = per_radian.axis("Z").ratio
+    per_metre = load_machine(
+        write_slides(tmp_path, text.replace("speed_gain_a_s_per_rad = 0.1", f"speed_gain_a_s_per_m = {0.1 / ratio!r}"))
+    )
+    told = [m.axis("Z").loops.speed_gain_nm_s_per_rad for m in (per_radian, per_metre)]
+    assert told == pytest.approx([0.5 * 0.1] * 2)  # 0.5 Nm/A
+    doubled = per_metre.with_values({"axis.Z.loops.speed_gain_nm_s_per_rad": 0.1})
+    assert doubled.axis("Z").loops.speed_gain_nm_s_per_rad == pytest.approx(0.1)
+
+
+def test_identify_of_an_axis_on_a_voltage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A direct drive with one encoder and a command: what is planted comes back."""
+    planted = {"moving_mass_kg": 13.0, "coulomb_friction_n": 7.0, "viscous_friction_n_s_per_m": 36.0}
+    machine = load_machine(LAB / "axis.toml").with_values({f"axis.X.{k}": v for k, v in planted.items()})
+    folder = recorded(machine, [], tmp_path / "c")
+    out = tmp_path / "m.toml"
+    code, told, _ = command(
+        capsys, "identify", folder, "--machine", LAB / "axis.toml", "--out", out, "--torque-constant-within", 0.0, "--no-refine"
+    )
+    assert code == 0
+    found = load_machine(out).document["axis"]["X"]
+    for name, value in planted.items():
+        assert found[name] == pytest.approx(value, rel=2e-3), f"{name}\n{told}"
+
+
 # new
 
 

@@ -28,8 +28,9 @@ BAND_HZ = 20.0
 REACH_S = 0.06
 """Half length of the filter: what lies further away takes no part."""
 
-SLIDING_RAD_PER_S = 5.0
-"""Motor speed from which friction is on its line: 8 mm/s at a 10 mm screw, where Stribeck's excess has gone (it has at 4 mm/s)."""
+SLIDING_RAD_PER_S, SLIDING_M_PER_S = 5.0, 8e-3
+"""Motor speed from which friction is on its line: 8 mm/s at a 10 mm screw, where Stribeck's excess has gone (it has at 4 mm/s); the
+other one is a direct drive's."""
 
 STROKE_S = 0.5
 """A stroke longer than this counts as several clusters."""
@@ -54,11 +55,12 @@ class AxisRun:
     acceleration: np.ndarray  # [rad/s2]
     speed_setpoint: np.ndarray | None  # held in the cycle [rad/s]
     motor_speed: np.ndarray | None  # mean of the cycle's samples of the speed channel [rad/s]
-    current: np.ndarray | None  # mean of the cycle's samples [A]
+    current: np.ndarray | None  # mean of the cycle's samples [A]; of an axis without current loop its command [A, V or Nm]
     current_ripple: np.ndarray | None
     speed_ripple: np.ndarray | None
     torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
+    slides_above: float  # speed from which friction is on its line [rad/s]
     limited: np.ndarray  # current at its limit, or a channel clipped
     clipped: dict[str, float]  # signal -> seconds that its recording stays on its largest value while the axis goes on
 
@@ -89,7 +91,7 @@ class AxisRun:
         reach = len(_window(self.cycle)) // 2
         # the current between samples remembers a limit as long as it remembers a step
         remembered = np.convolve(self.limited, np.ones(SETTLED_CYCLES + 1))[: len(self.limited)] > 0.5
-        slow = (np.abs(self.speed) < SLIDING_RAD_PER_S) | remembered
+        slow = (np.abs(self.speed) < self.slides_above) | remembered
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         near[:reach] = near[-reach:] = True
         return ~near
@@ -101,13 +103,18 @@ def _window(cycle: float) -> np.ndarray:
     return firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
 
 
+def slides_above(axis: Axis) -> float:
+    """Speed at the motor from which friction is on its line [rad/s; m/s of a direct drive]."""
+    return SLIDING_M_PER_S if axis.kind == "linear" and axis.ratio == 1.0 else SLIDING_RAD_PER_S
+
+
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
     """The axis in this run, or None where it has no measured motion.
 
     `lateness` [s] by signal: how much later than the scale a channel was recorded; it is taken back.
     """
     trace = run.trace
-    has = {s: trace.has(axis.name, s) for s in ("position", "motor_position", "velocity", "velocity_setpoint", "current")}
+    has = {s: trace.has(axis.name, s) for s in ("position", "motor_position", "velocity", "velocity_setpoint", axis.effort)}
     if not (has["position"] or has["motor_position"]):
         return None
     cycle = machine.position_cycle
@@ -122,7 +129,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
 
     def signal(name: str) -> np.ndarray:
         values = trace.get(axis.name, name)
-        late = (lateness or {}).get(name, 0.0)
+        late = (lateness or {}).get("current" if name == axis.effort else name, 0.0)
         samples = late / trace.period
         if abs(samples - round(samples)) < 1e-6:  # whole samples: no interpolation, a staircase stays one
             return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
@@ -138,7 +145,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     angle = motor[at] / axis.ratio
     spline = CubicSpline(time[at], angle)
     window = slice(first, first + n * cycles)
-    samples = signal("current")[window] if has["current"] else None
+    samples = signal(axis.effort)[window] if has[axis.effort] else None
     current = samples.reshape(cycles, n).mean(axis=1) if samples is not None else None
     speed_setpoint = signal("velocity_setpoint")[at[:-1]] / axis.ratio if has["velocity_setpoint"] else None
     two = n >= 2
@@ -183,6 +190,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
         if has["motor_position"] and has["position"]
         else None,
+        slides_above=slides_above(axis),
         limited=limited,
         clipped={name: float(b.sum() * trace.period) for name, b in beyond.items() if b.any()},
     )

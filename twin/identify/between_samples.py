@@ -54,6 +54,7 @@ class FastLoop:
     damping: float
     tick: float
     cycle_ticks: int
+    held: bool = False  # a command without current loop: its samples are its mean
 
 
 def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
@@ -74,6 +75,7 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
         damping=DAMPING_RATIO,
         tick=machine.base_tick,
         cycle_ticks=round(machine.position_cycle / machine.base_tick),
+        held=not axis.has_current_loop,
     )
 
 
@@ -148,6 +150,8 @@ def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np.ndarray]:
     """(g, f): mean current of a cycle minus the mean of its samples, per unit step of speed and of torque set point."""
+    if loop.held:
+        return np.zeros(SETTLED_CYCLES), np.zeros(SETTLED_CYCLES)
     every = loop.cycle_ticks // samples_per_cycle
     kernels = []
     for current, _ in step_responses(loop):

@@ -23,7 +23,7 @@ from twin.identify.recording import prepared
 from twin.identify.result import Identification
 from twin.machine import Machine
 from twin.run import simulate
-from twin.setpoints import setpoints_of
+from twin.setpoints import recorded_setpoints
 
 
 def identify_campaign(
@@ -94,7 +94,7 @@ def _simulated(machine: Machine, runs: Sequence[MeasuredRun]) -> Runs | None:
     def one(run: MeasuredRun) -> MeasuredRun:
         trace = simulate(
             machine.with_feedforward(run.feedforward),
-            setpoints_of(run.trace, machine),
+            recorded_setpoints(run.trace, machine),
             sample_period=run.trace.period,
             started_at=run.started_at,
         ).trace

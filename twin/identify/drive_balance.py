@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import (
     RIGID_RAD_PER_S,
     FastFit,
@@ -64,7 +64,7 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray) -> Rows:
     """Rows of one run where the axis slides, filtered alike on both sides; a lone rotary axis has gravity by its angle, too."""
     f = run.filtered
-    sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * SLIDING_RAD_PER_S)
+    sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * run.slides_above)
     turning = [] if axis.kind == "linear" else [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))]
     columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
     return _kept(run, columns, f(mean_current * axis.motor.torque_constant_nm_per_a))

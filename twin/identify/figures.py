@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.colours import axis_colour, hexadecimal
-from twin.identify.axis_run import SLIDING_RAD_PER_S
+from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
 from twin.identify.drive_balance import Rows
 from twin.identify.least_squares import whiteness
@@ -52,7 +52,8 @@ def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 
         here = np.sign(speed) == sign
         if here.sum() < 5:
             continue
-        edges = np.geomspace(SLIDING_RAD_PER_S, max(np.abs(speed[here]).max() * 1.001, SLIDING_RAD_PER_S * 1.1), count + 1)
+        least = slides_above(machine.axis(axis))
+        edges = np.geomspace(least, max(np.abs(speed[here]).max() * 1.001, least * 1.1), count + 1)
         for low, high in itertools.pairwise(edges):
             inside = here & (np.abs(speed) >= low) & (np.abs(speed) < high)
             if inside.sum() >= 5:
@@ -71,7 +72,7 @@ def friction_figure(result: Identification) -> Any:
         colour = hexadecimal(axis_colour(axis.name))
         speed, torque, deviation = friction_points(result.before, balance, axis.name)
         coulomb, viscous = result.parameter(axis.name, "coulomb_friction"), result.parameter(axis.name, "viscous_friction")
-        top = max(float(np.abs(speed).max()) if len(speed) else 1.0, SLIDING_RAD_PER_S)
+        top = max(float(np.abs(speed).max()) if len(speed) else 0.0, slides_above(axis))
         unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", deg_from_rad(axis.ratio))
         for sign in (-1.0, 1.0):
             w = sign * np.linspace(0.0, 1.08 * top, 50)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.campaign import MeasuredRun
-from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.axis_run import AxisRun, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
 from twin.identify.least_squares import regress
@@ -48,10 +48,18 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
         if not recorded:
             out.append(Finding("", axis.name, "no run holds this axis; its values stay the machine file's. Record it"))
             continue
-        for signal, cost in SIGNALS.items():
+        for signal, cost in _signals_of(axis).items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
                 out.append(Finding("", axis.name, f"no {signal} in any run: cannot tell {cost}; record {axis.name}.{signal}"))
     return out
+
+
+def _signals_of(axis: Axis) -> dict[str, str]:
+    """The signals that an axis of this structure could have, and what each tells."""
+    if axis.has_current_loop:
+        return SIGNALS
+    motion = "motor_position" if axis.encoder == "motor" else "position"
+    return {motion: "anything", axis.effort: SIGNALS["current"]}
 
 
 def checked_flags(
@@ -198,7 +206,7 @@ SHARPER = 0.2
 def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
     """What the runs of one axis do not excite, and which run would."""
     name = axis.name
-    if not runs or max(np.ptp(r.angle) for r in runs) < 1.0:
+    if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * slides_above(axis):
         return [
             Finding(
                 "", name, "never moves: friction, inertia and delays cannot be told; run it there and back at three speeds ('twin plan')"
@@ -210,7 +218,7 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
             Finding(
                 "",
                 name,
-                f"never slides faster than {SLIDING_RAD_PER_S:g} rad/s at the motor: no friction law; add constant speeds ('twin plan')",
+                f"never slides faster than {slides_above(axis):g} {'m' if axis.ratio == 1.0 else 'rad'}/s at the motor: no friction law; add constant speeds ('twin plan')",
             )
         ]
     out = []

@@ -78,7 +78,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
     if key is None:
         return []
     balance, check = direct.balance[key], other.balance.get(key)
-    kt_log, kt_sd = splits[key].factors[f"axis.{axis.name}.motor.torque_constant_nm_per_a"] if key in splits else (0.0, 0.0)
+    kt_log, kt_sd = splits[key].factors.get(f"axis.{axis.name}.motor.torque_constant_nm_per_a", (0.0, 0.0)) if key in splits else (0.0, 0.0)
     out = []
     for inner, name, unit, factor, before in _rows_of(machine, axis, inertia, paired=key == "A C"):
         i = balance.names.index(inner)
@@ -94,7 +94,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
         out.append(
             Parameter(
                 axis.name, name, unit, before, _around(value, half), _around(split, math.hypot(half, 1.96 * kt_sd * abs(split))),
-                True, balance.fit.condition, bool(path) and split <= 0.0, path, aside,
+                True, balance.fit.condition, bool(path) and split <= 0.0, machine.in_file(path, 0.0)[0] if path else "", aside,
             )
         )  # fmt: skip
     return out
@@ -105,18 +105,19 @@ def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list
     r = axis.ratio
     # the pair's numbers are at the axes, those of an axis by itself at the motor
     suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
+    mass, force, damping = ("kg", "N", "N s/m") if axis.kind == "linear" and r == 1.0 else ("kg m2", "Nm", "Nm s/rad")
     out = [
-        (f"inertia{suffix}", "inertia", "kg m2", twice, inertia),
-        (f"coulomb{suffix}", "coulomb_friction", "Nm", once, axis.coulomb_friction_nm),
-        (f"viscous{suffix}", "viscous_friction", "Nm s/rad", twice, axis.viscous_friction_nm_s_per_rad),
+        (f"inertia{suffix}", "inertia", mass, twice, inertia),
+        (f"coulomb{suffix}", "coulomb_friction", force, once, axis.coulomb_friction_nm),
+        (f"viscous{suffix}", "viscous_friction", damping, twice, axis.viscous_friction_nm_s_per_rad),
     ]
     if paired and axis.name == "A":
         numbers = dict(zip(tilting_pair.PAIR, tilting_pair.pair_numbers(machine)))
         out += [(n, n, "kg m" if n in FIRST_MOMENTS else "kg m2", 1.0, float(numbers[n])) for n in tilting_pair.PAIR[2:]]
     elif not paired and is_vertical(machine, axis.name):
-        out.append(("gravity", "gravity_torque", "Nm", 1.0, (axis.moving_mass_kg or 0.0) * machine.gravity * r))
+        out.append(("gravity", "gravity_torque", force, 1.0, (axis.moving_mass_kg or 0.0) * machine.gravity * r))
     elif not paired:
-        out.append(("gravity", "constant_torque", "Nm", 1.0, 0.0))
+        out.append(("gravity", "constant_torque", force, 1.0, 0.0))
     return out
 
 
@@ -157,10 +158,13 @@ def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[s
         axis = machine.axis(p.axis)
         if p.name == "inertia":
             # the rotor carries the change of the whole
-            out[p.axis, "rotor_inertia_kg_m2"] = d / axis.rotor_inertia_kg_m2
+            if axis.rotor_inertia_kg_m2 > 0.0:
+                out[p.axis, "rotor_inertia_kg_m2"] = d / axis.rotor_inertia_kg_m2
+            else:
+                out[p.axis, "moving_mass_kg"] = relative
         elif p.name in FRICTION_KEYS:
             out[p.axis, FRICTION_KEYS[p.name]] = relative
-        elif p.name == "gravity_torque":
+        elif p.name == "gravity_torque" and axis.rotor_inertia_kg_m2 > 0.0:
             out[p.axis, "moving_mass_kg"] = relative
         elif p.name == "moment_z":
             out[p.axis, "body.cradle"] = relative

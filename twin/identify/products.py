@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
-from twin.machine import Machine
+from twin.machine import Axis, Machine
 from twin.plant import build_plant
 
 FLOOR = 2e-4
@@ -78,15 +78,23 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
     """Paths of the machine-file values that the products of a motor hold."""
     out = []
     for axis in name.split():
-        rotor = "rotor_and_screw_inertia_kg_m2" if machine.axis(axis).kind == "linear" else "rotor_and_gear_inertia_kg_m2"
-        keys = ["motor.torque_constant_nm_per_a", rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
+        rotor = inertia_key(machine.axis(axis))
+        known = [] if machine.axis(axis).effort == "torque" else ["motor.torque_constant_nm_per_a"]
+        keys = [*known, rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
         # a weight tells the mass; elsewhere the inertia is one number, and the rotor stands for it
-        if is_vertical(machine, axis):
+        if is_vertical(machine, axis) and rotor != "moving_mass_kg":
             keys.append("moving_mass_kg")
         out += [f"axis.{axis}.{key}" for key in keys]
     if name == "A C":
         out += [f"body.{b}.mass_kg" for b in ("cradle", "table", "workpiece")]
     return tuple(out)
+
+
+def inertia_key(axis: Axis) -> str:
+    """Key of the number that stands for all inertia of an axis: the rotor's, or the mass of a drive without one."""
+    if axis.rotor_inertia_kg_m2 == 0.0:
+        return "moving_mass_kg"
+    return "rotor_and_screw_inertia_kg_m2" if axis.kind == "linear" else "rotor_and_gear_inertia_kg_m2"
 
 
 def _share(machine: Machine, path: str) -> float:
@@ -125,7 +133,10 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
 
         return pair
     axis = machine.axis(name)
-    kt, rotor, coulomb, viscous = (index[p] for p in paths[:4])
+    kt = index.get(f"axis.{name}.motor.torque_constant_nm_per_a")
+    rotor, coulomb, viscous = (
+        index[f"axis.{name}.{k}"] for k in (inertia_key(axis), "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
+    )
     mass = index.get(f"axis.{name}.moving_mass_kg")
     load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
     if axis.moving_mass_kg is None:
@@ -142,7 +153,8 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
             axis.viscous_friction_nm_s_per_rad * f[viscous],
             weight,
         ]
-        return np.array(products) / f[kt]  # a horizontal axis has no product with weight: what is constant there is no mass
+        # a horizontal axis has no product with weight: what is constant there is no mass
+        return np.array(products) / (1.0 if kt is None else f[kt])
 
     return single
 
@@ -178,7 +190,8 @@ def _most_probable(
 def _scaled(machine: Machine, factors: Mapping[str, tuple[float, float]]) -> dict[str, object]:
     """Values by path; a body's inertia goes with its mass."""
     out: dict[str, object] = {}
-    for path, (log_factor, _) in factors.items():
+    for asked, (log_factor, _) in factors.items():
+        path = machine.in_file(asked, 0.0)[0]
         table: object = machine.document
         for key in path.split("."):
             table = table[key]  # type: ignore[index]

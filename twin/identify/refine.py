@@ -29,10 +29,11 @@ from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
 from twin.identify.drive_balance import EVERY, MeanCurrent, mean_of
 from twin.identify.least_squares import RELATED
+from twin.identify.products import inertia_key
 from twin.machine import Axis, Machine
 from twin.plant import home_inertia_at_motor
 from twin.run import simulate
-from twin.setpoints import setpoints_of
+from twin.setpoints import recorded_setpoints
 
 CLUSTER_S = 0.5
 STEPS = 2
@@ -81,9 +82,14 @@ def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
     for field, step in FIELDS.items():
         if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):
             continue
-        slots.append([Knob(a.name, field, step, (a.name,)) for a in moving])
+        knobs = [Knob(a.name, _own(a, field), step, (a.name,)) for a in moving if _in_file(machine, a, field)]
+        slots += [knobs] if knobs else []
     names = [a.name for a in moving]
-    weights = [Knob(a.name, "moving_mass_kg", 0.01, (a.name,)) for a in moving if a.moving_mass_kg is not None and _weighs(machine, a.name)]
+    weights = [
+        Knob(a.name, "moving_mass_kg", 0.01, (a.name,))
+        for a in moving
+        if a.rotor_inertia_kg_m2 > 0.0 and a.moving_mass_kg is not None and _weighs(machine, a.name)
+    ]
     pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "table", "workpiece"}
     first = weights + ([Knob("A", "body.cradle", 0.01, ("A",))] if pair else [])
     if first:
@@ -91,6 +97,16 @@ def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
     if pair:
         slots += [[Knob("A", f"body.{b}", 0.01, ("A", "C"))] for b in ("table", "workpiece")]
     return slots
+
+
+def _own(axis: Axis, field: str) -> str:
+    """The field of an axis that stands for this one: without a rotor the moving mass is all inertia."""
+    return "moving_mass_kg" if field == "rotor_inertia_kg_m2" and axis.rotor_inertia_kg_m2 == 0.0 else field
+
+
+def _in_file(machine: Machine, axis: Axis, field: str) -> bool:
+    """Has the machine file a place for this field? A delay may be left out."""
+    return not hasattr(axis.loops, field) or field in machine.document["axis"][axis.name]["loops"]
 
 
 def _weighs(machine: Machine, axis: str) -> bool:
@@ -115,7 +131,7 @@ def turned(machine: Machine, knob: Knob, amount: float) -> Machine:
     changed = max(value + amount, 0.0) if knob.field.endswith("delay_s") else value * (1.0 + amount)
     # the mass of the vertical axis keeps its inertia with the rotor: weight and inertia are two knobs
     change = {knob.field: changed}
-    if knob.field == "moving_mass_kg":
+    if knob.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
         change["rotor_inertia_kg_m2"] = axis.rotor_inertia_kg_m2 - (changed - value) * axis.ratio**2
     return machine.with_axis(knob.axis, **change)
 
@@ -224,7 +240,7 @@ def _residuals(
         run = runs[k]
         try:
             trace = simulate(
-                machine.with_feedforward(run.feedforward), setpoints_of(run.trace, machine), sample_period=run.trace.period,
+                machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine), sample_period=run.trace.period,
                 started_at=run.started_at,
             ).trace  # fmt: skip
         except SimulationError:
@@ -323,6 +339,8 @@ def _spread_of(machine: Machine, knobs: Sequence[Knob], spread: np.ndarray) -> d
             out[f"{knob.axis}.coulomb_friction"] = float(d) * axis.coulomb_friction_nm
         elif knob.field == "viscous_friction_nm_s_per_rad":
             out[f"{knob.axis}.viscous_friction"] = float(d) * axis.viscous_friction_nm_s_per_rad
+        elif knob.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 == 0.0:
+            out[f"{knob.axis}.inertia"] = float(d) * (axis.moving_mass_kg or 0.0) * axis.ratio**2
         elif knob.field == "moving_mass_kg":
             out[f"{knob.axis}.gravity_torque"] = float(d) * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio
         elif knob.field.startswith("body."):
@@ -342,14 +360,14 @@ def _documented(start: Machine, now: Machine) -> Machine:
     """The refined numbers as a machine file's values, so that the machine can be written."""
     values: dict[str, object] = {}
     for axis in now.axes:
-        rotor = "rotor_and_screw_inertia_kg_m2" if axis.kind == "linear" else "rotor_and_gear_inertia_kg_m2"
-        values[f"axis.{axis.name}.{rotor}"] = axis.rotor_inertia_kg_m2
+        if axis.rotor_inertia_kg_m2 > 0.0:
+            values[f"axis.{axis.name}.{inertia_key(axis)}"] = axis.rotor_inertia_kg_m2
         values[f"axis.{axis.name}.coulomb_friction_nm"] = max(axis.coulomb_friction_nm, 0.0)
         values[f"axis.{axis.name}.viscous_friction_nm_s_per_rad"] = max(axis.viscous_friction_nm_s_per_rad, 0.0)
         if axis.moving_mass_kg is not None:
             values[f"axis.{axis.name}.moving_mass_kg"] = axis.moving_mass_kg
         for field in FIELDS:
-            if hasattr(axis.loops, field):
+            if hasattr(axis.loops, field) and _in_file(start, axis, field):
                 values[f"axis.{axis.name}.loops.{field}"] = getattr(axis.loops, field)
     for body in now.bodies:
         values[f"body.{body.name}.mass_kg"] = body.mass_kg

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.identify.axis_run import SLIDING_RAD_PER_S, AxisRun
+from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
 from twin.identify.least_squares import Fit, regress
 from twin.machine import Axis, Body, Machine
@@ -81,7 +81,7 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     ]  # fmt: skip
     out = []
     for k, (run, axis, columns) in enumerate(zip((a, c), axes, (on_a, on_c))):
-        sign = np.sign(run.speed[:n]) * (np.abs(run.speed[:n]) > 0.1 * SLIDING_RAD_PER_S)
+        sign = np.sign(run.speed[:n]) * (np.abs(run.speed[:n]) > 0.1 * run.slides_above)
         own = [zero] * 6
         own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
         f = run.filtered

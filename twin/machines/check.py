@@ -108,7 +108,10 @@ def _of_machine(machine: Machine) -> Iterator[Finding]:
     assumed = assumed_values(machine)
     for axis in dict.fromkeys(path.split(".")[1] for path in assumed if path.startswith("axis.")):
         of_axis = [path.split(".", 2)[2] for path in assumed if path.startswith(f"axis.{axis}.")]
-        yield Finding("missing", axis, f"{len(of_axis)} numbers are still those that were assumed: {_some(of_axis)}")
+        which = (
+            "1 number is still one that was assumed" if len(of_axis) == 1 else f"{len(of_axis)} numbers are still those that were assumed"
+        )
+        yield Finding("missing", axis, f"{which}: {_some(of_axis)}")
     rest = [path for path in assumed if not path.startswith("axis.")]
     if rest:
         yield Finding("missing", "", f"{len(rest)} numbers of the machine are still those that were assumed: {_some(rest)}")
