@@ -315,11 +315,14 @@ def usual(parameter: Parameter, machine: Machine, effect: Effect) -> str:
     """Usual sizes on the first linear and the first rotary axis that can have it."""
     if parameter.shape and parameter.usual is None:
         return ""
-    texts: dict[str, str] = {}
+    texts: dict[str, tuple[str, str]] = {}
     for axis in effect.axes(machine):
         low, high = parameter.usual_range(machine, axis)
-        texts.setdefault(axis.kind, f"{number(low)} to {number(high)}" + ("" if not callable(parameter.usual) else f" ({axis.name})"))
-    return ", ".join(dict.fromkeys(texts.values()))
+        texts.setdefault(axis.kind, (f"{number(low)} to {number(high)}", axis.name))
+    sizes = [size for size, _ in texts.values()]
+    if not callable(parameter.usual) or (len(sizes) > 1 and len(set(sizes)) == 1):
+        return sizes[0]
+    return ", ".join(f"{size} ({name})" for size, name in texts.values())
 
 
 def number(value: float) -> str:

@@ -27,6 +27,9 @@ CLIPPED = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
 LARGEST_ORDER_HZ = 60.0
 """Above this frequency the current no longer shows a disturbance as it is."""
 
+SLOW_ENOUGH = 0.1
+"""Share of the motion that must be slow enough for a wave along the travel to be looked for: a short lead turns fast."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -207,8 +210,11 @@ class _Lines:
         if count > 400_000:
             return np.array([1.0]), np.array([0.0])
         total, hits = np.zeros(count), np.zeros(count)
+        speeds, top = np.abs(np.concatenate([v for _, _, v, _ in parts])), high
+        while top > 4.0 * low and np.mean(speeds * top / 4.0 / per < LARGEST_ORDER_HZ) < SLOW_ENOUGH:
+            top /= 2.0
         for values, q, v, _ in parts:
-            slow = np.abs(v) * high / 4.0 / per < LARGEST_ORDER_HZ
+            slow = np.abs(v) * top / 4.0 / per < LARGEST_ORDER_HZ
             index = ((q[slow] - start) / bin_width).astype(int)
             weighted = (values - np.median(values))[slow] * (np.sign(v[slow]) if signed else 1.0)
             np.add.at(total, index, weighted)
@@ -222,7 +228,7 @@ class _Lines:
             power = np.abs(np.imag(np.fft.rfft(mean, size) * np.exp(-2j * np.pi * np.fft.rfftfreq(size, bin_width) * start))) ** 2
         else:
             power = np.abs(np.fft.rfft(mean, size)) ** 2
-        keep = (waves >= low) & (waves <= high)
+        keep = (waves >= low) & (waves <= top)
         return (1.0 / waves[keep] if inverse else waves[keep]), power[keep]
 
     def _in_time(self) -> tuple[np.ndarray, np.ndarray]:

@@ -105,11 +105,20 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     change.model_edits.append(edit)
 
 
+SERVO_PEAK_NM = 20.0
+"""Peak torque of a machine tool's servo motor from which a ripple has the usual size; a smaller motor has less of it in proportion."""
+
+
+def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:
+    share = min(1.0, axis.motor.torque_constant_nm_per_a * axis.motor.peak_current_a / SERVO_PEAK_NM)
+    return (0.04 * share, 0.3 * share)
+
+
 @effect(
     block="mechanics",
     axes="turning motor",
     parameters=(
-        Parameter("amplitude_nm", "torque", 0.0, 10.0, (0.04, 0.3), neutral=0.0, logarithmic=True),
+        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True),
         Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True),
     ),
