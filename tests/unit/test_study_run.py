@@ -89,8 +89,10 @@ def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Pa
     assert "loops are unstable" in reasons[2] or "diverges" in reasons[2]
     assert "axis X is at its current limit" in reasons[3]
     assert [bool(responses) for _, _, responses, _ in found] == [True, False, False, True, True]
-    # it counts, but it is neither the best nor on the front
     study = read_study(spec)
+    # where only one variant runs, nothing is known of any factor
+    assert answers_of(study, found[:2]).without_effect == []
+    # it counts, but it is neither the best nor on the front
     answers = answers_of(study, found)
     assert (answers.failed, answers.broken, answers.best, answers.pareto) == (2, 2, 0, [0])
 
@@ -227,9 +229,13 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_workers_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     spec = write_spec(tmp_path)
+    for no_address in ("nonsense", "tcp://here", "tcp://127.0.0.1:99999"):
+        assert "is no address; give host and port" in refused(
+            capsys, "study", str(spec), "--out", str(tmp_path / "out"), "--scheduler", no_address
+        )
     monkeypatch.setattr("twin.study.carry_out.SECONDS_TO_ANSWER", 1)
     out = str(tmp_path / "out")
-    for address in ("tcp://127.0.0.1:9", "nowhere", "tcp://no.such.host.invalid:8786"):
+    for address in ("tcp://127.0.0.1:9", "tcp://no.such.host.invalid:8786"):
         message = refused(capsys, "study", str(spec), "--out", out, "--scheduler", address, "--resume")
         assert f"--scheduler {address}: no Dask scheduler answers there" in message
     assert "leave out one of" in refused(capsys, "study", str(spec), "--out", out, "--scheduler", "tcp://127.0.0.1:9", "--threads", "2")

@@ -122,9 +122,9 @@ def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, n
     """Factors that move none of the responses, each given as its factors (variant, factor) and values (variant,).
 
     Where variants differ in one factor alone, what they answer decides; else the terms of the quadratic that hold it must
-    stand out of the residuals.
+    stand out of the residuals. Of a factor that has one value in all variants that ran nothing is said.
     """
-    felt: set[int] = set()
+    felt = {i for i in range(len(names)) if not any(np.ptp(table[:, i]) > 0 for table, _ in responses)}
     for table, y in responses:
         if not depends(y):
             continue

@@ -10,6 +10,7 @@ import hashlib
 import logging
 import os
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -97,6 +98,7 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
         raise InputError("--scheduler needs Dask: pip install 'twin[cluster]'") from None
     for name in ("distributed", "distributed.client", "distributed.core", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line below
+    _check_address(scheduler)
     try:
         client = Client(scheduler, timeout=SECONDS_TO_ANSWER, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
@@ -118,6 +120,17 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
             yield Workers(executor, lambda: sum(client.nthreads().values()), share)
         finally:
             executor.shutdown(wait=False)  # what runs on after an error is not waited for
+
+
+def _check_address(scheduler: str) -> None:
+    """Refuse what is no address at once: a client that was given one would still try to close its connection at the end."""
+    try:
+        parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+        complete = bool(parts.hostname and parts.port)
+    except ValueError:
+        complete = False
+    if not complete:
+        raise InputError(f"--scheduler {scheduler}: is no address; give host and port of the scheduler, e.g. tcp://192.168.0.10:8786")
 
 
 def _same(work: Work) -> Work:
