@@ -29,6 +29,8 @@ GROUP = 32
 """Consecutive steps that are put aside together."""
 BOUND_MARGIN = 1e-9
 """The bound of a nail is taken this much lower than computed [m], beyond its rounding."""
+UNDER = 1e-9
+"""What a rounded element would take less than this [m] below the plane under it is left to the element that has that plane."""
 TILES_AT_ONCE = 64
 """Tiles that a thread takes at a time: bounds the time between two reports of progress."""
 
@@ -138,14 +140,16 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     if bound >= top:
         return math.inf
     if top < math.inf:
-        # nor below the plane under it: the part of the nail up to `top` at both ends of the step
+        # nor below the plane under it: height of the nail's part up to `top` over the circle, a parabola in s
         x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
-        lowest = -slope - (r + slope) * m[12] - 0.25 * m[12] * math.sqrt(dd)
-        lying = x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]
-        moved = lying - (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2])
+        first = x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]
+        bend = d[0] * turn[0] + d[1] * turn[1] + d[2] * turn[2]
+        slant = x[0] * turn[0] + x[1] * turn[1] + x[2] * turn[2] - (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2])
+        most = max(first, first + slant - bend)
+        if bend > 0.0 and 0.0 < slant < 2.0 * bend:
+            most = first + 0.25 * slant * slant / bend
         rise = n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2]
-        wide = m[12] * math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-        if rise > m[12] and max(lying, moved) + wide <= lowest:
+        if rise > m[12] and most <= UNDER - slope:
             return math.inf
     return swept_rim(y, n, d, (m[13], m[14], m[15]), (m[16], m[17], m[18]), (m[19], m[20], m[21]), (m[22], m[23], m[24]), r, slope)
 

@@ -26,7 +26,7 @@ TINY = 1e-30
 """Squared length of a step [m2] below which the tool stands."""
 PARALLEL = 1e-6
 """Squared sine between nail and motion below which the ends of the step are looked at too."""
-SETTLED = 1e-10
+SETTLED = 1e-8
 """The touching point has settled when t changes by less than this [m]."""
 SLAB_MARGIN = 2e-8
 """A nail counts as clear of a turning tool's end faces only beyond this [m], plus what they bend within the step."""
@@ -143,13 +143,6 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
     z0 = y[0] * u[0] + y[1] * u[1] + y[2] * u[2]
     nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
     wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
-    if top < math.inf:
-        # the part of the nail up to `top` against the slab between the two faces
-        reach = z0 + top * nz
-        if nz > 0.0 and reach <= a0 + min(s_low * wz, s_high * wz):
-            return math.inf, 0.0, 1
-        if nz < 0.0 and reach >= a1 + max(s_low * wz, s_high * wz):
-            return math.inf, 0.0, 1
     rho = r0 + k * (z0 - a0)
     yn = y[0] * n[0] + y[1] * n[1] + y[2] * n[2] - z0 * nz
     yw = y[0] * w[0] + y[1] * w[1] + y[2] * w[2] - z0 * wz
@@ -224,24 +217,43 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
 
 
 @kernel
+def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
+    """Does the part of the nail up to `top` surely miss the frustum during the whole step, by its faces or by its cone?"""
+    x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
+    first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
+    last = (x[0] - d[0]) * (u0[0] + du[0]) + (x[1] - d[1]) * (u0[1] + du[1]) + (x[2] - d[2]) * (u0[2] + du[2])
+    rise = n[0] * u0[0] + n[1] * u0[1] + n[2] * u0[2]
+    way = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    margin = SLAB_MARGIN + 0.25 * turning * way if turning > 0.0 else 0.0
+    highest = max(first, last) + margin
+    if rise < -turning:
+        return min(first, last) >= a1 + margin
+    if rise <= turning:
+        return False
+    if highest <= a0:
+        return True
+    steep = rise - turning
+    if k <= 0.0 or steep * steep * (1.0 + k * k) <= 1.0:
+        return False
+    # steeper than the cone: where it is outside at `top` it is outside all the way below
+    u = (u0[0] + 0.5 * du[0], u0[1] + 0.5 * du[1], u0[2] + 0.5 * du[2])
+    q = (x[0] - 0.5 * d[0], x[1] - 0.5 * d[1], x[2] - 0.5 * d[2])
+    far = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    along = q[0] * u[0] + q[1] * u[1] + q[2] * u[2]
+    moved = way + 1.01 * turning * (math.sqrt(far) + way)
+    wide = max(r0 + k * (highest - a0), 0.0) + 0.5 * moved
+    return far - along * along / (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) > wide * wide
+
+
+@kernel
 def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
     """Lowest t in a frustum whose tip moves from `tip` by d and whose axis turns from u0 by du; nothing is sought above `top`."""
     y = (p[0] - tip[0], p[1] - tip[1], p[2] - tip[2])
+    if top < math.inf and _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):
+        return math.inf
     if not turning:
         t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
         return t
-    # the part of the nail up to `top` against the slab between the two faces, at both ends of the step
-    if top < math.inf:
-        x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
-        first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
-        rise = n[0] * u0[0] + n[1] * u0[1] + n[2] * u0[2]
-        v = (u0[0] + du[0], u0[1] + du[1], u0[2] + du[2])
-        last = (x[0] - d[0]) * v[0] + (x[1] - d[1]) * v[1] + (x[2] - d[2]) * v[2]
-        margin = SLAB_MARGIN + 0.25 * turning * math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        if rise > turning and max(first, last) < a0 - margin:
-            return math.inf
-        if rise < -turning and min(first, last) > a1 + margin:
-            return math.inf
     # start: the velocity of the axis beside the nail's own point, at half of the step (never `top`: the result must not hang on it)
     s, t = 0.5, 0.0
     last, hit = math.inf, False
@@ -262,7 +274,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
         found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, 0.0, 1.0, math.inf)
         if state == 2:
             hit = True
-            if abs(found - last) < SETTLED:
+            if abs(found - last) < SETTLED or found - abs(found - last) > top:
                 return found
             s, t, last = at, found, found
         else:

@@ -78,9 +78,9 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
     angle = np.linspace(0.0, math.pi / 2.0, 33)
     arc = np.column_stack([major + corner * np.sin(angle), corner - corner * np.cos(angle)])
     elements = [
-        (ROUNDED, corner, corner, major, corner),
         (FRUSTUM, 0.0, 2.0 * corner, major, 0.0),
         (FRUSTUM, corner, cutting_length, r, 0.0),
+        (ROUNDED, corner, corner, major, corner),  # last: most of what it reaches is cut by then
     ]
     return _tool(
         f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", elements, np.vstack([[[0.0, 0.0]], arc, [[r, cutting_length]]]), length
