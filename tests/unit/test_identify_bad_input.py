@@ -80,13 +80,16 @@ def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[Mea
     item = next(c for c in result.late if c.signal == "current")
     assert item.seconds == pytest.approx(samples * 1e-3, abs=0.25e-3)
     assert "current was recorded" in said(result)
+    assert "campaign.toml says" not in said(result)
     assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.03)
 
 
 def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "motor_position", np.roll(r.trace.get("X", "motor_position"), 1)) for r in runs]
-    item = next(c for c in identified(machine, late).late if c.signal == "motor_position")
+    result = identified(machine, late)
+    item = next(c for c in result.late if c.signal == "motor_position")
     assert item.seconds == pytest.approx(1e-3, abs=2e-5)
+    assert said(result).count("taken back") == 1  # the other channels, timed against the motor, are not late
 
 
 def test_a_late_speed_set_point_is_taken_back(machine: Machine, runs: list[MeasuredRun]) -> None:
@@ -145,6 +148,49 @@ def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine
 def test_one_direction_only_is_said(machine: Machine) -> None:
     runs = [recorded(machine, f"way_{k}", ONE_WAY, "velocity", k) for k in range(2)]
     assert "moves in one direction only" in said(identified(machine, runs))
+
+
+def test_in_one_direction_coulomb_friction_and_weight_are_one_number(machine: Machine) -> None:
+    result = identified(machine, [recorded(machine, "way", ONE_WAY, "velocity", 1)])
+    assert "coulomb_friction" not in {p.name for p in result.parameters}
+    assert "no run tells coulomb_friction; add constant speeds in both directions" in said(result)
+    assert result.machine.axis("X").coulomb_friction_nm == pytest.approx(1.8, rel=0.05)
+
+
+def test_a_current_of_the_wrong_sign_is_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
+    result = identified(machine, [with_signal(r, "X", "current", -r.trace.get("X", "current")) for r in runs])
+    assert "runs against the motion and is not used; check the sign of the column" in said(result)
+    assert "inertia" not in {p.name for p in result.parameters}
+    assert result.machine.axis("X").coulomb_friction_nm == machine.axis("X").coulomb_friction_nm
+    assert result.parameter("X", "position_gain_per_s").value.value == pytest.approx(50.0, rel=1e-3)
+
+
+def test_a_current_in_another_unit_is_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+    result = identified(machine, [with_signal(r, "X", "current", 1e3 * r.trace.get("X", "current")) for r in runs])
+    assert "the motor's peak is 46 A: left out; check the unit of the column" in said(result)
+    assert "inertia" not in {p.name for p in result.parameters}
+
+
+def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
+    def cut(run: MeasuredRun, samples: int) -> MeasuredRun:
+        signals = {key: values[:samples] for key, values in run.trace.signals.items()}
+        return replace(run, trace=replace(run.trace, time=run.trace.time[:samples], signals=signals))
+
+    result = identified(machine, [*runs, cut(replace(runs[0], name="broken off"), 40)])
+    assert "run broken off: only 0.039 s long: left out" in said(result)
+    assert "broken off" not in result.training + result.left_out
+    with pytest.raises(InputError, match="no run is longer than"):
+        identified(machine, [cut(r, 2) for r in runs])
+
+
+def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+    """The saw-tooth of the current meets the limit for single samples: none stays on it."""
+    limit = 0.85 * max(np.abs(r.trace.get("X", "current")).max() for r in runs)
+    result = identified(machine, [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -limit, limit)) for r in runs])
+    assert "current at its limit or clipped" in said(result)
+    inertia = result.parameter("X", "inertia").estimate
+    assert inertia.value == pytest.approx(0.008573, rel=0.01)
+    assert inertia.holds(0.008573)
 
 
 def test_too_few_speeds_are_said(machine: Machine) -> None:

@@ -161,7 +161,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     limited = np.zeros(cycles, bool)
     if samples is not None:
         limited = (np.abs(samples.reshape(cycles, n)) > 0.97 * axis.motor.peak_current_a).any(axis=1)
-        limited |= _flat(samples, CLIPPED_SAMPLES).reshape(cycles, n).any(axis=1)
+        limited |= (_flat(samples, CLIPPED_SAMPLES) | _piled(samples)).reshape(cycles, n).any(axis=1)
     beyond = {}
     for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
         if has[name]:
@@ -205,6 +205,21 @@ def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:
 
 CLIPPED_SAMPLES = 5
 """So many equal samples in a row at a channel's largest value are a limit, not noise."""
+
+
+PILED_SAMPLES, PILED = 20, 3.0
+"""So many samples on a channel's largest value, and so many times as many as on the next one, are a limit, not rounding."""
+
+
+def _piled(values: np.ndarray) -> np.ndarray:
+    """(sample,) True on a largest or smallest value that samples pile up on: a saw-tooth touches a limit for single samples."""
+    out = np.zeros(len(values), bool)
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) > 2:
+        for end, next_to_it in ((0, 1), (-1, -2)):
+            if counts[end] >= max(PILED_SAMPLES, PILED * counts[next_to_it]) and levels[end] != 0.0:
+                out |= values == levels[end]
+    return out
 
 
 def _flat(values: np.ndarray, least: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from twin.gap import MOVING, gap_of, predict_campaign
 from twin.identify.axis_run import axis_run
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.noise import measured_noise
-from twin.identify.parameters import LOOP_BOUNDS, doubts_of, parameters_of, unseen, with_refined
+from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, parameters_of, unseen, with_refined
 from twin.identify.products import split_machine, split_products
 from twin.identify.recording import prepared
 from twin.identify.result import Identification
@@ -54,13 +54,17 @@ def identify_campaign(
     simulated = _simulated(machine, training)
     say("regression")
     direct = direct_route(machine, recording.part(training), simulated, say)
+    against = impossible(direct)
+    if against:
+        recording = recording.without_current(against)
+        direct = direct_route(machine, recording.part(training), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     found = _with_loops(split_machine(machine, splits), direct)
     found = _with_noise(found, measured_noise(machine, training))
     say("regression on the runs left out")
     other = direct_route(machine, recording.part(left_out)) if left_out else Direct()
     parameters = parameters_of(machine, direct, other, splits)
-    findings = [*recording.findings, *unseen(machine, parameters)]
+    findings = [*recording.findings, *against.values(), *unseen(machine, parameters)]
     clock["regression"] = time.perf_counter() - started
     chosen, refined = "regression", None
     if refine:
@@ -108,6 +112,10 @@ def _simulated(machine: Machine, runs: Sequence[MeasuredRun]) -> Runs | None:
     return {a.name: [axis_run(machine, a, r) for r in twins] for a in machine.axes}
 
 
+WORSE, WORSE_S = 0.3, 1e-3
+"""Control values known no better than this, relative and in seconds, do not replace the machine file's."""
+
+
 def _with_loops(machine: Machine, direct: Direct) -> Machine:
     """Control values and windings into the machine file; those that the signals did not show keep the file's."""
     values: dict[str, float] = {}
@@ -116,7 +124,8 @@ def _with_loops(machine: Machine, direct: Direct) -> Machine:
             if found is None:
                 continue
             for name, value in found.values.items():
-                if math.isfinite(found.deviations[name]):
+                half = found.quantile * found.deviations[name]
+                if half < (WORSE_S if name.endswith("delay_s") else WORSE * abs(value)):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
         mean = direct.current.get(axis.name)

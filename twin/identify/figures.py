@@ -12,8 +12,9 @@ from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
 from twin.identify.drive_balance import Rows
 from twin.identify.least_squares import whiteness
+from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
-from twin.machine import Machine
+from twin.machine import Axis, Machine
 from twin.report import new_figure
 from twin.report.figure import INK, SOFT
 from twin.units import deg_from_rad
@@ -25,6 +26,12 @@ STEADY = 0.02
 def balance_of(result: Identification, axis: str) -> Balance | None:
     """The balance that holds this axis."""
     return next((b for name, b in result.direct.balance.items() if axis in name.split()), None)
+
+
+def _shown(result: Identification, *names: str) -> list[Axis]:
+    """Axes with a torque balance that told these parameters."""
+    known = {(p.axis, p.name) for p in result.parameters}
+    return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
 
 
 def _parts(machine: Machine, balance: Balance, axis: str) -> tuple[Rows, dict[str, np.ndarray], np.ndarray]:
@@ -63,9 +70,9 @@ def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 
 
 def friction_figure(result: Identification) -> Any:
     """Friction against speed for every axis: points of constant speed, the law and its 95 % band, the law before."""
-    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    axes = _shown(result, "coulomb_friction", "viscous_friction")
     columns = min(3, max(len(axes), 1))
-    figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.9)
+    figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.9)
     for panel, axis in zip(panels.ravel(), axes):
         balance = balance_of(result, axis.name)
         assert balance is not None
@@ -89,15 +96,16 @@ def friction_figure(result: Identification) -> Any:
         panel.set_ylabel("friction at the motor [Nm]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
-    panels.ravel()[0].legend(loc="lower right", frameon=False, fontsize=8)
+    if axes:
+        panels.ravel()[0].legend(loc="lower right", frameon=False, fontsize=8)
     return figure
 
 
 def inertia_figure(result: Identification) -> Any:
     """Torque less friction and gravity against acceleration: the slope is the inertia."""
-    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    axes = _shown(result, "inertia")
     columns = min(3, max(len(axes), 1))
-    figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.8)
+    figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.8)
     for panel, axis in zip(panels.ravel(), axes):
         balance = balance_of(result, axis.name)
         assert balance is not None
@@ -115,7 +123,8 @@ def inertia_figure(result: Identification) -> Any:
         panel.set_ylabel("torque for it [Nm]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
-    panels.ravel()[0].legend(loc="upper left", frameon=False, fontsize=8)
+    if axes:
+        panels.ravel()[0].legend(loc="upper left", frameon=False, fontsize=8)
     return figure
 
 
@@ -162,7 +171,7 @@ def gravity_figure(result: Identification) -> Any | None:
     left.set_title("Gravity of the tilting table over its angle")
     left.legend(frameon=False, fontsize=8)
     right = panels[0, 1]
-    shown = [p for n in ("moment_y", "moment_z", "table_x", "table_y") if (p := result.parameter("A", n)).before]
+    shown = [p for p in result.parameters if p.name in FIRST_MOMENTS and p.before]
     for k, p in enumerate(shown):
         off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, p.estimate.half))
         right.errorbar(k, off, half, fmt="o", ms=5, color=colour, capsize=4)
@@ -177,7 +186,7 @@ def gravity_figure(result: Identification) -> Any | None:
 
 def residual_figure(result: Identification) -> Any:
     """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
-    axes = [a for a in result.before.axes if balance_of(result, a.name) is not None]
+    axes = _shown(result)
     figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
     for (trace, white), axis in zip(panels, axes):
         balance = balance_of(result, axis.name)

@@ -158,7 +158,7 @@ def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun 
 
     def late(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
         fit = regress(np.column_stack(columns), y, groups)
-        if fit.seen[0] and (per is None or fit.seen[1]):
+        if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > 0.0)):
             scale = -1.0 if per is None else -1.0 / fit.values[1]
             out.append(Late(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
 
@@ -251,15 +251,24 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
     return out
 
 
-def stuck_channels(machine: Machine, run: MeasuredRun) -> list[Finding]:
-    """Channels that never change while the axis' set point does."""
-    out = []
+TOO_MUCH = 3.0
+"""A current beyond so many times the motor's peak is no current of this motor."""
+
+
+def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], Finding]:
+    """Channels (axis, signal) that cannot be what their heading says, with the reason: they never change while the axis' set point
+    does, or hold more than the motor can take."""
+    out: dict[tuple[str, str], Finding] = {}
     for axis in machine.axes:
         if axis.name not in run.trace.axes or np.ptp(run.trace.get(axis.name, "setpoint")) < 1e-5:
             continue
-        for signal in ("position", "motor_position", "velocity", "velocity_setpoint", "current"):
+        for signal in ("position", "motor_position", "velocity", "velocity_setpoint", axis.effort):
             if run.trace.has(axis.name, signal) and np.ptp(run.trace.get(axis.name, signal)) == 0.0:
-                out.append(
-                    Finding(run.name, axis.name, f"{signal} never changes while the set point moves; check the recording of this channel")
-                )
+                text = f"{signal} never changes while the set point moves: left out; check the recording of this channel"
+                out[axis.name, signal] = Finding(run.name, axis.name, text)
+        peak, unit = axis.motor.peak_current_a, axis.effort_unit
+        largest = float(np.abs(run.trace.get(axis.name, axis.effort)).max()) if run.trace.has(axis.name, axis.effort) else 0.0
+        if largest > TOO_MUCH * peak:
+            text = f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: left out; check the unit of the column"
+            out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
     return out

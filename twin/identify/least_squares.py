@@ -26,7 +26,8 @@ independent strokes would make them. Found on drawn campaigns of their own (docs
 class Fit:
     """Result of a regression on k columns: values (k,), covariance (k, k), residual (row,), condition number of the scaled columns.
 
-    `clusters` counts the strokes; `seen` says which columns the data excite at all (the others are 0 with infinite variance).
+    `clusters` counts the strokes; `seen` says which columns the data excite at all (the others are 0 with infinite variance; what they
+    are a combination of has infinite variance, too: in one direction Coulomb friction and weight are one number).
     """
 
     values: np.ndarray
@@ -50,23 +51,27 @@ class Fit:
 EXCITED = 1e-9
 """A column whose part outside the others is below this fraction of its length tells nothing."""
 
+ENTANGLED = 1e-3
+"""A column that takes at least this part in such a combination is known only together with it."""
+
 
 def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instruments: np.ndarray | None = None) -> Fit:
     """Regression of y (row,) on columns (row, k); `clusters` (row,) names the stroke of each row, `instruments` (row, k) or none."""
     k = columns.shape[1]
     length = np.linalg.norm(columns, axis=0)
     seen = length > 0.0
+    if not seen.any() or len(y) <= seen.sum():
+        return Fit(np.zeros(k), np.diag(np.full(k, np.inf)), y.copy(), np.inf, 0, np.zeros(k, bool))
     scaled = columns[:, seen] / length[seen]
     # drop what is a combination of the columns before it
-    if seen.any():
-        triangle = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
-        names = np.flatnonzero(seen)
-        seen[names[triangle < EXCITED]] = False
-        scaled = columns[:, seen] / length[seen]
+    names = np.flatnonzero(seen)
+    seen[names[np.abs(np.diag(np.linalg.qr(scaled, mode="r"))) < EXCITED]] = False
+    scaled = columns[:, seen] / length[seen]
+    one_number = np.zeros(k, bool)
+    for j in names[~seen[names]]:
+        share = np.linalg.lstsq(scaled, columns[:, j] / length[j])[0]
+        one_number[np.flatnonzero(seen)[np.abs(share) > ENTANGLED]] = True
     values, covariance = np.zeros(k), np.full((k, k), 0.0)
-    covariance[~seen, ~seen] = np.inf
-    if not seen.any() or len(y) <= seen.sum():
-        return Fit(values, np.diag(np.full(k, np.inf)), y.copy(), np.inf, 0, np.zeros(k, bool))
     z = scaled
     if instruments is not None:
         z = instruments[:, seen]
@@ -82,6 +87,9 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     meat = RELATED**2 * scores.T @ scores * count / max(count - int(seen.sum()), 1)
     index = np.ix_(np.flatnonzero(seen), np.flatnonzero(seen))
     covariance[index] = (bread @ meat @ bread.T) / np.outer(length[seen], length[seen])
+    unknown = ~seen | one_number
+    covariance[unknown, :] = covariance[:, unknown] = 0.0
+    covariance[unknown, unknown] = np.inf
     values[seen] = found / length[seen]
     return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), count, seen)
 

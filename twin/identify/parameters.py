@@ -142,9 +142,9 @@ def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: 
             value, d = getattr(axis.loops, p.name), deviations[f"{p.axis}.loops.{p.name}"]
         if value is not None and d is not None:
             # re-simulation keeps the torque constant of the split: its doubt adds, as it does to the regression's value; and where two
-            # routes through the same data disagree, the law of one of them lacks something
+            # routes through the same data disagree, the law of one of them lacks something: by one standard deviation as far as we know
             split = math.sqrt(max(p.value.half**2 - p.estimate.half**2, 0.0)) if p.product else 0.0
-            p = replace(p, refined=_around(value, math.hypot(1.96 * d, split, value - p.value.value)))
+            p = replace(p, refined=_around(value, math.hypot(1.96 * d, split, 1.96 * (value - p.value.value))))
         out.append(p)
     return out
 
@@ -197,6 +197,20 @@ TOGETHER = {
     "torque_feedforward": ("speed_gain_nm_s_per_rad",),
 }
 """Where the others are known and the first is not, it is the runs that lack, not the signals."""
+
+
+def impossible(direct: Direct) -> dict[str, Finding]:
+    """Axes whose inertia or Coulomb friction comes out below zero, beyond its interval: their current is none of this motion."""
+    out: dict[str, Finding] = {}
+    for key, balance in direct.balance.items():
+        fit = balance.fit
+        for axis in key.split():
+            for name, told in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
+                i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
+                if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
+                    text = f"the current gives a negative {told}: it runs against the motion and is not used; check the sign of the column"
+                    out[axis] = Finding("", axis, text)
+    return out
 
 
 def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:

@@ -22,6 +22,9 @@ from twin.machine import Axis
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
 ITERATIONS = 8
 
+UNTOLD = 3.0
+"""A gain within so many standard deviations of 0 is none."""
+
 FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
 """What rounded columns and the splines of the set points leave, as a standard deviation: not random from sample to sample."""
 
@@ -60,6 +63,8 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun]) -> PositionControl
         if np.all(np.abs(fit.values) < 1e-9):
             break
     assert fit is not None
+    if not np.all(np.isfinite(x)) or x[0] <= UNTOLD * fit.deviations[0]:
+        return None  # a run of one speed tells no gain from a delay
     values = dict(zip(NAMES, x.tolist()))
     deviations = {n: float(np.hypot(d, FLOOR[n])) for n, d in zip(NAMES, fit.deviations)}
     return PositionControl(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.campaign import Campaign, MeasuredRun
+from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Runs
 from twin.identify.findings import (
@@ -19,9 +20,12 @@ from twin.identify.findings import (
     late_channels,
     missing_signals,
     shifted_setpoint,
-    stuck_channels,
+    unusable_channels,
 )
 from twin.machine import Machine
+
+SHORT_S = 0.5
+"""A run shorter than this tells nothing below 20 Hz: it is left out."""
 
 LEFT_OUT_SHARE = 0.3
 """Share of the runs, the last ones, that no fit sees (none of fewer than three)."""
@@ -47,6 +51,11 @@ class Recording:
                 aside.insert(0, run)
         return training, aside
 
+    def without_current(self, axes: Iterable[str]) -> Recording:
+        """The same as if the current of these axes had not been recorded."""
+        changed = {a: [replace(r, current=None, current_ripple=None) if r else None for r in self.axis_runs[a]] for a in axes}
+        return replace(self, axis_runs={**self.axis_runs, **changed})
+
     def part(self, runs: Sequence[MeasuredRun]) -> Runs:
         """The axis runs of some of the runs."""
         names = {r.name for r in runs}
@@ -55,39 +64,74 @@ class Recording:
 
 def prepared(machine: Machine, campaign: Campaign) -> Recording:
     """Read a campaign: flags checked, late channels taken back, everything noticed on the way in `findings`."""
-    runs = list(campaign.runs)
-    findings = missing_signals(machine, runs) + [f for run in runs for f in stuck_channels(machine, run)]
-
-    def read(lateness: dict[str, dict[str, float]]) -> dict[str, list[AxisRun | None]]:
-        return {
-            a.name: [axis_run(machine, a, r, lateness.get(a.name)) if a.name in r.trace.axes else None for r in runs] for a in machine.axes
-        }
-
-    axis_runs = read({})
-    flags, said = checked_flags(machine, runs, axis_runs)
+    told, findings = _usable(machine, campaign)
+    findings += missing_signals(machine, told)
+    runs = told
+    correct: dict[str, dict[str, float]] = {}
+    axis_runs = _read(machine, runs, {})
+    late: list[Late] | None = None
+    said: list[Finding] = []
+    for _ in range(FLAG_ROUNDS):
+        flags, said = checked_flags(machine, told, axis_runs)
+        if late is not None and flags == [r.feedforward for r in runs]:
+            break
+        runs = [replace(r, feedforward=f) for r, f in zip(told, flags)]
+        late, correct, axis_runs = _taken_back(machine, runs)
     findings += said
-    runs = [replace(r, feedforward=f) for r, f in zip(runs, flags)]
-    axis_runs = read({})
+    for item in late or ():
+        if item.signal in correct.get(item.axis, {}):
+            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back"
+            findings.append(Finding("", item.axis, text))
+    for axis in machine.axes:
+        seen = [r for r in axis_runs[axis.name] if r is not None]
+        findings += coverage(machine, axis, seen)
+    return Recording(runs, axis_runs, findings, late or [])
+
+
+FLAG_ROUNDS = 2
+"""A late channel looks like another feedforward, and the wrong feedforward like a late channel: flags are checked before and after."""
+
+
+def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], list[Finding]]:
+    """The runs that are long enough, without channels that cannot be what they say, and a finding for each that is left out."""
+    runs, findings = [], []
+    for run in campaign.runs:
+        length = float(run.trace.time[-1] - run.trace.time[0])
+        if length < SHORT_S:
+            findings.append(Finding(run.name, "", f"only {length:.3g} s long: left out; record at least {SHORT_S:g} s"))
+            continue
+        unusable = unusable_channels(machine, run)
+        findings += unusable.values()
+        signals = {key: values for key, values in run.trace.signals.items() if key not in unusable}
+        runs.append(replace(run, trace=replace(run.trace, signals=signals)))
+    if not runs:
+        raise InputError(f"{campaign.path}: no run is longer than {SHORT_S:g} s; record whole moves ('twin plan' proposes some)")
+    return runs, findings
+
+
+def _read(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str, dict[str, float]]) -> dict[str, list[AxisRun | None]]:
+    return {a.name: [axis_run(machine, a, r, lateness.get(a.name)) if a.name in r.trace.axes else None for r in runs] for a in machine.axes}
+
+
+def _taken_back(
+    machine: Machine, runs: Sequence[MeasuredRun]
+) -> tuple[list[Late], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
+    """Skew of each channel, what was taken back of it by axis and signal [s], and the axis runs without it."""
+    axis_runs = _read(machine, runs, {})
     late = _skew(machine, runs, axis_runs)
     correct: dict[str, dict[str, float]] = {}
-    for _ in range(SKEW_ROUNDS):
-        # a current that is late by odd samples shows another phase of its saw-tooth: what the first round leaves, the second finds
-        late, more = late if not correct else _remaining(late, _skew(machine, runs, axis_runs), correct), False
+    for done in range(SKEW_ROUNDS):
+        # a current that is late by odd samples shows another phase of its saw-tooth, and a late motor angle makes all else look late:
+        # what one round leaves or overdoes, the next finds
+        late, before = _remaining(late, _skew(machine, runs, axis_runs), correct) if done else late, correct
+        correct = {}
         for item in late:
             if abs(item.seconds) > max(LATE_S[item.signal], 4.0 * item.deviation):
-                taken = _whole(item.seconds, runs[0].trace.period)
-                more |= correct.get(item.axis, {}).get(item.signal) != taken
-                correct.setdefault(item.axis, {})[item.signal] = taken
-        if not more:
+                correct.setdefault(item.axis, {})[item.signal] = _whole(item.seconds, runs[0].trace.period)
+        if correct == before:
             break
-        axis_runs = read(correct)
-    for item in late:
-        if item.signal in correct.get(item.axis, {}):
-            told = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back"
-            findings.append(Finding("", item.axis, told))
-    for axis in machine.axes:
-        findings += coverage(machine, axis, [r for r in axis_runs[axis.name] if r is not None])
-    return Recording(runs, axis_runs, findings, late)
+        axis_runs = _read(machine, runs, correct)
+    return late, correct, axis_runs
 
 
 SKEW_ROUNDS = 3
@@ -101,13 +145,13 @@ def _whole(seconds: float, period: float) -> float:
 
 
 def _remaining(before: Sequence[Late], now: Sequence[Late], correct: dict[str, dict[str, float]]) -> list[Late]:
-    """Skews after a correction: what was taken back and what is left, where a correction was made."""
+    """Skews after a correction: what was taken back and what is left."""
     left = {(c.axis, c.signal): c for c in now}
     out = []
     for item in before:
-        taken = correct.get(item.axis, {}).get(item.signal)
         after = left.get((item.axis, item.signal))
-        out.append(replace(item, seconds=taken + after.seconds, deviation=after.deviation) if taken is not None and after else item)
+        taken = correct.get(item.axis, {}).get(item.signal, 0.0)
+        out.append(replace(after, seconds=taken + after.seconds) if after else item)
     return out
 
 

@@ -13,7 +13,7 @@ own doubts weigh against what it finds. Both come from the same data: their info
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
@@ -52,7 +52,8 @@ FIELDS = {
     "position_delay_s": 2e-5,
     "torque_feedforward": 0.01,
 }
-# gain and integral time of the speed loop stay the regression's: in closed loop a drive train's spring passes for them
+# gain and integral time of the speed loop stay the regression's: in closed loop a drive train's spring passes for them. It passes for the
+# torque feedforward, too; what the regression has read from the control's own signals is no knob
 
 
 @dataclass(frozen=True)
@@ -74,15 +75,18 @@ class Refined:
     misfit: tuple[float, float]
 
 
-def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
-    """Slots of knobs that one simulation may turn together: no two in a slot are felt by the same axis."""
+def knobs_of(machine: Machine, runs: Sequence[MeasuredRun], known: Collection[tuple[str, str]] = ()) -> list[list[Knob]]:
+    """Slots of knobs that one simulation may turn together: no two in a slot are felt by the same axis.
+
+    Control values in `known` (axis, field) stay as they are.
+    """
     on = {w for r in runs for w in (r.feedforward or "").split("+")}
     moving = [a for a in machine.axes if any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)]
     slots = []
     for field, step in FIELDS.items():
         if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):
             continue
-        knobs = [Knob(a.name, _own(a, field), step, (a.name,)) for a in moving if _in_file(machine, a, field)]
+        knobs = [Knob(a.name, _own(a, field), step, (a.name,)) for a in moving if _is_knob(machine, a, field, known)]
         slots += [knobs] if knobs else []
     names = [a.name for a in moving]
     weights = [
@@ -102,6 +106,10 @@ def knobs_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[list[Knob]]:
 def _own(axis: Axis, field: str) -> str:
     """The field of an axis that stands for this one: without a rotor the moving mass is all inertia."""
     return "moving_mass_kg" if field == "rotor_inertia_kg_m2" and axis.rotor_inertia_kg_m2 == 0.0 else field
+
+
+def _is_knob(machine: Machine, axis: Axis, field: str, known: Collection[tuple[str, str]]) -> bool:
+    return _in_file(machine, axis, field) and not (hasattr(axis.loops, field) and (axis.name, field) in known)
 
 
 def _in_file(machine: Machine, axis: Axis, field: str) -> bool:
@@ -148,7 +156,7 @@ def refined_machine(
 
     `prior`: the regression's standard deviation of each knob by (axis, field), relative (delays in seconds); what it does not know is free.
     """
-    slots = knobs_of(machine, runs)
+    slots = knobs_of(machine, runs, prior.keys())
     names = machine.axis_names
     groups = [[n] for n in names if n not in ("A", "C")] + [[n for n in names if n in ("A", "C")]]
     groups = [g for g in groups if g and any(k.felt_by[0] in g for slot in slots for k in slot)]

@@ -144,11 +144,17 @@ def leftovers(fit: SingleFit, period: float, lead: float = 0.0) -> dict[str, flo
         "friction over the travel": [q * np.sign(v), q**2 * np.sign(v)],
     }
     variance = float(np.sum(fit.residual**2))
-    base = np.column_stack([np.gradient(v, period), v, np.sign(v), np.ones_like(v)])
+    base, _ = np.linalg.qr(np.column_stack([np.gradient(v, period), v, np.sign(v), np.ones_like(v)]))
+
+    def beside(x: np.ndarray) -> np.ndarray:
+        """What of x lies outside the law's own columns."""
+        return x - base @ (base.T @ x)
+
+    unexplained = beside(fit.residual)
 
     def explained(columns: list[np.ndarray]) -> float:
-        full = np.column_stack([base, *columns])
-        left = fit.residual - full @ np.linalg.lstsq(full, fit.residual, rcond=None)[0]
+        more = beside(np.column_stack(columns))
+        left = unexplained - more @ np.linalg.lstsq(more, unexplained, rcond=None)[0]
         return 1.0 - float(left @ left) / variance
 
     out = {name: explained(columns) for name, columns in shapes.items()}

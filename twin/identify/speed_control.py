@@ -29,6 +29,8 @@ from twin.machine import Axis
 
 NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
 PASS_HZ = (1.0, 25.0)
+REMEMBERED_S = 0.4
+"""So far from a limit of the current, on either side, the high-pass carries what was cut off there."""
 
 LAW_DOUBT = 0.002
 """How well the law above holds after that, as a relative standard deviation of gain and integral time (docs/identify.md)."""
@@ -75,7 +77,7 @@ def fit_speed_control(
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         if run.feedforward in ("off", "velocity"):
             columns[:, 2], free[:, 2] = 0.0, 0.0
-        use = ~(np.convolve(run.limited, np.ones(101), "same") > 0)
+        use = ~(np.convolve(run.limited, np.ones(2 * round(REMEMBERED_S / run.cycle) + 1), "same") > 0)
         rows.append(columns[use])
         y.append(values[use])
         clusters.append((run.strokes + 100_000 * k)[use])

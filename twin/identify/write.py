@@ -14,12 +14,12 @@ def machine_comments(result: Identification) -> dict[str, str]:
     """Comment behind each identified value: grade, interval, campaign."""
     name = Path(result.campaign).name
     out = {}
+    changed = _changed(result.before, result.machine)
     for p in result.parameters:
-        if p.path and not p.path.startswith("measurement"):
+        if p.path in changed or (p.path and p.at_bound):
             r = _final(p, result)
             bound = ", at its bound" if p.at_bound else ""
             out[p.path] = f"identified  95 % {r.low:.6g} .. {r.high:.6g}{bound}, campaign {name}"
-    changed = _changed(result.before, result.machine)
     for path in changed:
         if path in out:
             continue
