@@ -196,9 +196,10 @@ class Diagnosis:
                     seen.add(candidate.key)
                     p = chosen.get(candidate.key, probability if candidate.plausible else 0.0)
                     gain = max(found.retuned.loss - candidate.fit.loss, 0.0)
-                    rows.append(
-                        (1e6 * (candidate.key in chosen) + candidate.evidence, self._candidate(candidate.setting, found, p, gain / excess))
-                    )
+                    row = self._candidate(candidate.setting, found, p, gain / excess)
+                    if candidate.fit.settings[:-1]:
+                        row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.fit.settings[:-1]]
+                    rows.append((1e6 * (candidate.key in chosen) + candidate.evidence, row))
             for key, gain, setting in found.screened:
                 if key not in seen:
                     rows.append((min(gain, 0.0) - 1e3 + math.tanh(gain / 1e3), self._candidate(setting, found, 0.0, gain / excess)))

@@ -110,7 +110,10 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
     """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
     left = found.group.residual.copy()
     if fit is not None:
-        left -= fit.response + found.tuning.jacobian @ fit.tuning
+        left -= fit.response
+        # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
+        known = len(fit.tuning) == len(found.tuning.nuisances)
+        left -= found.tuning.jacobian @ (fit.tuning if known else found.tuning.solve(left))
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:
         if channel.name != "controller":  # windup stands for the motor encoder
