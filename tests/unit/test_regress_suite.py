@@ -232,6 +232,7 @@ def test_other_control_structures(tmp_path: Path, capsys: pytest.CaptureFixture[
         ("position_gain_per_s = 160.0", "position_gain_per_s = 161.0", "X", "position controller"),
         ("speed_gain_v_s_per_m = 243.0", "speed_gain_v_s_per_m = 245.0", "X", "speed controller"),
         ("coulomb_friction_n = 20.0", "coulomb_friction_n = 20.4", "X", "mechanics"),
+        ("gravity_m_per_s2 = 9.81", "gravity_m_per_s2 = 9.9", "Z", "mechanics"),
         ("speed_integral_time_s = 0.02", "speed_integral_time_s = 0.0205", "Z", "speed controller"),
         ("torque_constant_nm_per_a = 0.5", "torque_constant_nm_per_a = 0.505", "Z", "speed controller"),
         ("speed_gain_nm_s_per_rad = 0.04", "speed_gain_nm_s_per_rad = 0.0404", "B", "speed controller"),
@@ -359,9 +360,21 @@ def test_golden_results_that_cannot_be_used(suite: Path, tmp_path: Path, capsys:
     assert regress(suite, tmp_path) == 2
     one_line(capsys, "not a golden result")
     golden.write_text(good)
+    (suite / "golden" / "u_move.parquet").write_bytes(b"PAR1")
+    assert regress(suite, tmp_path) == 2
+    one_line(capsys, "not a readable Parquet file", "restore it", "--update --reason")
     (suite / "golden" / "u_move.parquet").unlink()
     assert regress(suite, tmp_path) == 2
     one_line(capsys, "golden trace", "is missing")
+
+
+def test_update_says_what_it_skips(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (suite / "measured.toml").write_text(
+        'kind = "campaign"\nname = "spring"\ncampaign = "not_here"\n[tolerance.gap]\ngrowth = 0.1\nabove_noise = 0.1\nreason = "another draw"\n'
+    )
+    capsys.readouterr()
+    assert regress(suite, tmp_path, "--update", "--reason", "a measured campaign") == 0
+    assert "skipped, its golden result stays as it is: spring: campaign not_here is not here" in capsys.readouterr().out
 
 
 def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

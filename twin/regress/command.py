@@ -72,7 +72,7 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     from twin.progress import Progress
     from twin.regress.compare import uncompared
     from twin.regress.golden import golden_paths, history_of, write_golden
-    from twin.regress.run_suite import BROKEN, run_suite
+    from twin.regress.run_suite import BROKEN, SKIPPED, run_suite
     from twin.summary import table
 
     with Progress("regression", total=len(cases)) as bar:
@@ -80,6 +80,9 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     broken = [v for v in verdicts if v.status == BROKEN or v.stopped]
     if broken:
         raise InputError(f"{broken[0].case.where}: {broken[0].text}; only a case that runs to its end can become golden")
+    for v in verdicts:
+        if v.status == SKIPPED:
+            print(f"skipped, its golden result stays as it is: {v.case.name}: {v.text}")
     rows, changed = [], []
     for v in verdicts:
         if v.new is None:

@@ -83,7 +83,10 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
         return found
     if not traced.is_file():
         raise InputError(f"{case.where}: the golden trace {traced} is missing; restore it, or {update}")
-    return replace(found, trace=read_trace(traced))
+    try:
+        return replace(found, trace=read_trace(traced))
+    except InputError as error:
+        raise InputError(f"{' '.join(str(error).split())}; restore it, or {update}") from None
 
 
 def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:

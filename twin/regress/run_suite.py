@@ -122,7 +122,7 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
     except Skip as reason:
         verdict = Verdict(case, SKIPPED, text=str(reason))
     except TwinError as error:
-        verdict = Verdict(case, BROKEN, text=f"cannot run: {' '.join(str(error).split())}")
+        verdict = Verdict(case, BROKEN, text=f"cannot run: {' '.join(str(error).split()).removeprefix(f'{case.where}: ')}")
     except Exception as error:
         line = traceback.extract_tb(error.__traceback__)[-1]
         told = " ".join(f"{type(error).__name__}: {error}".split())

@@ -151,7 +151,7 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     where = f"{file}: case '{name}'"
     kind = table.get("kind")
     if kind not in KINDS:
-        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}; use one of {', '.join(KINDS)}")
+        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
     known = (*COMMON_KEYS, *OWN_KEYS[kind])
     for key, value in table.items():
         if key not in known:

@@ -154,10 +154,13 @@ def _position_controller(axis: Axis, cycle: float, trace: Trace) -> Law:
 
 
 def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """What the speed controller commands [A, V, Nm], and the samples before it meets its limit."""
+    """What the speed controller commands [A, V, Nm], and the samples before it meets its limit.
+
+    With an integral it is told from the first sample on: what the integral holds there, e.g. a weight, is not the controller's doing.
+    """
     command = trace.get(axis.name, "current_setpoint" if axis.effort == "current" else axis.effort)
     limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
-    return command, ~limited
+    return command - (command[0] if axis.has_speed_integral else 0.0), ~limited
 
 
 def _speed_integral(axis: Axis, cycle: float, trace: Trace) -> np.ndarray:
@@ -175,7 +178,9 @@ def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) ->
     forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
     integral = _speed_integral(axis, cycle, trace) / loops.speed_integral_time_s
     torque = loops.speed_gain_nm_s_per_rad * (error + integral) + forward
-    return torque / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a), *_command(axis, trace)
+    told = torque / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
+    command, free = _command(axis, trace)
+    return told - (told[0] if axis.has_speed_integral else 0.0), command, free
 
 
 def _speed_controller_of_samples(axis: Axis, cycle: float, trace: Trace) -> Law:
