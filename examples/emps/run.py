@@ -1,0 +1,319 @@
+"""A measured axis, all the way: a real carriage's record is imported, identified and diagnosed against its published model.
+
+    python examples/emps/run.py DATA_EMPS.mat [--out out/emps] [--quick]
+
+The record is that of the EMPS benchmark (Janot, Gautier, Brunot 2019) and is not part of this repository: 24.84 s at 1 kHz of a set
+point, one motor encoder and a drive voltage. Its first two thirds are fitted; the last third takes no part and is what the gap is told on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+import json
+import math
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+
+from twin.campaign import MeasuredRun, read_campaign
+from twin.cli import main as twin
+from twin.diagnose.tolerance import with_added
+from twin.effects.effect import check_setting
+from twin.errors import TwinError
+from twin.gap import Prediction, gap_of, predict
+from twin.identify.single_axis import Record, fit_single_axis, read_emps
+from twin.machine import Machine, load_machine
+from twin.report import new_figure, save_png
+from twin.summary import table
+
+HERE = Path(__file__).resolve().parent
+MACHINE = HERE / "axis.toml"
+PUBLISHED_OFFSET_N = -3.16
+"""The constant force of the published model, which a machine file has no number for."""
+
+LEAD_M = 0.0025
+PERIOD_S = 6.24
+"""The set points of the record repeat."""
+
+NEXT_BEST = 0.02
+"""Share of the squared gap from which a candidate that was not taken is told."""
+
+MEASURED, NOMINAL, CORRECTED, NOISE = "#15181c", "#e07b10", "#1764c0", "#d5dae1"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("record", type=Path, metavar="PATH", help="the benchmark's DATA_EMPS.mat")
+    parser.add_argument("--out", type=Path, default=Path("out/emps"), metavar="DIR", help="folder for all results")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for the pictures (default: --out)")
+    parser.add_argument(
+        "--with-offset", action="store_true", help="start from the published model with its offset, as weight on a tilted rail"
+    )
+    parser.add_argument("--quick", action="store_true", help="a shorter search")
+    args = parser.parse_args(arguments)
+    try:
+        record = read_emps(args.record)
+        import_record(args.record, args.out)
+        print(told_law(record))
+        command("identify", args.out / "fit", "--machine", MACHINE, "--out", args.out / "identified" / "machine.toml")
+        document = diagnosed(args.out, tilted(args.out) if args.with_offset else MACHINE, quick=args.quick)
+        print(told_order(document))
+        machines = {"published, without its offset": load_machine(MACHINE), "published": published(), "corrected": corrected(args.out)}
+        run, predictions = last_third(args.out, machines)
+        print(told_gap(run, predictions, machines, repeatability(record, PERIOD_S)))
+        print(told_force(record))
+        folder = args.pictures or args.out
+        save_png(gap_figure(run, predictions, repeatability(record, PERIOD_S)), folder / "emps_gap.png", 110)
+        save_png(friction_figure(record, machines), folder / "emps_friction.png", 110)
+        print(f"pictures: {folder / 'emps_gap.png'}, {folder / 'emps_friction.png'}; report: {args.out / 'diagnosis' / 'report.html'}")
+    except TwinError as error:
+        print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def command(*arguments: object) -> None:
+    """A command of twin, shown and carried out."""
+    words = [str(a) for a in arguments]
+    print(f"\n$ twin {' '.join(words)}", flush=True)
+    if code := twin(words):
+        raise SystemExit(code)
+
+
+def import_record(path: Path, out: Path, picture: bool = True) -> None:
+    """The first two thirds as one campaign, the last third as another one."""
+    for part, name in (("fit", "two_thirds.toml"), ("check", "last_third.toml")):
+        command("import", path, "--map", HERE / name, "--out", out / part, *([] if picture else ["--no-picture"]))
+
+
+def tilted(out: Path) -> Path:
+    """The machine file on a rail that falls so much that the weight of the carriage is the published offset."""
+    slope = -PUBLISHED_OFFSET_N / ((load_machine(MACHINE).axis("X").moving_mass_kg or 0.0) * 9.81)
+    model = (
+        (HERE / "axis.xml").read_text(encoding="utf-8").replace('axis="1 0 0"', f'axis="{math.cos(slope):.9f} 0 {-math.sin(slope):.9f}"')
+    )
+    (out / "tilted").mkdir(parents=True, exist_ok=True)
+    (out / "tilted" / "axis.xml").write_text(model, encoding="utf-8")
+    (out / "tilted" / "axis.toml").write_text(MACHINE.read_text(encoding="utf-8"), encoding="utf-8")
+    return out / "tilted" / "axis.toml"
+
+
+def diagnosed(out: Path, machine: Path = MACHINE, quick: bool = False) -> dict[str, Any]:
+    """diagnosis.json of the first two thirds against the machine file."""
+    folder = out / "diagnosis"
+    command("diagnose", out / "fit", "--machine", machine, "--out", folder, *(["--quick"] if quick else []))
+    found: dict[str, Any] = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    return found
+
+
+def published() -> Machine:
+    """The published model with its offset."""
+    machine = load_machine(MACHINE)
+    offset = {"name": "constant_force", "axis": "X", "force": PUBLISHED_OFFSET_N}
+    return with_added(machine, [check_setting(offset, machine, "published offset")])
+
+
+def corrected(out: Path) -> Machine:
+    """The machine file that the diagnosis wrote."""
+    return load_machine(out / "diagnosis" / "machine.toml")
+
+
+def law_error(record: Record) -> np.ndarray:
+    """Recorded voltage less kv (kp (s - q) - dq) of the recorded position, without the first samples (sample,) [V]."""
+    q, h = record.position, record.period
+    speed = (q[2:] - q[:-2]) / (2.0 * h)
+    command_v = record.speed_gain * (record.position_gain * (record.setpoint - q)[2:] - speed)
+    return record.voltage[2:] - np.clip(command_v, -10.0, 10.0)
+
+
+def repeatability(record: Record, period_s: float) -> tuple[float, float]:
+    """RMS by which position [m] and voltage [V] differ from one period of the set points to the next, for one period alone."""
+    n = round(period_s / record.period)
+    settled = slice(n // 10, None)
+    position = (record.position[n:] - record.position[:-n]) - (record.setpoint[n:] - record.setpoint[:-n])
+    voltage = record.voltage[n:] - record.voltage[:-n]
+    return float(np.std(position[settled]) / np.sqrt(2.0)), float(np.std(voltage[settled]) / np.sqrt(2.0))
+
+
+def last_third(out: Path, machines: dict[str, Machine]) -> tuple[MeasuredRun, dict[str, Prediction]]:
+    """The run that took no part, and what each machine expects of it."""
+    run = read_campaign(out / "check", next(iter(machines.values()))).runs[0]
+    return run, {name: predict(machine, run) for name, machine in machines.items()}
+
+
+def told_law(record: Record) -> str:
+    """How well the control does what its file says."""
+    rms = float(np.sqrt(np.mean(law_error(record) ** 2)))
+    return f"\ncontrol law held against the record: {rms * 1e3:.2f} mV RMS of a voltage of {np.abs(record.voltage).max():.2f} V"
+
+
+def told_order(document: dict[str, Any]) -> str:
+    """What the residual contains, largest share first: what the diagnosis took, the best of what it did not take, what is left."""
+    rows, told = [], 0.0
+    taken = {(e["effect"], e["axis"]) for e in document["effects"]}
+    for depth in range(len(document["effects"]) + 1):
+        here = [c for c in document["candidates"] if len(c.get("beside", [])) == depth and c["probability"] > 0.0]
+        if not here:
+            break
+        best = next((c for c in here if (c["effect"], c["axis"]) in taken), max(here, key=lambda c: float(c["probability"])))
+        share = best["explained"] - told
+        if share < NEXT_BEST:
+            break
+        values = ", ".join(f"{name} {p['value']:.4g} {p['unit']}" for name, p in best["parameters"].items() if p["unit"] != "rad")
+        verdict = "taken" if (best["effect"], best["axis"]) in taken else "not taken: too little of what is left"
+        rows.append([best["effect"].replace("_", " "), values, f"{100 * share:.1f} %", verdict])
+        told = best["explained"]
+        if verdict != "taken":
+            break
+    rows.append(["no effect of the library", "", f"{100 * (1.0 - told):.1f} %", f"verdict: {document['verdict']}"])
+    return "\nwhat the residual of the fitted two thirds contains, as shares of its square:\n" + table(
+        ["effect", "size", "share", ""], rows, left=2
+    )
+
+
+def told_gap(run: MeasuredRun, predictions: dict[str, Prediction], machines: dict[str, Machine], repeats: tuple[float, float]) -> str:
+    """The gap on the last third, beside what the axis itself differs by from period to period."""
+    rows = []
+    for name, prediction in predictions.items():
+        gap = gap_of(machines[name], run, prediction)["X"]
+        rows.append(
+            [
+                name,
+                *(f"{gap[s].rms:.3f}" for s in ("motor_position", "voltage")),
+                f"{gap['motor_position'].max:.2f}",
+                f"{gap['voltage'].max:.2f}",
+            ]
+        )
+    rows.append(["the axis, from period to period", f"{repeats[0] * 1e6:.3f}", f"{repeats[1]:.3f}", "", ""])
+    return "\ngap on the last third, which took no part in any fit:\n" + table(
+        ["machine", "RMS [um]", "RMS [V]", "largest [um]", "largest [V]"], rows, left=1
+    )
+
+
+def force_shapes(speed: np.ndarray, position: np.ndarray, period: float) -> dict[str, list[np.ndarray]]:
+    """What a force may depend on beyond mass, viscous and Coulomb friction and a constant, by name."""
+    turn = 2.0 * np.pi * position / LEAD_M
+    acceleration = np.gradient(speed, period)
+    return {
+        "viscous friction by direction": [np.abs(speed)],
+        "friction lower below 20 mm/s": [np.tanh(speed / 0.02) - np.sign(speed)],
+        "friction higher below 5 mm/s (Stribeck)": [np.exp(-((speed / 5e-3) ** 2)) * np.sign(speed)],
+        "once a motor turn": [np.sin(turn), np.cos(turn)],
+        "twice a motor turn": [np.sin(2.0 * turn), np.cos(2.0 * turn)],
+        "jerk (a lag, or a spring behind the motor)": [np.gradient(acceleration, period)],
+        "force along the travel": [position, position**2, position**3],
+        "friction along the travel": [position * np.sign(speed), position**2 * np.sign(speed)],
+        "friction as v|v|": [speed * np.abs(speed)],
+    }
+
+
+def told_force(record: Record) -> str:
+    """A second opinion that knows nothing of the closed loop: the force below 50 Hz by regression, shape by shape."""
+    part = slice(0, 2 * len(record.time) // 3)
+    fit = fit_single_axis(replace(record, **{k: getattr(record, k)[part] for k in ("time", "setpoint", "position", "voltage")}))
+    columns = [np.gradient(fit.speed, record.period), fit.speed, np.sign(fit.speed), np.ones_like(fit.speed)]
+    shapes = force_shapes(fit.speed, fit.position, record.period)
+    total, left, rows = float(fit.residual @ fit.residual), 1.0, []
+
+    def remaining(more: list[np.ndarray]) -> float:
+        x = np.column_stack([*columns, *more])
+        scaled = x / np.linalg.norm(x, axis=0)
+        e = fit.residual - scaled @ np.linalg.lstsq(scaled, fit.residual, rcond=None)[0]
+        return float(e @ e) / total
+
+    while shapes:
+        after = {name: remaining(shape) for name, shape in shapes.items()}
+        best = min(after, key=lambda name: after[name])
+        if left - after[best] < NEXT_BEST:
+            break
+        rows.append([best, f"{100 * (left - after[best]):.0f} %"])
+        columns += shapes.pop(best)
+        left = after[best]
+    rows.append(["none of these", f"{100 * left:.0f} %"])
+    error = f"{100 * fit.force_error:.1f} % of the force"
+    return f"\nsecond opinion, by regression of the force below 50 Hz (the published form leaves {error}):\n" + table(
+        ["the residual depends on", "share"], rows, left=1
+    )
+
+
+def gap_figure(run: MeasuredRun, predictions: dict[str, Prediction], repeats: tuple[float, float]):  # type: ignore[no-untyped-def]
+    """One period of the last third: speed, gap of position and voltage of the published and of the corrected machine."""
+    n = round(PERIOD_S / run.trace.period)
+    time = run.trace.time[:n]
+    figure, panels = new_figure(3, 1, height=2.2, sharex=True)
+    speed, position, voltage = panels[:, 0]
+    speed.plot(time, np.gradient(run.trace.get("X", "setpoint"), run.trace.period)[:n] * 1e3, color=MEASURED, linewidth=1.2)
+    speed.set_ylabel("set point [mm/s]")
+    for panel, signal, factor, repeat, unit in (
+        (position, "motor_position", 1e6, repeats[0], "um"),
+        (voltage, "voltage", 1.0, repeats[1], "V"),
+    ):
+        panel.axhspan(-2 * repeat * factor, 2 * repeat * factor, color=NOISE, label="the axis, period to period (95 %)")
+        for name, colour in (("published", NOMINAL), ("corrected", CORRECTED)):
+            gap = (run.trace.get("X", signal) - predictions[name].trace.get("X", signal))[:n] * factor
+            panel.plot(time, gap, color=colour, linewidth=1.0, label=f"measured - {name}, {np.sqrt(np.mean(gap**2)):.2g} {unit} RMS")
+        panel.set_ylabel(f"gap of {signal.replace('_', ' ')} [{unit}]")
+        panel.legend(ncols=3, loc="lower left", bbox_to_anchor=(0.0, 0.98), frameon=False)
+    voltage.set_xlabel("time [s] in the last third of the record")
+    voltage.margins(x=0.01)
+    return figure
+
+
+def friction_figure(record: Record, machines: dict[str, Machine]):  # type: ignore[no-untyped-def]
+    """Voltage at constant speed less that of the published model, by speed and direction, and what the corrected machine says."""
+    figure, panels = new_figure(1, 1, width=8.0, height=3.6)
+    panel = panels[0, 0]
+    grid = np.linspace(0.005, 0.135, 50)
+    for sign in (-1.0, 1.0):
+        v = sign * grid
+        base = voltage_at(machines["published"], v)
+        panel.plot(
+            v * 1e3, 1e3 * (voltage_at(machines["published"], v) - base), color=NOMINAL, label="published model" if sign > 0 else None
+        )
+        panel.plot(
+            v * 1e3, 1e3 * (voltage_at(machines["corrected"], v) - base), color=CORRECTED, label="corrected machine" if sign > 0 else None
+        )
+    for speed, visits in plateaus(record).items():
+        off = 1e3 * (np.array(visits) - voltage_at(machines["published"], np.array([speed])))
+        panel.plot(np.full(len(off), speed * 1e3), off, color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6)
+    panel.plot(
+        [], [], color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6, label="measured, each stretch of constant speed"
+    )
+    panel.set_xlabel("speed [mm/s]")
+    panel.set_ylabel("voltage less published model [mV]")
+    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
+    return figure
+
+
+def voltage_at(machine: Machine, speed: np.ndarray) -> np.ndarray:
+    """Voltage [V] that a machine takes at constant speeds (speed,) [m/s]: friction, its asymmetry, a constant force."""
+    axis = machine.axis("X")
+    force = axis.coulomb_friction * np.sign(speed) + axis.viscous_friction * speed
+    for effect in machine.effects:
+        if effect["name"] == "viscous_asymmetry":
+            force = force + effect["fraction"] * axis.viscous_friction * np.abs(speed)
+        elif effect["name"] == "constant_force":
+            force = force + effect["force"]
+    return force * axis.ratio / axis.motor.torque_constant_nm_per_a
+
+
+def plateaus(record: Record, least_s: float = 0.2, settle_s: float = 0.08) -> dict[float, list[float]]:
+    """Mean voltage [V] of each stretch of constant speed, by the speed of the set point [m/s]."""
+    h = record.period
+    speed = np.gradient(record.setpoint, h)
+    steady = np.abs(np.gradient(speed, h)) < 1e-3
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(int)))
+    out: dict[float, list[float]] = {}
+    for begin, end in zip(edges[::2], edges[1::2]):
+        at = float(speed[end - 1])
+        if (end - begin) * h > least_s and abs(at) > 1e-3:
+            out.setdefault(round(at, 3), []).append(float(np.mean(record.voltage[begin + round(settle_s / h) : end])))
+    return dict(sorted(out.items()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

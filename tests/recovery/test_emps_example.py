@@ -1,0 +1,113 @@
+"""examples/emps all the way: on the measured axis where its record is there, and always on a record that is made here."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+import sys
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from tests.conftest import ROOT, SHARED
+from twin.diagnose.tolerance import with_added
+from twin.effects.effect import check_setting
+from twin.machine import load_machine
+from twin.run import simulate
+from twin.setpoints import Setpoints
+
+CONTROL = ("position controller", "speed controller")
+RECORD = SHARED / "data" / "emps" / "DATA_EMPS.mat"
+PLANTED = {"viscous_asymmetry": {"fraction": -0.19}, "torque_ripple": {"amplitude_nm": 4e-4, "periods_per_rev": 1.0}}
+
+
+@pytest.fixture(scope="module")
+def example() -> ModuleType:
+    """The example's script as a module."""
+    spec = importlib.util.spec_from_file_location("emps_example", ROOT / "examples" / "emps" / "run.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def diagnosis_of(example: ModuleType, record: Path, out: Path) -> tuple[dict[str, Any], dict[str, float]]:
+    """The diagnosis of a record, and the RMS [um] of each machine's gap on the last third."""
+    example.import_record(record, out, picture=False)
+    document = example.diagnosed(out, quick=True)
+    machines = {"file": load_machine(example.MACHINE), "published": example.published(), "corrected": example.corrected(out)}
+    run, predictions = example.last_third(out, machines)
+    return document, {name: example.gap_of(machines[name], run, p)["X"]["motor_position"].rms for name, p in predictions.items()}
+
+
+def control_is_not_blamed(document: dict[str, Any]) -> None:
+    """No place, no effect, and no candidate that would close anything lies in a controller."""
+    assert not [p for p in document["where"] if p["block"] in CONTROL]
+    assert not [e for e in document["effects"] if e["block"] in CONTROL]
+    alone = {c["effect"]: c["explained"] for c in document["candidates"] if "beside" not in c}
+    assert all(alone.get(name, 0.0) < 0.05 for name in ("position_gain", "speed_gain", "loop_delay", "set_point_filter", "current_filter"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
+    """A record like the measured one, of the machine file with what is planted: three speeds there and back, 24.84 s."""
+    machine = load_machine(example.MACHINE)
+    settings = [check_setting({"name": n, "axis": "X", **p}, machine, "planted") for n, p in PLANTED.items()]
+    times = [0.0, 0.05, 0.45, 0.5, 0.6, 1.25, 1.35, 1.4, 1.55, 2.6, 2.75, 2.8, 2.85, 3.02, 3.07, 3.12]
+    speeds = [0.0, 0.042, 0.042, 0.0, 0.083, 0.083, 0.0, 0.0, 0.125, 0.125, 0.0, 0.0, 0.042, 0.042, 0.0, 0.0]
+    t = np.arange(24_841) * 1e-3
+    speed = np.interp(t % 3.12, times, speeds) * np.where(t % 6.24 < 3.12, 1.0, -1.0)
+    setpoint = np.cumsum(speed) * 1e-3
+    trace = simulate(with_added(machine, settings), Setpoints(setpoint[:, None], 1e-3), noise_seed=1).trace
+    count = len(setpoint)
+    columns = {
+        "t": t,
+        "qg": setpoint,
+        "qm": trace.get("X", "motor_position")[:count],
+        "vir": trace.get("X", "voltage")[:count],
+    }
+    path = tmp_path_factory.mktemp("emps") / "DATA_EMPS.mat"
+    savemat(path, {**{k: v[:, None] for k, v in columns.items()}, "kp": 160.18, "kv": 243.45, "gtau": 35.15065})
+    return path
+
+
+def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_path: Path) -> None:
+    document, gaps = diagnosis_of(example, made, tmp_path)
+    found = {e["effect"]: e["parameters"] for e in document["effects"]}
+    assert set(found) == set(PLANTED)
+    assert found["viscous_asymmetry"]["fraction"]["value"] == pytest.approx(-0.19, rel=0.03)
+    assert found["torque_ripple"]["amplitude_nm"]["value"] == pytest.approx(4e-4, rel=0.05)
+    assert found["torque_ripple"]["periods_per_rev"]["value"] == pytest.approx(1.0, rel=1e-3)
+    control_is_not_blamed(document)
+    assert gaps["corrected"] < 0.1 * gaps["file"]
+    told = example.told_order(document)
+    assert told.index("viscous asymmetry") < told.index("torque ripple") < told.index("no effect of the library")
+
+
+def test_a_second_opinion_by_regression(example: ModuleType, made: Path) -> None:
+    record = example.read_emps(made)
+    assert np.sqrt(np.mean(example.law_error(record) ** 2)) < 4e-3
+    told = example.told_force(record)
+    assert told.index("viscous friction by direction") < told.index("once a motor turn")
+
+
+def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert example.main([str(tmp_path / "nowhere.mat"), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_measured_axis(example: ModuleType, tmp_path: Path) -> None:
+    if not RECORD.is_file():
+        pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
+    document, gaps = diagnosis_of(example, RECORD, tmp_path)
+    assert document["effects"][0]["effect"] == "viscous_asymmetry"
+    assert -0.25 < document["effects"][0]["parameters"]["fraction"]["value"] < -0.13
+    control_is_not_blamed(document)
+    assert np.sqrt(np.mean(example.law_error(example.read_emps(RECORD)) ** 2)) < 4.5e-3
+    assert gaps["corrected"] < 0.5 * gaps["file"]
+    assert gaps["corrected"] < 0.85 * gaps["published"]
