@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import functools
 
 import numpy as np
 
@@ -52,8 +53,11 @@ class BlockResidual:
         return max(float(np.sum(self.normed**2)) - len(self.residual), 0.0)
 
 
-def block_residuals(group: Group, machine_of: Callable[[Machine], Machine]) -> list[BlockResidual]:
-    """All blocks of all axes of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics."""
+def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapper: Callable = map) -> list[BlockResidual]:  # type: ignore[type-arg]
+    """All blocks of all axes of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
+
+    `mapper` maps over the runs, on threads or not.
+    """
     found = []
     for channel in group.channels:
         if channel.name in ("controller", "windup"):
@@ -64,23 +68,30 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine]) -> l
             else:
                 block, index = "transmission", np.flatnonzero(view.reference(channel.axis)[2])
             found.append(BlockResidual(channel.run, channel.axis, block, channel.residual, float(np.median(channel.sigma)), index))
-    for r, view in enumerate(group.views):
-        moving = [a for a in group.axes if view.moves(a)]
-        if not moving:
-            continue
-        view = replace(view, machine=machine_of(view.machine))
-        noisy = simulate_group(view, moving, noise_seed=77 + r)
-        for name in moving:
-            axis = view.machine.axis(name)
-            for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
-                if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in _MOTION):
-                    continue
-                if block == "speed controller" and not all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint")):
-                    continue
-                measured, index = law(view, axis, view.trace)
-                expected, _ = law(view, axis, noisy)
-                if len(measured) > 50:
-                    found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
+    for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
+        found += parts
+    return found
+
+
+def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
+    """Speed controller and mechanics of all axes of a group that move in a run."""
+    view, found = group.views[r], []
+    moving = [a for a in group.axes if view.moves(a)]
+    if not moving:
+        return []
+    view = replace(view, machine=machine_of(view.machine))
+    noisy = simulate_group(view, moving, noise_seed=77 + r)
+    for name in moving:
+        axis = view.machine.axis(name)
+        for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
+            if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in _MOTION):
+                continue
+            if block == "speed controller" and not all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint")):
+                continue
+            measured, index = law(view, axis, view.trace)
+            expected, _ = law(view, axis, noisy)
+            if len(measured) > 50:
+                found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
     return found
 
 

@@ -299,7 +299,8 @@ def diagnose(
     if verdict != "none":
         healthy = [tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread) for f in found]
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
-        diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], healthy, weights)
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], healthy, weights, pool.map)
     return diagnosis
 
 

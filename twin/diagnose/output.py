@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 import json
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,10 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     write_machine(diagnosis.corrected, out / "machine.toml")
     if diagnosis.proposal.move is not None:
         write_trace(diagnosis.proposal.move, out / "next_measurement.csv")
-    write_report(diagnosis, document, out / "report.html")
-    write_recording_of(diagnosis, out / "diagnosis.rrd")
+    with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time
+        recording = pool.submit(write_recording_of, diagnosis, out / "diagnosis.rrd")
+        write_report(diagnosis, document, out / "report.html")
+        recording.result()
     return document
 
 

@@ -24,6 +24,7 @@ def places(
     settings: Sequence[Setting],
     retuned: Sequence[Callable[[Machine], Machine]],
     weights: Mapping[str, float],
+    mapper: Callable = map,  # type: ignore[type-arg]
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
 
@@ -34,7 +35,7 @@ def places(
     """
     found = []
     for group, machine_of in zip(groups, retuned):
-        residuals = block_residuals(group, machine_of)
+        residuals = block_residuals(group, machine_of, mapper)
         for axis in group.axes:
             of_axis = [b for b in residuals if b.axis == axis]
             blocks = sorted({b.block for b in of_axis})
