@@ -14,7 +14,7 @@ from twin.plant import home_inertia_at_motor
 from twin.run import commissioned_inertia
 from twin.study.carry_out import fingerprint
 from twin.study.design import machine_of, nominal_of, variants_of
-from twin.study.paths import matching_paths, number_at, numbers_of, with_numbers
+from twin.study.paths import matching_paths, number_at, numbers_of, unit_at, with_numbers
 from twin.study.spec import read_study
 
 
@@ -28,6 +28,24 @@ def test_every_number_of_the_machine_file_has_a_path_and_can_be_changed(mikron: 
         changed = with_numbers(mikron, {path: value * 1.001})
         assert number_at(changed, path) == pytest.approx(value * 1.001)
         assert {p: number_at(changed, p) for p in paths if p != path} == {p: number_at(mikron, p) for p in paths if p != path}
+
+
+def test_a_number_has_the_unit_of_its_key(mikron: Machine) -> None:
+    for path, unit in (
+        ("axis.X.screw_lead_m_per_rev", "m/rev"),
+        ("axis.X.loops.speed_gain_nm_s_per_rad", "Nm s/rad"),
+        ("axis.X.loops.position_gain_per_s", "1/s"),
+        ("axis.A.motor.torque_constant_nm_per_a", "Nm/A"),
+        ("body.workpiece.inertia_kg_m2.0", "kg m2"),
+        ("axis.X.loops.velocity_feedforward", ""),
+        ("effect.backlash.X.clearance", "SI"),
+    ):
+        assert unit_at(path) == unit
+    assert {p for p in numbers_of(mikron.document) if not unit_at(p)} == {
+        "parameter_tolerance",
+        *(f"axis.{a}.{key}" for a in "XYZAC" for key in ("loops.velocity_feedforward", "loops.torque_feedforward")),
+        *(f"axis.{a}.gear_ratio" for a in "AC"),
+    }
 
 
 def test_wildcards_stand_for_one_part(mikron: Machine) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.study.paths import unit_at
 from twin.study.results import Answers, Response
 from twin.study.spec import Study
 
@@ -129,7 +130,8 @@ def factors_figure(study: Study, r: Response) -> Any:
             points = np.tile(middle, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
             panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0, label="surrogate")
-        panel.set_xlabel(f"{factor.name}{' [times nominal]' if factor.relative else ''}")
+        unit = "times nominal" if factor.relative else unit_at(factor.paths[0])
+        panel.set_xlabel(f"{factor.name} [{unit}]" if unit else factor.name)
     for row in axes:
         row[0].set_ylabel(r.name)
     if r.surrogate is not None:
