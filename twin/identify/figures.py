@@ -91,9 +91,9 @@ def friction_figure(result: Identification) -> Any:
             panel.plot(w * factor, before, color=SOFT, lw=1.0, ls="--", label="machine file before" if sign > 0 else None)
         panel.errorbar(speed * factor, torque, 1.96 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
         panel.axhline(0.0, color=SOFT, lw=0.6)
-        panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3f} Nm + {1e3 * viscous.estimate.value:.2f} mNm s/rad")
+        panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3g} {coulomb.unit} + {1e3 * viscous.estimate.value:.3g} m{viscous.unit}")
         panel.set_xlabel(unit)
-        panel.set_ylabel("friction at the motor [Nm]")
+        panel.set_ylabel(f"friction at the motor [{coulomb.unit}]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
     if axes:
@@ -118,9 +118,11 @@ def inertia_figure(result: Identification) -> Any:
         panel.plot(ends, p.estimate.value * ends, color=INK, lw=1.1, label="identified")
         panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
         half = 100.0 * p.estimate.half / p.estimate.value
-        panel.set_title(f"{axis.name}: {1e3 * p.estimate.value:.4f} g m² ± {half:.2f} %")
-        panel.set_xlabel("acceleration of the motor [rad/s²]")
-        panel.set_ylabel("torque for it [Nm]")
+        direct = p.unit == "kg"
+        told = f"{p.estimate.value:.4g} kg" if direct else f"{1e3 * p.estimate.value:.4g} g m²"
+        panel.set_title(f"{axis.name}: {told} ± {half:.2g} %")
+        panel.set_xlabel(f"acceleration of the motor [{'m' if direct else 'rad'}/s²]")
+        panel.set_ylabel("force for it [N]" if direct else "torque for it [Nm]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
     if axes:
