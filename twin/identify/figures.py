@@ -91,13 +91,15 @@ def friction_figure(result: Identification) -> Any:
             panel.plot(w * factor, before, color=SOFT, lw=1.0, ls="--", label="machine file before" if sign > 0 else None)
         panel.errorbar(speed * factor, torque, 1.96 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
         panel.axhline(0.0, color=SOFT, lw=0.6)
-        panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3g} {coulomb.unit} + {1e3 * viscous.estimate.value:.3g} m{viscous.unit}")
+        small = viscous.unit.startswith("Nm")  # mNm s/rad at a motor, N s/m of a direct drive
+        slope = f"{1e3 * viscous.estimate.value:.3g} m{viscous.unit}" if small else f"{viscous.estimate.value:.3g} {viscous.unit}"
+        panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3g} {coulomb.unit} + {slope}")
         panel.set_xlabel(unit)
         panel.set_ylabel(f"friction at the motor [{coulomb.unit}]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
     if axes:
-        panels.ravel()[0].legend(loc="lower right", frameon=False, fontsize=8)
+        figure.legend(*panels.ravel()[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
@@ -180,6 +182,7 @@ def gravity_figure(result: Identification) -> Any | None:
         right.annotate(f"{p.estimate.value:.4g} kg m", (k, off), xytext=(8, 4), textcoords="offset points", fontsize=8.5)
     right.axhline(0.0, color=SOFT, lw=1.0, ls="--")
     right.set_xlim(-0.5, len(shown) - 0.2)
+    right.margins(y=0.15)
     right.set_xticks(range(len(shown)), [p.name.replace("_", " ") for p in shown])
     right.set_ylabel("off the machine file [%]")
     right.set_title("First moments with 95 % interval")
