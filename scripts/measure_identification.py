@@ -84,12 +84,17 @@ def routes_of(result: Identification, truth: Machine, products: tuple[str, ...] 
     return out
 
 
-def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, float], list[str]]:
-    """Judge one drawn campaign, drawn into `folder` where it is not there yet; the machine file's tolerance is what it was drawn with."""
+def draw(seed: int, folder: Path) -> None:
+    """Draw a campaign into `folder` where it is not there yet."""
     if not (folder / "truth.toml").is_file():
         case = drawn_case(seed)
         write_campaign(case, folder, tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8")))
         (folder / "truth.toml").write_text(truth_toml(truth_of(case)), encoding="utf-8")
+
+
+def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, float], list[str]]:
+    """Judge one drawn campaign; the machine file's tolerance is what it was drawn with."""
+    draw(seed, folder)
     machine = replace(load_machine(), parameter_tolerance=SPREAD)
     result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=False, torque_constant_tolerance=KNOWN)
     return routes_of(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, usual_runs, with_signal
 from twin.campaign import MeasuredRun
+from twin.cli import main
 from twin.errors import InputError
 from twin.identify import Identification, identify_campaign
 from twin.machine import Machine
@@ -208,6 +210,11 @@ def test_an_axis_that_never_moves_is_named(mikron: Machine) -> None:
 def test_a_stuck_channel_is_named(machine: Machine, runs: list[MeasuredRun]) -> None:
     stuck = [with_signal(r, "X", "velocity", np.zeros(len(r.trace.time))) if r.name == "quick" else r for r in runs]
     assert "run quick axis X: velocity never changes" in said(identified(machine, stuck))
+
+
+def test_a_campaign_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", str(tmp_path / "nowhere"), "--out", str(tmp_path / "m.toml")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_period_that_does_not_fit_the_cycle_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
