@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """False alarms of the regression suite: the unchanged twin again and again, with 1 and 2 processes and threads.
 
-    python scripts/measure_regress_alarms.py [--repeats 20] [--only NAME] [--fresh] [--plain]
+    python scripts/measure_regress_alarms.py [--repeats 20] [--only NAME] [--traces] [--processes N] [--fresh] [--plain]
 
-Prints how often a case failed, and how near any number came to its tolerance. `--fresh` runs each repeat on a copy of the package
-without compiled loops, so that everything is compiled anew; `--plain` for a processor without AVX and fused multiply-add: other
-instructions round otherwise.
+Prints how often a case failed, and how near any number came to its tolerance. `--traces` leaves out the few long cases. `--fresh`
+runs each repeat on a copy of the package without compiled loops, so that everything is compiled anew; `--plain` for a processor
+without AVX and fused multiply-add: other instructions round otherwise.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+from twin.regress.suite import read_suite
 
 HERE = Path(__file__).resolve().parents[1]
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -55,11 +57,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--only", action="append", default=[], help="as in twin regress")
+    parser.add_argument("--traces", action="store_true", help="only the cases with traces (of kind run)")
     parser.add_argument("--fresh", action="store_true", help="compile everything anew each time")
     parser.add_argument("--plain", action="store_true", help="as on a processor without AVX and fused multiply-add")
+    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2], metavar="N", help="processes and threads (default: 1 and 2)")
     args = parser.parse_args()
+    if args.traces:
+        args.only += [case.name for case in read_suite(HERE / "examples/regression") if case.kind == "run"]
     alarms = 0
-    for count in (1, 2):
+    for count in args.processes:
         began, failed, worst, number = time.perf_counter(), 0, (0.0, "-"), 0
         for _ in range(args.repeats):
             with tempfile.TemporaryDirectory() as base:

@@ -6,12 +6,14 @@
     python scripts/measure_study.py closed_forms                 error against inertia, matching optimum, time of a rapid move
 
 Throughput is measured in turns of a second or so (one thread, all threads, bare engine), and the medians of their ratios are
-printed, so that another load on the machine weighs on all alike; the load average stands beside them.
+printed, so that another load on the machine weighs on all alike; the load average stands beside them. The same ratios follow without
+the time that threads were ready and had no core, as Linux tells it: what idle cores would give, but for caches. Waits for each other stay in.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import math
@@ -21,7 +23,6 @@ import random
 import resource
 import signal
 import sqlite3
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -39,6 +40,8 @@ from twin.study.design import machine_of, variants_of
 from twin.study.evaluate import evaluate, work_of
 from twin.study.paths import with_numbers
 from twin.trace import Trace, write_trace
+
+Rates = tuple[float, float]
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "studies"
 MOVE_S = 2.0
@@ -84,52 +87,58 @@ def throughput(seconds: float) -> None:
     evaluate(work, tuple(next(rows)))  # compile first
     lock = threading.Lock()
 
-    def variants_per_second(threads: int, span: float) -> float:
+    def rates(threads: int, span: float, step: Callable[[int], float]) -> Rates:
+        """Steps a second of threads that repeat `step` (thread) -> steps; the second rate leaves out waits for a core."""
         end = perf_counter() + span
 
-        def worker(_: int) -> int:
-            done = 0
+        def worker(thread: int) -> Rates:
+            begin, waited, done = perf_counter(), waited_s(), 0.0
             while perf_counter() < end:
-                with lock:
-                    row = tuple(next(rows))
-                evaluate(work, row)
-                done += 1
-            return done
+                done += step(thread)
+            took = perf_counter() - begin
+            return done / took, done / (took - (waited_s() - waited))
 
-        begin = perf_counter()
         with ThreadPoolExecutor(threads) as pool:
-            return sum(pool.map(worker, range(threads))) / (perf_counter() - begin)
+            wall, own = zip(*pool.map(worker, range(threads)))
+        return sum(wall), sum(own)
 
-    def bare_steps_per_second(threads: int, span: float) -> float:
-        end = perf_counter() + span
+    def variant(_: int) -> float:
+        with lock:
+            row = tuple(next(rows))
+        evaluate(work, row)
+        return ticks
 
-        def worker(engine: BareEngine) -> int:
-            done = 0
-            while perf_counter() < end:
-                engine.seconds(1600)
-                done += 1600
-            return done
+    def bare(thread: int) -> float:
+        engines[thread].seconds(1600)
+        return 1600
 
-        begin = perf_counter()
-        with ThreadPoolExecutor(threads) as pool:
-            return sum(pool.map(worker, engines[:threads])) / (perf_counter() - begin)
-
-    speedups, bare_speedups, shares, rates = [], [], [], []
+    turns = []
     begin = perf_counter()
     while perf_counter() - begin < seconds:
-        one, every = variants_per_second(1, 1.0), variants_per_second(cores, 1.0)
-        bare, bare_one = bare_steps_per_second(cores, 1.0), bare_steps_per_second(1, 1.0)
-        speedups.append(every / one)
-        bare_speedups.append(bare / bare_one)
-        shares.append(every * ticks / bare)
-        rates.append((one, every, bare))
-    one, every, bare = (statistics.median(column) for column in zip(*rates))
-    print(f"load average {os.getloadavg()[0]:.1f} on {cores} cores; medians of {len(rates)} turns")
-    print(f"variants of a {MOVE_S:g} s move a second: {one:.2f} on one thread, {every:.2f} on {cores}")
-    print(f"{cores} threads over one: {statistics.median(speedups):.2f} (turns: {min(speedups):.2f} to {max(speedups):.2f})")
-    print(f"the same of bare mj_step, which shares nothing: {statistics.median(bare_speedups):.2f}: what the machine gives at this load")
-    print(f"steps a second: {every * ticks:,.0f} in the study, {bare:,.0f} bare mj_step on {cores} threads")
-    print(f"study over bare mj_step: {statistics.median(shares):.2f} (turns: {min(shares):.2f} to {max(shares):.2f})")
+        turns.append([rates(1, 1.0, variant), rates(cores, 1.0, variant), rates(1, 1.0, bare), rates(cores, 1.0, bare)])
+    print(f"load average {os.getloadavg()[0]:.1f} on {cores} cores; medians of {len(turns)} turns")
+    for clock, words in enumerate(("by the clock", "without what threads waited for a core that another program had")):
+        one, every, bare_one, bare_every = np.array([[rate[clock] for rate in turn] for turn in turns]).T
+        print(f"{words}:")
+        print(
+            f"  variants of a {MOVE_S:g} s move a second: {np.median(one) / ticks:.2f} on one thread, {np.median(every) / ticks:.2f} on {cores}"
+        )
+        print(f"  {cores} threads over one: {told(every / one)}; of bare mj_step, which shares nothing: {told(bare_every / bare_one)}")
+        print(f"  steps a second: {np.median(every):,.0f} in the study, {np.median(bare_every):,.0f} bare mj_step on {cores} threads")
+        print(f"  study over bare mj_step: {told(every / bare_every)}")
+
+
+def told(ratios: np.ndarray) -> str:
+    """Median and range of the turns."""
+    return f"{np.median(ratios):.2f} (turns: {ratios.min():.2f} to {ratios.max():.2f})"
+
+
+def waited_s() -> float:
+    """How long this thread has been ready to run without a core so far; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/self/task/{threading.get_native_id()}/schedstat").read_text().split()[1]) * 1e-9
+    except (OSError, IndexError):
+        return 0.0
 
 
 def thousand(variants: int) -> None:

@@ -4,7 +4,7 @@
     position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            stated by the machine file, on the position cycles
     speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt    stated; integral of the speed from the motor encoder: exact,
                          until i* meets its limit (there the integral stops); regressed where the speed is not measured itself
-    current loop         torque        regressed on i* and speed, TAPS samples about each instant
+    current loop         torque        regressed on w*, i* and speed, TAPS samples about each instant
     mechanics            torque        regressed on a of all axes, sign v, v, position
     transmission         motor position - scale      regressed on torque, a, position, motor angle
 
@@ -37,9 +37,9 @@ the recorded output (sample,); the samples at which the law holds (sample,)."""
 
 SHARE = 0.6
 """Share of the change of its output that a block must have made itself to be named: in the mutations of scripts/mutate.py the block
-that was changed has 0.86 and more, blocks before it at most 0.5 (a regressed law is not quite the law: backlash, samples apart)."""
+that was changed has 0.7 and more in most cases, blocks before it at most 0.5 (a regressed law is not quite the law: backlash, samples apart)."""
 TAPS = 5
-"""Samples of set point and speed from which the current loop's torque follows: it settles within one or two of them."""
+"""Samples of set points and speed from which the current loop's torque follows: it settles within one or two of them."""
 AT_LIMIT = 0.998
 """A current set point counts as limited from this share of the peak current on."""
 SLIDING = 1e-3
@@ -201,7 +201,9 @@ def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
 
 
 def _current_loop(axis: Axis, trace: Trace) -> Law:
-    columns = [np.ones(len(trace.time)), *_samples(axis, trace, "current_setpoint"), *_samples(axis, trace, "velocity")]
+    columns = [np.ones(len(trace.time))]
+    for signal in ("velocity_setpoint", "current_setpoint", "velocity"):  # w* and w tell how i* went on between the samples
+        columns += _samples(axis, trace, signal)
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 
 
