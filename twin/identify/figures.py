@@ -115,7 +115,8 @@ def inertia_figure(result: Identification) -> Any:
         torque = parts["inertia"] + residual
         step = max(1, len(torque) // 1500)
         p = result.parameter(axis.name, "inertia")
-        panel.plot(rows.acceleration[::step], torque[::step], ".", ms=2.2, color=hexadecimal(axis_colour(axis.name)), alpha=0.6)
+        colour = hexadecimal(axis_colour(axis.name))
+        panel.plot(rows.acceleration[::step], torque[::step], ".", ms=2.2, color=colour, alpha=0.6, rasterized=True)
         ends = np.array([rows.acceleration.min(), rows.acceleration.max()])
         panel.plot(ends, p.estimate.value * ends, color=INK, lw=1.1, label="identified")
         panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
@@ -157,6 +158,7 @@ def gravity_figure(result: Identification) -> Any | None:
         ms=2.2,
         color=colour,
         alpha=0.5,
+        rasterized=True,
         label="measured, all C",
     )
     g = machine.gravity
@@ -189,6 +191,10 @@ def gravity_figure(result: Identification) -> Any | None:
     return figure
 
 
+ROOM = 120
+"""So many small letters fit above the residuals."""
+
+
 def residual_figure(result: Identification) -> Any:
     """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
     axes = _shown(result)
@@ -202,7 +208,10 @@ def residual_figure(result: Identification) -> Any:
         edges = np.flatnonzero(rows.run[1:] != rows.run[:-1]) + 1
         for e in edges:
             trace.axvline(e, color=SOFT, lw=0.5)
-        for start, name in zip([0, *edges], rows.run[[0, *edges]]):
+        for start, end in itertools.pairwise([0, *edges, len(residual)]):
+            room = int(ROOM * (end - start) / len(residual))
+            name = str(rows.run[start])
+            name = name if len(name) <= room else f"{name[: room - 1]}…" if room > 3 else ""
             trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)
         trace.set_ylabel(f"{axis.name} [mNm]")
         correlation, outside = whiteness(residual)

@@ -57,9 +57,13 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
 
 def _summary(result: Identification) -> Section:
     times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
+    if any(p.refined for p in result.parameters):
+        route = "re-simulation" if result.chosen == "refined" else "regression"
+        chosen = f"the {route}: re-simulation is taken where it leaves a smaller gap on the runs left out"
+    else:
+        chosen = "the regression, without re-simulation"
     lines = [
-        f"The machine file that was written holds the values of the {'re-simulation' if result.chosen == 'refined' else 'regression'}: "
-        "the route that leaves the smaller gap on the runs left out.",
+        f"The machine file that was written holds the values of {chosen}.",
         "Current and motion tell inertia, friction and gravity only as products with each motor's torque constant. "
         + (
             "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
@@ -71,6 +75,10 @@ def _summary(result: Identification) -> Section:
     ]
     findings = [str(f) for f in result.findings] or ["Nothing was found wrong with the recording."]
     return Section("In short", lines, items=findings)
+
+
+BLUNT = 20.0
+"""Runs left out that tell a parameter so many times less sharply do not judge it."""
 
 
 def _parameters(result: Identification) -> Section:
@@ -91,7 +99,8 @@ def _parameters(result: Identification) -> Section:
     ]
     rows, marked = [], set()  # type: ignore[var-annotated]
     for p in result.parameters:
-        off = p.left_out is not None and (p.left_out.low > p.estimate.high or p.left_out.high < p.estimate.low)
+        judges = p.left_out is not None and p.left_out.half < BLUNT * p.estimate.half
+        off = judges and p.left_out is not None and (p.left_out.low > p.estimate.high or p.left_out.high < p.estimate.low)
         if off or p.at_bound:
             marked.add(len(rows))
         rows.append(
@@ -115,6 +124,8 @@ def _parameters(result: Identification) -> Section:
         "Product: the number at the machine file's torque constant, all that current and motion tell. Value: after the split. Marked rows: the runs left out "
         "disagree beyond both intervals, or the value lies at its bound. Condition: of the scaled regressors."
     )
+    told = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
+    heading, rows = [heading[i] for i in told], [[row[i] for i in told] for row in rows]
     return Section("Parameters before and after", [note], tables=[Table(heading, rows, left=3, marked=frozenset(marked))])
 
 
