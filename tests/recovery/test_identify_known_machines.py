@@ -117,7 +117,7 @@ def test_the_command_writes_machine_file_report_and_json(mikron: Machine, tmp_pa
     result = {(p["axis"], p["name"]): p for p in json.loads(told.read_text(encoding="utf-8"))["parameters"]}
     coulomb = result["X", "coulomb_friction"]["product_at_file_torque_constant"]
     assert coulomb["low"] < mikron.axis("X").coulomb_friction_nm < coulomb["high"]
-    assert load_machine(out).axis("X").coulomb_friction_nm == pytest.approx(result["X", "coulomb_friction"]["value"], rel=1e-6)
+    assert load_machine(out).axis("X").coulomb_friction_nm == pytest.approx(result["X", "coulomb_friction"]["value"], rel=1e-4)
     assert (out.parent / "machine.html").stat().st_size > 10_000
     assert (out.parent / "machine_friction.png").is_file()
 

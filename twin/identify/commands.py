@@ -94,6 +94,8 @@ def plan_command(args: argparse.Namespace) -> int:
 
     if not 1e-5 < args.precision < 1.0:
         raise InputError(f"--precision {args.precision:g}: a fraction between 0.00001 and 1, e.g. 0.01 for 1 %")
+    if not 0.0 < args.minutes < 24.0 * 60.0:
+        raise InputError(f"--minutes {args.minutes:g}: give minutes above 0, e.g. 15")
     machine = load_machine(args.machine)
     with _steps("planning", 3 * len(machine.axes)) as step:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, step)
