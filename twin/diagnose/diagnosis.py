@@ -396,7 +396,7 @@ def _verdict(found: Sequence[Found], settings: Sequence[Any]) -> str:
 
 def _localised(f: Found) -> bool:
     """Is something left in one channel of one run, although the whole looks like noise?"""
-    r = (f.group.residual - f.fit.response - f.tuning.jacobian @ f.fit.tuning) / f.group.weights
+    r = (f.group.residual - f.fit.response - f.fit.retuning) / f.group.weights
     for channel in f.group.channels:
         u = (r[channel.rows] / channel.sigma)[channel.settled(f.group.views[channel.run])]
         if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
@@ -411,7 +411,7 @@ def _retuned_share(found: Sequence[Found], tolerance: float) -> float:
     before = after = 0.0
     for f in found:
         theta = retuned_within(f, tolerance).tuning
-        left = f.group.residual - f.tuning.jacobian @ theta
+        left = f.group.residual - f.retuned.about.jacobian @ theta
         before += max(0.5 * float(f.group.residual @ f.group.residual) - expected_loss(f.group), 0.0)
         after += max(0.5 * float(left @ left) - expected_loss(f.group), 0.0)
     return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0

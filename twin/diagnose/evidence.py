@@ -113,7 +113,7 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
         left -= fit.response
         # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
         known = len(fit.tuning) == len(found.tuning.nuisances)
-        left -= found.tuning.jacobian @ (fit.tuning if known else found.tuning.solve(left))
+        left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:
         if channel.name != "controller":  # windup stands for the motor encoder

@@ -10,7 +10,7 @@ what re-tuning cannot explain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 
@@ -18,7 +18,8 @@ import numpy as np
 
 from twin.diagnose.candidates import is_scaled, size_parameter
 from twin.diagnose.observe import Group
-from twin.diagnose.tuning import Tuning
+from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tuning import Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
@@ -107,6 +108,12 @@ class Fit:
     tuning: np.ndarray  # in units of the spread
     response: np.ndarray  # D(p), (row,)
     columns: np.ndarray  # dD/dp in scale units, (row, free)
+    about: Tuning  # what `tuning` is a tuning of
+
+    @property
+    def retuning(self) -> np.ndarray:
+        """What the tuning changes (row,)."""
+        return self.about.jacobian @ self.tuning
 
     def covariance(self, tuning: Tuning, inflation: float = 1.0) -> np.ndarray:
         """Covariance of the free parameters in scale units, tuning eliminated."""
@@ -118,7 +125,7 @@ class Fit:
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:
     """Re-tuning alone."""
-    return Fit((), [], tuning.loss(group.residual), tuning.solve(group.residual), np.zeros(group.size), np.zeros((group.size, 0)))
+    return Fit((), [], tuning.loss(group.residual), tuning.solve(group.residual), np.zeros(group.size), np.zeros((group.size, 0)), tuning)
 
 
 def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequence[Setting], steps: int = STEPS) -> Fit | None:
@@ -156,7 +163,7 @@ def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequen
                 break
         if not improved or gain < CONVERGED * max(1.0, 0.002 * best):
             break
-    return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns)
+    return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns, tuning)
 
 
 def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
@@ -167,6 +174,25 @@ def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
     if any(s.effect.edits_bodies for s in settings):
         own = set(group.axes)
     return group.response(None, settings, [a for a in group.axes if a in own], also)
+
+
+def tuning_beside(group: Group, fit: Fit, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+    """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides."""
+    tuning, own = fit.about, {s.axis for s in fit.settings}
+    also = [s.from_axis for s in fit.settings if s.from_axis]
+
+    def column(i: int) -> np.ndarray:
+        nuisance = tuning.nuisances[i]
+        if nuisance.quantity in NORMAL:
+            return tuning.jacobian[:, i]
+        axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
+        changed = group.response(lambda m: nuisance.apply(m, 1.0 + tuning.spread), fit.settings, axes, also)
+        return changed - fit.response
+
+    return replace(
+        tuning_from(tuning.nuisances, beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances))))), tuning.spread),
+        base=tuning.base,
+    )
 
 
 def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray) -> np.ndarray:

@@ -204,14 +204,18 @@ def simulate_group(
 ) -> Trace:
     """Simulate some axes of a run by themselves in the reduced plant."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
-    driven = [name for name in view.machine.axis_names if name in axes or name in also]
-    index = [view.machine.axis_names.index(name) for name in driven]
     changed = with_added(machine, settings)
-    part = with_effects(changed.with_axes(driven), [s for s in settings_of(changed) if s.axis in driven])
+    hidden = settings_of(changed)
+    rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
+    # what is clamped on the table moves every rotary axis, whichever of them the run moves
+    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in axes)
+    driven = [name for name in machine.axis_names if name in axes or name in also or (clamped and name in rotary)]
+    index = [machine.axis_names.index(name) for name in driven]
+    part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
     # gravity and inertia of a rotary axis depend on where the others are, simulated or not
-    rotary = any(axis.kind == "rotary" for axis in part.axes)
-    carrying = [axis.name for axis in machine.axes if axis.name in driven or (rotary and axis.kind == "rotary")]
-    motion = view.motion.part(tuple(view.machine.axis_names.index(name) for name in carrying))
+    turning = any(axis.kind == "rotary" for axis in part.axes)
+    carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
+    motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
     setpoints = view.setpoints.part(tuple(index))
     return simulate(
         part,

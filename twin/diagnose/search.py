@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
+import scipy.linalg
 
 from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
-from twin.diagnose.fit import Fit, answer, fit_effects, no_effect
+from twin.diagnose.fit import Fit, answer, fit_effects, no_effect, tuning_beside
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside, on_imperfect_machine, tuning_of, with_imperfections
@@ -130,7 +131,7 @@ def search(
         before = found.fit
         _accept(found, best.fit, machine, mapper)
         if not before.settings and found.retuned.loss - found.fit.loss < evidence_needed(found, folds):
-            found.fit = found.retuned  # what is normal, seen better beside the effect, explains it as well
+            found.fit, found.tuning = found.retuned, found.retuned.about  # what is normal, seen better, explains it as well
             break
     _try_removals(found, machine, folds)
     return found
@@ -145,6 +146,12 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     if again is not None:
         fit, found.group, found.tuning, found.retuned = again, group, tuning, no_effect(group, tuning)
         found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
+    if fit.loss > (1.0 + NEAR_NOISE) * expected_loss(found.group):
+        tuning = tuning_beside(found.group, fit, mapper)
+        again = fit_effects(found.group, machine, tuning, fit.settings, 2)
+        if again is not None and again.loss < fit.loss:
+            fit, found.tuning = again, tuning
+            found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
     found.fit = fit
     found.inflation = _inflation(found.group, found.tuning, fit)
 
@@ -163,7 +170,7 @@ def _closes_enough(found: Found, fit: Fit) -> bool:
 def unexplained(found: Found) -> float:
     """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
     group = found.group
-    left = (group.residual - found.fit.response - found.tuning.jacobian @ found.fit.tuning) / group.weights
+    left = (group.residual - found.fit.response - found.fit.retuning) / group.weights
     standing_out = 0.0
     for c in group.channels:
         u = (left[c.rows] / c.sigma)[c.settled(group.views[c.run])]
@@ -180,7 +187,7 @@ def expected_loss(group: Group) -> float:
 def is_quiet(found: Found) -> bool:
     """Does re-tuning alone leave nothing but noise in every channel?"""
     group = found.group
-    left = (group.residual - found.fit.response - found.tuning.jacobian @ found.fit.tuning) / group.weights
+    left = (group.residual - found.fit.response - found.fit.retuning) / group.weights
     channels = [replace(c, residual=left[c.rows]) for c in group.channels]
     return all(c.is_clean if c.name == "controller" else float(np.mean((c.residual / c.sigma) ** 2)) < QUIET for c in channels)
 
@@ -279,7 +286,7 @@ def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.n
 
 def retuned_within(found: Found, tolerance: float) -> Fit:
     """Re-tuning alone with every parameter inside +-tolerance."""
-    return replace(found.retuned, tuning=bounded(found.tuning, found.group.residual, found.retuned.tuning, tolerance))
+    return replace(found.retuned, tuning=bounded(found.retuned.about, found.group.residual, found.retuned.tuning, tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float, weight: float = PRIOR_WEIGHT) -> np.ndarray:
@@ -300,8 +307,8 @@ def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: 
 def loss_within(found: Found, fit: Fit, tolerance: float) -> float:
     """Half the squares that a fit leaves when the nuisances cost nothing inside the tolerance and cannot leave it."""
     residual = found.group.residual - fit.response
-    theta = bounded(found.tuning, residual, fit.tuning, tolerance, weight=1.0)
-    left = residual - found.tuning.jacobian @ theta
+    theta = bounded(fit.about, residual, fit.tuning, tolerance, weight=1.0)
+    left = residual - fit.about.jacobian @ theta
     return 0.5 * float(found.group.credit @ left**2)
 
 
@@ -337,9 +344,21 @@ def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
 
 
 def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit) -> bool:
-    """Do no other runs tell a parameter of the effects? Then leaving these out would leave it to chance."""
+    """Do the other runs leave a direction of the effects' parameters untold? Then leaving these out would leave it to chance.
+
+    Told of the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
+    """
     p = fit.columns.shape[1]
-    return bool(np.any(np.diag(information)[:p] > ALONE * np.diag(normal)[:p]))
+    if not p:
+        return False
+    of_all, of_others = (_told(n, p) for n in (normal, normal - information))
+    return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - ALONE
+
+
+def _told(normal: np.ndarray, p: int) -> np.ndarray:
+    """Information about the first p parameters with the others free; never quite none, so that no direction divides by zero."""
+    told = normal[:p, :p] - normal[:p, p:] @ np.linalg.lstsq(normal[p:, p:], normal[p:, :p], rcond=None)[0]
+    return told + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)
 
 
 _OUTLIER = 5.0

@@ -69,7 +69,7 @@ def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # ty
     if spread <= 0.0 or not nuisances:
         return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
     columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + spread), axes=n.axes(group.axes)), nuisances))
-    return _tuning(nuisances, beside(*(c[:, None] for c in columns)), spread)
+    return tuning_from(nuisances, beside(*(c[:, None] for c in columns)), spread)
 
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
@@ -80,7 +80,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     if not tuning.nuisances:
         return tuning
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = _tuning([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
+    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
     wanted = [Nuisance(a, "elasticity") for a in group.axes if (a, "windup") in dirty]
@@ -131,7 +131,7 @@ def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, s
         )
     except TwinError:
         return None
-    return _tuning([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
+    return tuning_from([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
 
 
 def beside(*blocks: np.ndarray) -> np.ndarray:
@@ -144,6 +144,6 @@ def beside(*blocks: np.ndarray) -> np.ndarray:
     return out
 
 
-def _tuning(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
+def tuning_from(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
     normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
     return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)))
