@@ -150,7 +150,7 @@ def judged(folder: Path, passes: list[list[str]], jobs: int) -> tuple[int, dict[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="mutations whose name holds this")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="mutations whose name holds this (several times)")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--cases", action="append", default=[], help="only these cases of the suite (as twin regress --only)")
     which.add_argument("--stop-early", action="store_true", help="long cases only where no case with traces fails")
@@ -172,7 +172,8 @@ def main() -> int:
             sys.exit(f"mutate: the unchanged copy does not pass (exit {code}; {words}); run twin regress first")
         print(f"unchanged copy: passes ({time.perf_counter() - began:.0f} s)", flush=True)
     print(f"{'changed':52s} failed   axis  block first in chain  cases that name it", flush=True)
-    for mutation in (m for m in (of_each_axis() if args.each_axis else MUTATIONS) if args.only in m.name):
+    mutations = of_each_axis() if args.each_axis else MUTATIONS
+    for mutation in [m for m in mutations if not args.only or any(name in m.name for name in args.only)]:
         with tempfile.TemporaryDirectory() as base:
             folder = Path(base) / "mutant"
             copied(folder)
