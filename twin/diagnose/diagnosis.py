@@ -14,7 +14,19 @@ import numpy as np
 from twin.campaign import Campaign, MeasuredRun
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, view_of
-from twin.diagnose.search import EVIDENCE, FOLDS, Candidate, Found, bounded, expected_loss, is_plausible, leave_out, retuned_within, search
+from twin.diagnose.search import (
+    EVIDENCE,
+    FOLDS,
+    Candidate,
+    Found,
+    bounded,
+    excess_of,
+    expected_loss,
+    is_plausible,
+    leave_out,
+    retuned_within,
+    search,
+)
 from twin.diagnose.tolerance import NORMAL, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
@@ -385,7 +397,7 @@ def _verdict(found: Sequence[Found], settings: Sequence[Any]) -> str:
     unknown = False
     for f in found:
         expected = expected_loss(f.group)
-        excess_before, excess = f.retuned.loss - expected, f.fit.loss - expected
+        excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
         there = excess > NOTICED_EXCESS * expected or _localised(f)
         if there and excess > REMAINING * max(excess_before, 1e-9):
             unknown = True

@@ -176,7 +176,14 @@ def unexplained(found: Found) -> float:
         u = (left[c.rows] / c.sigma)[c.settled(group.views[c.run])]
         if len(u) and float(np.mean(u**2)) > STANDS_OUT:
             standing_out += 0.5 * float(np.sum(u**2) - len(u)) / c.correlation
-    return max(found.fit.loss - expected_loss(group), standing_out)
+    return max(excess_of(group, found.fit), standing_out)
+
+
+def excess_of(group: Group, fit: Fit) -> float:
+    """Half the squares above noise that a fit leaves; where an axis was stuck they count as little as for evidence."""
+    left = group.residual - fit.response - fit.retuning
+    noise = sum(float(group.credit[c.rows].sum()) / c.correlation for c in group.channels)
+    return 0.5 * (float(group.credit @ left**2) - noise)
 
 
 def expected_loss(group: Group) -> float:

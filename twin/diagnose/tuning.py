@@ -75,7 +75,8 @@ def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # ty
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
     """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
 
-    Only where a channel asks for it: elasticity where motor and scale part, slip where the position does not follow.
+    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that does not
+    follow), slip where the position does not follow.
     """
     if not tuning.nuisances:
         return tuning
@@ -83,7 +84,8 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
-    wanted = [Nuisance(a, "elasticity") for a in group.axes if (a, "windup") in dirty]
+    cut = {c.axis for c in group.channels if c.name == "windup"}
+    wanted = [Nuisance(a, "elasticity") for a in group.axes if (a, "windup" if a in cut else "position") in dirty]
     wanted += [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
     current = plain
     for nuisance in wanted:
