@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-import sys
 from types import ModuleType
 from typing import Any
 
@@ -12,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from tests.conftest import ROOT, SHARED
+from tests.conftest import SHARED
+from tests.script import script
 from twin.diagnose.tolerance import with_added
 from twin.effects.effect import check_setting
 from twin.machine import load_machine
@@ -27,13 +26,7 @@ PLANTED = {"viscous_asymmetry": {"fraction": -0.19}, "torque_ripple": {"amplitud
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
     """The example's script as a module."""
-    spec = importlib.util.spec_from_file_location("emps_example", ROOT / "examples" / "emps" / "run.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return script("examples/emps/run.py", "emps_example")
 
 
 def diagnosis_of(example: ModuleType, record: Path, out: Path) -> tuple[dict[str, Any], dict[str, float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-import importlib.util
 import json
 from pathlib import Path
 import subprocess
@@ -18,6 +17,7 @@ import pytest
 
 from tests.conftest import ROOT, SHARED
 from tests.identify_campaigns import QUICK, campaign, recorded, usual_runs
+from tests.script import script
 from twin.campaign import read_campaign
 from twin.cli import main
 from twin.exam.programme import programme
@@ -34,13 +34,7 @@ from twin.trace import read_trace, write_trace
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
     """scripts/measure_identification.py: the same campaigns and judgement as the long study."""
-    spec = importlib.util.spec_from_file_location("measure_identification", ROOT / "scripts" / "measure_identification.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return script("scripts/measure_identification.py", "measure_identification")
 
 
 def check(judged: list[Judged]) -> None:

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from tests.script import script
 from twin.machine import Machine, load_machine
 from twin.machines.urdf import spec_of_urdf
 from twin.plant import build_plant
 
-ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
 """Joint accelerations [m/s2, rad/s2], which reach some 100."""
 
 
 @pytest.fixture(scope="module")
 def urdf(mikron: Machine, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    found = importlib.util.spec_from_file_location("export_urdf", ROOT / "scripts" / "export_urdf.py")
-    assert found is not None
-    assert found.loader is not None
-    script = importlib.util.module_from_spec(found)
-    found.loader.exec_module(script)
     path = tmp_path_factory.mktemp("urdf") / "mikron_ucp710.urdf"
-    script.export_urdf(mikron, path)
+    script("scripts/export_urdf.py", "export_urdf").export_urdf(mikron, path)
     return path
 
 

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 import re
 import subprocess
 import sys
 
 from tests.conftest import ROOT
+from tests.script import script
 from twin.effects import EFFECTS
 from twin.machine import load_machine
 
 
-def picture_script():
-    """The script that writes the page, as a module."""
-    spec = importlib.util.spec_from_file_location("picture_effects", ROOT / "scripts" / "picture_effects.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_page_is_what_the_library_says():
-    script = picture_script()
-    text = script.PAGE.read_text(encoding="utf-8")
-    assert script.page(load_machine(), text) == text, "run python scripts/picture_effects.py --text"
-    assert re.findall(r"^### (\w+)$", text, re.M) == [e.name for block in script.BLOCKS for e in EFFECTS.values() if e.block == block]
+    page = script("scripts/picture_effects.py", "picture_effects")
+    text = page.PAGE.read_text(encoding="utf-8")
+    assert page.page(load_machine(), text) == text, "run python scripts/picture_effects.py --text"
+    assert re.findall(r"^### (\w+)$", text, re.M) == [e.name for block in page.BLOCKS for e in EFFECTS.values() if e.block == block]
 
 
 def test_each_effect_has_its_picture():
@@ -39,9 +28,9 @@ def test_each_effect_has_its_picture():
 
 def test_an_effect_without_an_entry_is_shown_too():
     """Effect number 30 needs no entry in the script: it is shown on an acceleration."""
-    script = picture_script()
-    script.SHOWN.pop("backlash")
-    axis, without, having, _ = script.traces_of(EFFECTS["backlash"], load_machine())
+    page = script("scripts/picture_effects.py", "picture_effects")
+    page.SHOWN.pop("backlash")
+    axis, without, having, _ = page.traces_of(EFFECTS["backlash"], load_machine())
     assert axis.name == "X"
     assert (without.get("X", "motor_position") != having.get("X", "motor_position")).any()
 

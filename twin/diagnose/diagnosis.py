@@ -26,6 +26,7 @@ from twin.diagnose.search import (
     leave_out,
     retuned_within,
     search,
+    settled_channels,
 )
 from twin.diagnose.tolerance import NORMAL, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
@@ -408,9 +409,7 @@ def _verdict(found: Sequence[Found], settings: Sequence[Any]) -> str:
 
 def _localised(f: Found) -> bool:
     """Is something left in one channel of one run, although the whole looks like noise?"""
-    r = (f.group.residual - f.fit.response - f.fit.retuning) / f.group.weights
-    for channel in f.group.channels:
-        u = (r[channel.rows] / channel.sigma)[channel.settled(f.group.views[channel.run])]
+    for channel, u in settled_channels(f):
         if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
             return True
         if channel.name == "controller" and float(np.mean(u**2)) > 4.0:

@@ -115,6 +115,10 @@ class Fit:
         """What the tuning changes (row,)."""
         return self.about.jacobian @ self.tuning
 
+    def left(self, group: Group) -> np.ndarray:
+        """What effects and tuning leave of a group's residual (row,), weighted."""
+        return group.residual - self.response - self.retuning
+
     def covariance(self, tuning: Tuning, inflation: float = 1.0) -> np.ndarray:
         """Covariance of the free parameters in scale units, tuning eliminated."""
         if not self.free:

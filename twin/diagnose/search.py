@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
@@ -11,10 +11,11 @@ import scipy.linalg
 
 from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Channel, Group
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside, on_imperfect_machine, tuning_of, with_imperfections
 from twin.effects import Setting
+from twin.effects.change import load_inertia
 from twin.errors import TwinError
 from twin.machine import Machine
 
@@ -107,6 +108,11 @@ class Found:
         default_factory=dict, repr=False
     )  # simulated answers of starts, for later rounds
 
+    def tuned_about(self, tuning: Tuning) -> None:
+        """Take another tuning; what was simulated before is remembered with it."""
+        self.tuning = tuning
+        self.answers = {key: tuning.remembered(column) for key, (column, _) in self.answers.items()}
+
 
 def search(
     group: Group,
@@ -121,17 +127,18 @@ def search(
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     group, tuning = on_imperfect_machine(group, tuning, group.residual)
     retuned = no_effect(group, tuning)
-    found = Found(group, rigid, tuning, retuned, retuned, _inflation(group, tuning, retuned))
+    found = Found(group, rigid, tuning, retuned, retuned, _inflation(group, retuned))
     while len(found.fit.settings) < MOST_EFFECTS and not (quick and is_quiet(found)):
         candidates = _round(found, machine, folds, mapper, progress, quick)
         found.rounds.append(candidates)
         best = next((c for c in candidates if c.plausible), None)
         if best is None or best.evidence < evidence_needed(found, folds) or not _closes_enough(found, best.fit):
             break
-        before = found.fit
+        first = not found.fit.settings
         _accept(found, best.fit, machine, mapper)
-        if not before.settings and found.retuned.loss - found.fit.loss < evidence_needed(found, folds):
-            found.fit, found.tuning = found.retuned, found.retuned.about  # what is normal, seen better, explains it as well
+        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, folds):
+            found.fit = found.retuned  # what is normal, seen better, explains it as well
+            found.tuned_about(found.retuned.about)
             break
     _try_removals(found, machine, folds)
     return found
@@ -144,16 +151,16 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     group, tuning = on_imperfect_machine(found.rigid, tuning, left)
     again = fit_effects(group, machine, tuning, fit.settings, 2) if group is not found.group else None
     if again is not None:
-        fit, found.group, found.tuning, found.retuned = again, group, tuning, no_effect(group, tuning)
-        found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
+        fit, found.group, found.retuned = again, group, no_effect(group, tuning)
+        found.tuned_about(tuning)
     if fit.loss > (1.0 + NEAR_NOISE) * expected_loss(found.group):
         tuning = tuning_beside(found.group, fit, mapper)
         again = fit_effects(found.group, machine, tuning, fit.settings, 2)
         if again is not None and again.loss < fit.loss:
-            fit, found.tuning = again, tuning
-            found.answers = {key: tuning.remembered(column) for key, (column, _) in found.answers.items()}
+            fit = again
+            found.tuned_about(tuning)
     found.fit = fit
-    found.inflation = _inflation(found.group, found.tuning, fit)
+    found.inflation = _inflation(found.group, fit)
 
 
 def evidence_needed(found: Found, folds: Sequence[Sequence[int]]) -> float:
@@ -169,19 +176,24 @@ def _closes_enough(found: Found, fit: Fit) -> bool:
 
 def unexplained(found: Found) -> float:
     """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
-    group = found.group
-    left = (group.residual - found.fit.response - found.fit.retuning) / group.weights
     standing_out = 0.0
-    for c in group.channels:
-        u = (left[c.rows] / c.sigma)[c.settled(group.views[c.run])]
+    for c, u in settled_channels(found):
         if len(u) and float(np.mean(u**2)) > STANDS_OUT:
             standing_out += 0.5 * float(np.sum(u**2) - len(u)) / c.correlation
-    return max(excess_of(group, found.fit), standing_out)
+    return max(excess_of(found.group, found.fit), standing_out)
+
+
+def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
+    """Every channel with what the fit leaves of it over noise, where nothing shows any more how the axis was stuck (sample,)."""
+    group = found.group
+    left = found.fit.left(group) / group.weights
+    for c in group.channels:
+        yield c, (left[c.rows] / c.sigma)[c.settled(group.views[c.run])]
 
 
 def excess_of(group: Group, fit: Fit) -> float:
     """Half the squares above noise that a fit leaves; where an axis was stuck they count as little as for evidence."""
-    left = group.residual - fit.response - fit.retuning
+    left = fit.left(group)
     noise = sum(float(group.credit[c.rows].sum()) / c.correlation for c in group.channels)
     return 0.5 * (float(group.credit @ left**2) - noise)
 
@@ -194,7 +206,7 @@ def expected_loss(group: Group) -> float:
 def is_quiet(found: Found) -> bool:
     """Does re-tuning alone leave nothing but noise in every channel?"""
     group = found.group
-    left = (group.residual - found.fit.response - found.fit.retuning) / group.weights
+    left = found.fit.left(group) / group.weights
     channels = [replace(c, residual=left[c.rows]) for c in group.channels]
     return all(c.is_clean if c.name == "controller" else float(np.mean((c.residual / c.sigma) ** 2)) < QUIET for c in channels)
 
@@ -232,7 +244,7 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
         # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
         drop = min(found.fit.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
         gain = min(base - held_out_loss(found, fit, folds), drop - PRICE * (len(fit.free) - len(found.fit.free)))
-        evidence = gain / min(found.inflation, _inflation(group, tuning, fit))
+        evidence = gain / min(found.inflation, _inflation(group, fit))
         last = fit.settings[-1]
         candidates.append(Candidate(fit, evidence, is_plausible(last, machine) and not _is_imitated(found, last, machine)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
@@ -325,11 +337,8 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
     -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
-    group, tuning = found.group, found.tuning
-    x = beside(fit.columns, tuning.jacobian)
-    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
-    normal = x.T @ x + prior
-    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
+    group = found.group
+    x, normal, r = _linear(group, fit)
     loss = 0.0
     for fold in folds:
         rows = _rows_of(group, fold)
@@ -344,6 +353,13 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
                 rf = rf + xf @ np.linalg.lstsq(normal - information, xf.T @ rf, rcond=None)[0]
         loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, _OUTLIER * np.maximum(1.0, rf**2) ** 0.5))
     return loss
+
+
+def _linear(group: Group, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A fit about its optimum: X = [columns, jacobian], N = X'X + prior, and the residual r."""
+    x = beside(fit.columns, fit.about.jacobian)
+    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * len(fit.tuning))
+    return x, x.T @ x + prior, fit.left(group)
 
 
 def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
@@ -374,23 +390,20 @@ _OUTLIER = 5.0
 
 def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Shift of free parameters and tuning when the runs of a fold are left out."""
-    fit, tuning, group = found.fit, found.tuning, found.group
-    x = beside(fit.columns, tuning.jacobian)
-    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * tuning.jacobian.shape[1])
-    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
+    fit, group = found.fit, found.group
+    x, normal, r = _linear(group, fit)
     rows = _rows_of(group, fold)
-    normal, information = x.T @ x + prior, x[rows].T @ x[rows]
-    if _knows_alone(information, normal, fit):
-        return np.zeros(fit.columns.shape[1]), np.zeros(tuning.jacobian.shape[1])
-    shift = -np.linalg.lstsq(normal - information, x[rows].T @ r[rows], rcond=None)[0]
+    information = x[rows].T @ x[rows]
+    shift = np.zeros(len(normal))
+    if not _knows_alone(information, normal, fit):
+        shift = -np.linalg.lstsq(normal - information, x[rows].T @ r[rows], rcond=None)[0]
     return shift[: fit.columns.shape[1]], shift[fit.columns.shape[1] :]
 
 
-def _inflation(group: Group, tuning: Tuning, fit: Fit) -> float:
+def _inflation(group: Group, fit: Fit) -> float:
     """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
-    r = group.residual - fit.response - tuning.jacobian @ fit.tuning
-    expected = sum(len(c.residual) / c.correlation for c in group.channels)
-    return max(1.0, float(r @ r) / expected)
+    left = fit.left(group)
+    return max(1.0, 0.5 * float(left @ left) / expected_loss(group))
 
 
 def is_plausible(setting: Setting, machine: Machine) -> bool:
@@ -411,18 +424,20 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
     if low < neutral < high:
         return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
     if setting.effect.name == "inertia":
-        total_share = abs(value) / max(high / 0.35, 1e-12)
-        return total_share > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
+        return _share_of_inertia(setting, machine) > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
     return SMALLEST * low < abs(value) < LARGEST * high
 
 
 def _is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
     """A little inertia on an axis whose drive train gives: mass on the load side and a softer spring look alike."""
     gives = any(n.owner == setting.axis and NORMAL.get(n.quantity) == "transmission_compliance" for n in found.tuning.nuisances)
-    if setting.effect.name != "inertia" or not gives:
-        return False
-    _, high = size_parameter(setting.effect).usual_range(machine, machine.axis(setting.axis))
-    return abs(setting.parameters["added"]) < IMITATED * machine.parameter_tolerance * high / 0.35
+    return setting.effect.name == "inertia" and gives and _share_of_inertia(setting, machine) < IMITATED * machine.parameter_tolerance
+
+
+def _share_of_inertia(setting: Setting, machine: Machine) -> float:
+    """Added inertia as a share of all that the axis moves."""
+    axis = machine.axis(setting.axis)
+    return abs(setting.parameters["added"]) / max(load_inertia(machine, axis) + axis.reflected_inertia, 1e-12)
 
 
 def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]]) -> None:

@@ -147,5 +147,6 @@ def beside(*blocks: np.ndarray) -> np.ndarray:
 
 
 def tuning_from(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
+    """The tuning of these nuisances; `jacobian` (row, nuisance) is what each changes at its spread, weighted."""
     normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
     return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)))
