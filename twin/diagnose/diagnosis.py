@@ -12,23 +12,13 @@ from typing import Any
 import numpy as np
 
 from twin.campaign import Campaign, MeasuredRun
+from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, expected_loss, is_systematic, settled_channels
+from twin.diagnose.left_out import EVIDENCE, FOLDS, bounded, leave_out, retuned_within
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, view_of
-from twin.diagnose.search import (
-    EVIDENCE,
-    FOLDS,
-    Candidate,
-    Found,
-    bounded,
-    excess_of,
-    expected_loss,
-    is_plausible,
-    leave_out,
-    retuned_within,
-    search,
-    settled_channels,
-)
-from twin.diagnose.tolerance import NORMAL, tuned, with_added
+from twin.diagnose.plausible import is_plausible
+from twin.diagnose.search import search
+from twin.diagnose.tolerance import NORMAL, WIDEST, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, settings_of, with_effects
@@ -43,14 +33,14 @@ TEMPERATURE = 3.0
 CONFIDENCE = 0.98
 """No probability is larger: what is not in the library cannot be ruled out."""
 
+STANDS_IN = 0.3
+"""Factor on the probability of an effect that leaves something unknown: it may stand in for a law that is not in the library."""
+
 AMBIGUOUS = 10.0
 """Evidence by which a rival may lie behind and still be named as possible."""
 
 REMAINING = 0.1
 """Share of the excess over noise that, left after all found effects, makes the verdict 'unknown'."""
-
-WIDEST = 2.0
-"""Multiple of the tolerance that no re-tuned parameter of the corrected machine leaves."""
 
 NOTICED_EXCESS = 0.12
 """Mean square of the residual above noise from which something is there at all."""
@@ -200,7 +190,6 @@ class Diagnosis:
         chosen = {(s.effect.name, s.axis, s.from_axis): p for s, _, p in self.settings}
         for found in self.found:
             seen = set()
-            excess = max(found.retuned.loss - expected_loss(found.group), 0.02 * expected_loss(found.group))
             for candidates in found.rounds:
                 probabilities = probabilities_of(candidates)
                 for candidate, probability in zip(candidates, probabilities):
@@ -208,14 +197,13 @@ class Diagnosis:
                         continue
                     seen.add(candidate.key)
                     p = chosen.get(candidate.key, probability if candidate.plausible else 0.0)
-                    gain = max(found.retuned.loss - candidate.fit.loss, 0.0)
-                    row = self._candidate(candidate.setting, found, p, gain / excess)
+                    row = self._candidate(candidate.setting, found, p, candidate.closes)
                     if candidate.fit.settings[:-1]:
                         row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.fit.settings[:-1]]
                     rows.append((1e6 * (candidate.key in chosen) + candidate.evidence, row))
-            for key, gain, setting in found.screened:
+            for key, gain, setting, closes in found.screened:
                 if key not in seen:
-                    rows.append((min(gain, 0.0) - 1e3 + math.tanh(gain / 1e3), self._candidate(setting, found, 0.0, gain / excess)))
+                    rows.append((min(gain, 0.0) - 1e3 + math.tanh(gain / 1e3), self._candidate(setting, found, 0.0, closes)))
         rows.sort(key=lambda row: -row[0])
         return [row for _, row in rows]
 
@@ -225,7 +213,7 @@ class Diagnosis:
             "axis": setting.axis,
             **({"from_axis": setting.from_axis} if setting.from_axis else {}),
             "probability": float(probability),
-            "explained": float(max(0.0, min(1.0, explained))),
+            "explained": explained,
             "parameters": self._parameters(setting, found),
         }
 
@@ -388,21 +376,21 @@ def _named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Foun
                     if candidate.key == (setting.effect.name, setting.axis, setting.from_axis):
                         probability = p
             if is_plausible(setting, machine):
-                out.append((setting, f, probability))
-    strength = {id(s): f.retuned.loss - f.fit.loss for s, f, _ in out}
-    return sorted(out, key=lambda item: -strength[id(item[0])])
+                out.append((setting, f, probability * (STANDS_IN if is_unknown(f) else 1.0)))
+    strength = {id(f): closed(f) for f in found}
+    return sorted(out, key=lambda item: -strength[id(item[1])])
+
+
+def is_unknown(f: Found) -> bool:
+    """Is something left of a group of axes that no effect found explains, or is what was found one thing in one run and another in the next?"""
+    excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
+    there = excess > NOTICED_EXCESS * expected_loss(f.group) or _localised(f)
+    return (there and excess > REMAINING * max(excess_before, 1e-9)) or is_systematic(f) or differs_between_runs(f)
 
 
 def _verdict(found: Sequence[Found], settings: Sequence[Any]) -> str:
     """'effect', 'none', or 'unknown' where something is left that no effect explains."""
-    unknown = False
-    for f in found:
-        expected = expected_loss(f.group)
-        excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
-        there = excess > NOTICED_EXCESS * expected or _localised(f)
-        if there and excess > REMAINING * max(excess_before, 1e-9):
-            unknown = True
-    if unknown:
+    if any(is_unknown(f) for f in found):
         return "unknown"
     return "effect" if settings else "none"
 
@@ -423,8 +411,10 @@ def _retuned_share(found: Sequence[Found], tolerance: float) -> float:
     for f in found:
         theta = retuned_within(f, tolerance).tuning
         left = f.group.residual - f.retuned.about.jacobian @ theta
-        before += max(0.5 * float(f.group.residual @ f.group.residual) - expected_loss(f.group), 0.0)
-        after += max(0.5 * float(left @ left) - expected_loss(f.group), 0.0)
+        noise = sum(len(c.residual) / c.correlation for c in f.group.channels)
+        was, now = (float(np.sum(f.group.in_noise(rows) ** 2)) for rows in (f.group.residual, left))
+        before += max(was - noise, 0.0)
+        after += max(now - noise, 0.0)
     return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from twin.campaign import MeasuredRun
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
-from twin.diagnose.search import EVIDENCE, Found, retuned_within
+from twin.diagnose.found import Found
+from twin.diagnose.left_out import retuned_within
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
@@ -99,10 +100,10 @@ def _accepted(found: Found) -> list[tuple[str, Fit]]:
     """The fits by which effects came in, one after another; the last is the final one."""
     final = {(s.effect.name, s.axis, s.from_axis) for s in found.fit.settings}
     steps: list[tuple[str, Fit]] = []
-    for candidates in found.rounds:
-        best = next((c for c in candidates if c.plausible), None)
-        if best is not None and best.evidence >= EVIDENCE and best.key in final:
-            steps.append((effect_title({"effect": best.key[0], "axis": best.key[1], "from_axis": best.key[2]}), best.fit))
+    for fit in found.accepted:
+        last = fit.settings[-1]
+        if (last.effect.name, last.axis, last.from_axis) in final:
+            steps.append((effect_title({"effect": last.effect.name, "axis": last.axis, "from_axis": last.from_axis}), fit))
     return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
 
 
@@ -117,7 +118,7 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:
         if channel.name != "controller":  # windup stands for the motor encoder
-            normed = left[channel.rows] * np.sqrt(channel.correlation)
+            normed = left[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
     return {axis: float(np.mean(values)) for axis, values in squares.items()}
 

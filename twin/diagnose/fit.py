@@ -34,6 +34,9 @@ RUN_S = 15.0
 IN_STEP = 0.5
 """A step of 1 shifts the far end of a wave by this many waves at most; slopes are taken over a tenth of it."""
 
+NEARBY = 0.05
+"""Share by which what is normal is changed to see what a little more of it does."""
+
 CONVERGED = 0.02
 """A step that lowers the loss by less than this (in units of a likelihood) is the last."""
 
@@ -180,18 +183,21 @@ def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
     return group.response(None, settings, [a for a in group.axes if a in own], also)
 
 
-def tuning_beside(group: Group, fit: Fit, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
     """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides."""
     tuning, own = fit.about, {s.axis for s in fit.settings}
     also = [s.from_axis for s in fit.settings if s.from_axis]
 
     def column(i: int) -> np.ndarray:
         nuisance = tuning.nuisances[i]
-        if nuisance.quantity in NORMAL:
+        if nuisance.quantity == "slip":  # what creeps shows in shaken simulations alone
             return tuning.jacobian[:, i]
+        step = tuning.spread
+        if nuisance.quantity in NORMAL:
+            step = NEARBY * max(abs(float(tuning.base[i])), machine.parameter_tolerance)
         axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
-        changed = group.response(lambda m: nuisance.apply(m, 1.0 + tuning.spread), fit.settings, axes, also)
-        return changed - fit.response
+        changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes, also)
+        return (changed - fit.response) * (tuning.spread / step)
 
     return replace(
         tuning_from(tuning.nuisances, beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances))))), tuning.spread),

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from twin.diagnose.search import EVIDENCE, Found
+from twin.diagnose.found import Found
+from twin.diagnose.left_out import EVIDENCE
 from twin.machine import Axis, Machine
 from twin.moves import moves_in_turn
 from twin.trace import Trace

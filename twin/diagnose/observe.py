@@ -21,6 +21,7 @@ import functools
 
 import mujoco
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from twin.campaign import MeasuredRun
 from twin.diagnose.control_law import law_error, law_sigma
@@ -52,6 +53,15 @@ SETTLED_S = 0.2
 
 UNSETTLED = 0.03
 """Weight as evidence of the samples before that."""
+
+SHAPES = 60.0
+"""Independent shapes that a fault of the model may take over one channel: no number of samples makes it better known."""
+
+DOUBT = 0.01
+"""Share of what an effect changes to which its law and its place in the twin are trusted."""
+
+LAG_S = 0.01
+"""Time by which what an effect changes may come earlier or later than the twin says."""
 
 LONGEST_CORRELATION = 150
 """Samples over which the noise of a channel may be correlated (the loop's own memory)."""
@@ -85,7 +95,8 @@ class RunView:
 class Channel:
     """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
 
-    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one.
+    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
+    the twin may be wrong about the effects that it has found, a fault that is the same in many samples.
     """
 
     run: int
@@ -95,6 +106,7 @@ class Channel:
     sigma: np.ndarray
     correlation: float
     rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
+    doubt: np.ndarray | float = 0.0
 
     @functools.cached_property
     def is_clean(self) -> bool:
@@ -121,9 +133,26 @@ class Channel:
         return free[view.reference(self.axis)[2]] if self.name in ("windup", "current") else free
 
     @property
-    def weight(self) -> np.ndarray:
-        """1 / (sigma sqrt(correlation)), (sample,)."""
+    def noise_weight(self) -> np.ndarray:
+        """1 / (sigma sqrt(correlation)), (sample,): what a sample weighs where the twin is not doubted."""
         return 1.0 / (self.sigma * np.sqrt(self.correlation))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Noise and doubt together (sample,)."""
+        return np.hypot(self.sigma, self.doubt)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1 / sqrt(sigma^2 correlation + doubt^2 n / SHAPES), (sample,): n samples of doubt count as SHAPES."""
+        many = max(len(self.sigma) / SHAPES, 1.0)
+        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
+
+    def doubted(self, change: np.ndarray, period: float) -> Channel:
+        """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s]."""
+        if not np.any(change):
+            return replace(self, doubt=0.0)
+        return replace(self, doubt=DOUBT * maximum_filter1d(np.abs(change), 2 * round(LAG_S / period) + 1))
 
 
 @dataclass
@@ -145,6 +174,7 @@ class Group:
         self.size = at
         self.weights = np.concatenate([c.weight for c in self.channels]) if self.channels else np.zeros(0)
         self.residual = np.concatenate([c.residual for c in self.channels]) * self.weights if self.channels else np.zeros(0)
+        self.expected = np.concatenate([c.spread**2 for c in self.channels]) * self.weights**2 if self.channels else np.zeros(0)
 
     def response(  # type: ignore[no-untyped-def]
         self, machine_of, settings: Sequence[Setting] = (), axes: Sequence[str] = (), also: Sequence[str] = (), shaken: bool = False
@@ -169,6 +199,16 @@ class Group:
             key = (channel.axis, channel.name)
             out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
+
+    def doubted(self, change: np.ndarray) -> Group:
+        """The group where effects that change its channels by `change` (row,), weighted, are trusted to a share of that."""
+        plain = change / self.weights
+        channels = [c.doubted(plain[c.rows], self.views[c.run].trace.period) for c in self.channels]
+        return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed)
+
+    def in_noise(self, rows: np.ndarray) -> np.ndarray:
+        """Weighted rows (row,) as they weigh where the twin is not doubted."""
+        return rows / self.weights * np.concatenate([c.noise_weight for c in self.channels]) if self.channels else rows
 
     @functools.cached_property
     def credit(self) -> np.ndarray:

@@ -28,8 +28,14 @@ NORMAL_SLIP = {"linear": 0.8e-6, "rotary": math.radians(0.8 / 3600.0)}
 RESTING = 0.3
 """Share of that travel by which the place of a resting axis is chance."""
 
-NORMAL = {"elasticity": "transmission_compliance", "slip": "presliding"}
-"""Normal imperfections, and the effects they are when they are large. Both are springs: 1 / stiffness says how much."""
+NORMAL = {"elasticity": "transmission_compliance", "damping": "transmission_compliance", "slip": "presliding"}
+"""Normal imperfections, and the effects they are when they are large. Springs: 1 / stiffness says how much; and what damps the first."""
+
+NORMAL_DAMPING = 2.0
+"""Factor by which the damping of a drive train may differ from what is assumed: a mode that meets the cycle of the control shows it."""
+
+WIDEST = 2.0
+"""Multiple of what is normal that no re-tuned parameter of a machine leaves."""
 
 _AXIS_FIELDS = {
     "torque_constant": "torque_constant_nm_per_a",
@@ -78,6 +84,8 @@ class Nuisance:
         axis = machine.axis(self.owner)
         if self.quantity in NORMAL:
             share = (factor - 1.0) / machine.parameter_tolerance
+            if self.quantity == "damping":
+                return _damped(machine, self.owner, NORMAL_DAMPING ** min(max(share, -WIDEST), WIDEST))
             if share < LEAST_SHARE:
                 return machine
             stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis))
@@ -105,6 +113,18 @@ class Nuisance:
 
 LEAST_SHARE = 0.01
 """An imperfection smaller than this share of what is normal is none."""
+
+
+def _damped(machine: Machine, owner: str, factor: float) -> Machine:
+    """The machine whose drive train, where it gives, has its damping multiplied."""
+    changed = []
+    for own in settings_of(machine):
+        if own.axis == owner and own.effect.name == NORMAL["damping"]:
+            fitted = own.effect.parameter("damping").fitted
+            default = fitted(machine, machine.axis(owner), own.parameters) if fitted else 0.0
+            own = replace(own, parameters={**own.parameters, "damping": factor * own.parameters.get("damping", default)})
+        changed.append(own)
+    return with_effects(machine, changed)
 
 
 def _softest(machine: Machine, axis: Axis, quantity: str) -> float:
@@ -146,7 +166,7 @@ def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
         if key in added:
             other = added[key]
             stiffness = 1.0 / (1.0 / own.parameters["stiffness"] + 1.0 / other.parameters["stiffness"])
-            added[key] = replace(other, parameters={**other.parameters, "stiffness": stiffness})
+            added[key] = replace(other, parameters={**own.parameters, **other.parameters, "stiffness": stiffness})
         elif not (own.effect.name == "transmission_compliance" and ("backlash", own.axis, None) in added):
             kept.append(own)  # the contact of a gap has a spring of its own
     return with_effects(machine, [*kept, *added.values()])

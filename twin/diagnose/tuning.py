@@ -22,6 +22,9 @@ SHARES = (0.05, 0.2, 0.8)
 EARNED = 14.0
 """Log likelihood that a normal imperfection must bring to be looked at."""
 
+DAMPED = 0.3
+"""Share of what is normal by which damping is changed to see what it does."""
+
 UNCHANGED = 0.15
 """A size that a fit moves by less than this (relative) needs no new simulation."""
 
@@ -107,6 +110,12 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
             if moved < UNCHANGED:
                 break
         current = best or current
+        if best is not None and nuisance.quantity == "elasticity" and nuisance.owner in cut:
+            damped = _damped(best, group, machine, nuisance, size)
+            if damped is None or best.loss(residual) - damped.loss(residual) < EARNED:
+                continue
+            if abs(float(damped.solve(residual)[-1])) * UNIFORM < 1.0:
+                current = damped
     return current
 
 
@@ -115,12 +124,16 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
 
     A force on a drive train that gives also winds it up; nothing of that is in a sum of both.
     """
+    return moved_to(group, replace(tuning, base=np.zeros(len(tuning.nuisances))), tuning.solve(residual))
+
+
+def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
+    """Group and tuning about the machine whose normal imperfections are a tuning (nuisance,) further, from the one without any."""
     normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
     if not normal.any():
-        return group, tuning
-    base = np.where(normal, tuning.solve(residual) * tuning.spread, 0.0)
-    imperfect = rebased(group, tuned(tuning.nuisances, base))
-    return imperfect, replace(tuning, base=base)
+        return rigid, tuning
+    base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
+    return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
 
 
 def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, share: float) -> Tuning | None:
@@ -134,6 +147,21 @@ def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, s
     except TwinError:
         return None
     return tuning_from([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
+
+
+def _damped(tuning: Tuning, group: Group, machine: Machine, elasticity: Nuisance, share: float) -> Tuning | None:
+    """The tuning, whose last nuisance is an elasticity of this share of what is normal, with its damping besides."""
+    damping = Nuisance(elasticity.owner, "damping")
+
+    def machine_of(m: Machine, damped: float) -> Machine:
+        return damping.apply(elasticity.apply(m, 1.0 + share * machine.parameter_tolerance), 1.0 + damped * machine.parameter_tolerance)
+
+    try:
+        plain, more = (group.response(lambda m: machine_of(m, d), axes=(damping.owner,)) for d in (0.0, DAMPED))  # noqa: B023
+    except TwinError:
+        return None
+    column = (more - plain)[:, None] * (UNIFORM / DAMPED)
+    return tuning_from([*tuning.nuisances, damping], beside(tuning.jacobian, column), tuning.spread)
 
 
 def beside(*blocks: np.ndarray) -> np.ndarray:

@@ -1,0 +1,173 @@
+"""What a search has found of a group of axes, and what it leaves above noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+import math
+
+import numpy as np
+
+from twin.diagnose.candidates import size_parameter
+from twin.diagnose.fit import Fit, Free
+from twin.diagnose.observe import ENOUGH, Channel, Group
+from twin.diagnose.tuning import Tuning
+from twin.effects import Setting
+
+NEAR_NOISE = 0.02
+"""Excess over noise up to which a residual counts as noise, and evidence alone decides."""
+
+STANDS_OUT = 1.3
+"""Mean square over noise from which a single channel counts as not explained."""
+
+SYSTEMATIC = 3.0
+"""Mean square over noise and doubt from which what is left in most runs is of another law."""
+
+BEYOND_CHANCE = 4.0
+"""Standard deviations from which a run alone asks for another size."""
+
+ONE_SIZE = 0.12
+"""Share of its size by which an effect may seem to differ between runs."""
+
+QUIET = 1.2
+"""Mean square over noise up to which a quick look leaves a channel alone."""
+
+
+@dataclass
+class Candidate:
+    """One effect on one axis, fitted together with what was accepted before; `evidence` is on runs left out."""
+
+    fit: Fit
+    evidence: float
+    plausible: bool
+    closes: float  # share of what was left above noise that the fit closes
+
+    @property
+    def setting(self) -> Setting:
+        return self.fit.settings[-1]
+
+    @property
+    def key(self) -> tuple[str, str, str | None]:
+        return self.setting.effect.name, self.setting.axis, self.setting.from_axis
+
+
+@dataclass
+class Found:
+    """Result for one group: the final fit, every candidate of the first round, and what is left."""
+
+    group: Group  # about the machine with its normal imperfections
+    rigid: Group  # about the machine as its file says
+    tuning: Tuning
+    fit: Fit
+    retuned: Fit
+    inflation: float
+    accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
+    rounds: list[list[Candidate]] = field(default_factory=list)
+    screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)
+    answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=dict, repr=False
+    )  # simulated answers of starts, for later rounds
+
+    def tuned_about(self, tuning: Tuning) -> None:
+        """Take another tuning; what was simulated before is remembered with it."""
+        self.tuning = tuning
+        self.answers = {key: tuning.remembered(column) for key, (column, _) in self.answers.items()}
+
+
+def expected_loss(group: Group) -> float:
+    """Half the squares that noise alone, and what the twin is doubted by, make."""
+    return 0.5 * float(group.expected.sum())
+
+
+def excess_of(group: Group, fit: Fit) -> float:
+    """Half the squares above noise that a fit leaves; where an axis was stuck they count as little as for evidence."""
+    return 0.5 * float(group.credit @ (fit.left(group) ** 2 - group.expected))
+
+
+def closed(found: Found) -> float:
+    """Half the squares over noise that the effects close beyond re-tuning."""
+    left = (found.group.in_noise(fit.left(found.group)) for fit in (found.retuned, found.fit))
+    before, after = (0.5 * float(rows @ rows) for rows in left)
+    return before - after
+
+
+def closed_share(found: Found, gain: float) -> float:
+    """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
+    noise = expected_loss(found.group)
+    return float(np.clip(gain / max(found.fit.loss - noise, NEAR_NOISE * noise), 0.0, 1.0))
+
+
+def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
+    """Every channel with what the fit leaves of it over noise and doubt, where nothing shows any more how the axis was stuck (sample,)."""
+    group = found.group
+    left = found.fit.left(group) / group.weights
+    for c in group.channels:
+        yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
+
+
+def is_systematic(found: Found) -> bool:
+    """Does a channel of an axis keep more than noise and doubt in most of its runs? The law found is then a relative of the true one.
+
+    Chance (which flank, when it broke away) leaves much in one run; a wrong law in all.
+    """
+    levels: dict[tuple[str, str], list[float]] = {}
+    for c, u in settled_channels(found):
+        if len(u) > ENOUGH:
+            levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
+    return any(len(runs) > 1 and float(np.median(runs)) > SYSTEMATIC for runs in levels.values())
+
+
+def differs_between_runs(found: Found) -> bool:
+    """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
+
+    With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
+    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion.
+    """
+    group = found.group
+    left = group.credit * found.fit.left(group)
+    for i, free in enumerate(found.fit.free):
+        if free.parameter is not size_parameter(found.fit.settings[free.setting].effect):
+            continue
+        steps = []
+        for run in range(len(group.views)):
+            rows = group.run_rows(run)
+            slope = found.fit.columns[rows, i]
+            known = float(slope @ (group.credit[rows] * slope))
+            if known > 0.0:
+                step = float(slope @ left[rows]) / known
+                if abs(step) * math.sqrt(known) > BEYOND_CHANCE:
+                    steps.append(step)
+        relative = free.unit if free.logarithmic else free.unit / max(_deviation(free, found.fit), 1e-30)
+        if len(steps) > 1 and (max(steps) - min(steps)) * relative > ONE_SIZE:
+            return True
+    return False
+
+
+def _deviation(free: Free, fit: Fit) -> float:
+    """How far a size is from doing nothing."""
+    neutral = free.parameter.neutral
+    return abs(free.value(fit.settings) - (neutral if neutral is not None and math.isfinite(neutral) else 0.0))
+
+
+def unexplained(found: Found) -> float:
+    """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
+    standing_out = 0.0
+    for c, u in settled_channels(found):
+        if len(u) and float(np.mean(u**2)) > STANDS_OUT:
+            weight = (c.spread * c.weight)[c.settled(found.group.views[c.run])]
+            standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
+    return max(excess_of(found.group, found.fit), standing_out)
+
+
+def is_quiet(found: Found) -> bool:
+    """Does re-tuning alone leave nothing but noise in every channel?"""
+    group = found.group
+    left = found.fit.left(group) / group.weights
+    channels = [replace(c, residual=left[c.rows]) for c in group.channels]
+    return all(c.is_clean if c.name == "controller" else float(np.mean((c.residual / c.sigma) ** 2)) < QUIET for c in channels)
+
+
+def inflation(group: Group, fit: Fit) -> float:
+    """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
+    left = fit.left(group)
+    return max(1.0, 0.5 * float(left @ left) / expected_loss(group))

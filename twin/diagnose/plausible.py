@@ -1,0 +1,75 @@
+"""Which effects are believed: sizes that are found on machines and are more than their normal spread, in blocks that are not clean."""
+
+from __future__ import annotations
+
+import math
+
+from twin.diagnose.candidates import Start, size_parameter
+from twin.diagnose.found import Found
+from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import NORMAL
+from twin.effects import Setting
+from twin.effects.change import load_inertia
+from twin.machine import Machine
+
+SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
+"""The cut channel in which every effect of a block shows."""
+
+CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
+"""The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
+
+SMALLEST, LARGEST = 0.12, 4.0
+"""Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
+
+BEYOND_TOLERANCE = {"torque_constant": 2.0, "inertia": 2.0, "coulomb_friction": 3.0, "viscous_friction": 4.0}
+"""Multiples of the tolerance from which a deviation is an effect: friction is what slip, lubrication and load change first."""
+
+IMITATED = 5.0
+"""Multiple of the tolerance up to which inertia is not believed on an axis whose drive train gives a little."""
+
+
+def is_ruled_out(group: Group, start: Start) -> bool:
+    """An effect that must show in a cut channel which is clean on its axis: the block's own law holds, whatever else is wrong."""
+    channel = SHOWS_IN.get(start.effect.block)
+    mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
+    return bool(mine) and all(c.is_clean for c in mine)
+
+
+def is_cut(group: Group, setting: Setting) -> bool:
+    """Is the block of an effect cut out of the loop, where a channel can do that?"""
+    channel = CUT_BY.get(setting.effect.block)
+    return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
+
+
+def is_plausible(setting: Setting, machine: Machine) -> bool:
+    """Is the size one that is found on machines, and more than their normal spread?"""
+    axis = machine.axis(setting.axis)
+    size = size_parameter(setting.effect)
+    value = setting.parameters[size.name]
+    low, high = size.usual_range(machine, axis)
+    neutral = size.neutral or 0.0
+    if size.name == "factor":
+        deviation = abs(value - neutral)
+        least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
+        return deviation > max(SMALLEST * least, BEYOND_TOLERANCE.get(setting.effect.name, 0.0) * machine.parameter_tolerance)
+    if not math.isfinite(neutral):  # springs and limits: the softer, the larger
+        if size.name == "limit_a":
+            return True
+        return low / LARGEST <= value <= high / SMALLEST
+    if low < neutral < high:
+        return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
+    if setting.effect.name == "inertia":
+        return _share_of_inertia(setting, machine) > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
+    return SMALLEST * low < abs(value) < LARGEST * high
+
+
+def is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
+    """A little inertia on an axis whose drive train gives: mass on the load side and a softer spring look alike."""
+    gives = any(n.owner == setting.axis and NORMAL.get(n.quantity) == "transmission_compliance" for n in found.tuning.nuisances)
+    return setting.effect.name == "inertia" and gives and _share_of_inertia(setting, machine) < IMITATED * machine.parameter_tolerance
+
+
+def _share_of_inertia(setting: Setting, machine: Machine) -> float:
+    """Added inertia as a share of all that the axis moves."""
+    axis = machine.axis(setting.axis)
+    return abs(setting.parameters["added"]) / max(load_inertia(machine, axis) + axis.reflected_inertia, 1e-12)
