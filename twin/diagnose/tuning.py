@@ -9,7 +9,7 @@ import functools
 import numpy as np
 
 from twin.diagnose.observe import Group, rebased
-from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of, tuned
+from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST, Nuisance, nuisances_of, tuned
 from twin.errors import TwinError
 from twin.machine import Machine
 
@@ -111,11 +111,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
                 break
         current = best or current
         if best is not None and nuisance.quantity == "elasticity" and nuisance.owner in cut:
-            damped = _damped(best, group, machine, nuisance, size)
-            if damped is None or best.loss(residual) - damped.loss(residual) < EARNED:
-                continue
-            if abs(float(damped.solve(residual)[-1])) * UNIFORM < 1.0:
-                current = damped
+            current = _with_damping(best, group, machine, nuisance, size, residual)
     return current
 
 
@@ -149,19 +145,31 @@ def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, s
     return tuning_from([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
 
 
-def _damped(tuning: Tuning, group: Group, machine: Machine, elasticity: Nuisance, share: float) -> Tuning | None:
-    """The tuning, whose last nuisance is an elasticity of this share of what is normal, with its damping besides."""
+def _with_damping(tuning: Tuning, group: Group, machine: Machine, elasticity: Nuisance, share: float, residual: np.ndarray) -> Tuning:
+    """The tuning, whose last nuisance is an elasticity of this share of what is normal, with its damping where that earns its place."""
     damping = Nuisance(elasticity.owner, "damping")
+    tolerance = machine.parameter_tolerance
 
-    def machine_of(m: Machine, damped: float) -> Machine:
-        return damping.apply(elasticity.apply(m, 1.0 + share * machine.parameter_tolerance), 1.0 + damped * machine.parameter_tolerance)
+    def answer(damped: float) -> np.ndarray:
+        return group.response(
+            lambda m: damping.apply(elasticity.apply(m, 1.0 + share * tolerance), 1.0 + damped * tolerance), axes=(damping.owner,)
+        )
 
+    step, damped = DAMPED, tuning
     try:
-        plain, more = (group.response(lambda m: machine_of(m, d), axes=(damping.owner,)) for d in (0.0, DAMPED))  # noqa: B023
+        plain = answer(0.0)
+        for _ in range(2):  # its answer is not in proportion: the second time about as much as there is
+            column = (answer(step) - plain)[:, None] * (UNIFORM / step)
+            damped = tuning_from([*tuning.nuisances, damping], beside(tuning.jacobian, column), tuning.spread)
+            if tuning.loss(residual) - damped.loss(residual) < EARNED:
+                return tuning
+            found = float(damped.solve(residual)[-1]) * UNIFORM
+            if abs(found / step - 1.0) < UNCHANGED or abs(found) < DAMPED * UNCHANGED:
+                break
+            step = min(max(found, -1.0), 1.0)
     except TwinError:
-        return None
-    column = (more - plain)[:, None] * (UNIFORM / DAMPED)
-    return tuning_from([*tuning.nuisances, damping], beside(tuning.jacobian, column), tuning.spread)
+        return tuning
+    return damped if abs(found) < WIDEST else tuning
 
 
 def beside(*blocks: np.ndarray) -> np.ndarray:
