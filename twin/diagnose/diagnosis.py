@@ -18,7 +18,7 @@ from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, view_of
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.search import search
-from twin.diagnose.tolerance import NORMAL, WIDEST, tuned, with_added
+from twin.diagnose.tolerance import LEAST_SHARE, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, settings_of, with_effects
@@ -437,7 +437,12 @@ def _held_out_gaps(
             for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
                 moved = free.moved(moved, float(step))
             settings += moved
-            deviations = within(f, machine.parameter_tolerance) + tuning_shift * f.tuning.spread
+            deviations = within(f, machine.parameter_tolerance)
+            # what all runs together say is not there does not appear because the one that says so is left out
+            absent = [
+                n.quantity in SPRINGS and d < LEAST_SHARE * machine.parameter_tolerance for n, d in zip(f.tuning.nuisances, deviations)
+            ]
+            deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
             most = WIDEST * machine.parameter_tolerance
             variant = tuned(f.tuning.nuisances, np.clip(deviations, -most, most))(variant)
         runs: list[MeasuredRun] = [campaign.runs[i] for i in fold]

@@ -31,6 +31,9 @@ RESTING = 0.3
 NORMAL = {"elasticity": "transmission_compliance", "damping": "transmission_compliance", "slip": "presliding"}
 """Normal imperfections, and the effects they are when they are large. Springs: 1 / stiffness says how much; and what damps the first."""
 
+SPRINGS = ("elasticity", "slip")
+"""Those that cannot be less than none."""
+
 NORMAL_DAMPING = 2.0
 """Factor by which the damping of a drive train may differ from what is assumed: a mode that meets the cycle of the control shows it."""
 
