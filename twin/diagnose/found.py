@@ -29,6 +29,12 @@ BEYOND_CHANCE = 4.0
 ONE_SIZE = 0.12
 """Share of its size by which an effect may seem to differ between runs."""
 
+SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
+"""The cut channel in which every effect of a block shows."""
+
+CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
+"""The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
+
 QUIET = 1.2
 """Mean square over noise up to which a quick look leaves a channel alone."""
 
@@ -121,12 +127,14 @@ def differs_between_runs(found: Found) -> bool:
     """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
 
     With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
-    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion.
+    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Not asked where the block was not
+    cut: there all that is imperfect in the loop bends the size.
     """
     group = found.group
     left = group.credit * found.fit.left(group)
     for i, free in enumerate(found.fit.free):
-        if free.parameter is not size_parameter(found.fit.settings[free.setting].effect):
+        setting = found.fit.settings[free.setting]
+        if free.parameter is not size_parameter(setting.effect) or not is_cut(group, setting):
             continue
         steps = []
         for run in range(len(group.views)):
@@ -147,6 +155,12 @@ def _deviation(free: Free, fit: Fit) -> float:
     """How far a size is from doing nothing."""
     neutral = free.parameter.neutral
     return abs(free.value(fit.settings) - (neutral if neutral is not None and math.isfinite(neutral) else 0.0))
+
+
+def is_cut(group: Group, setting: Setting) -> bool:
+    """Is the block of an effect cut out of the loop, where a channel can do that?"""
+    channel = CUT_BY.get(setting.effect.block)
+    return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
 def unexplained(found: Found) -> float:

@@ -5,18 +5,12 @@ from __future__ import annotations
 import math
 
 from twin.diagnose.candidates import Start, size_parameter
-from twin.diagnose.found import Found
+from twin.diagnose.found import SHOWS_IN, Found
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL
 from twin.effects import Setting
 from twin.effects.change import load_inertia
 from twin.machine import Machine
-
-SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
-"""The cut channel in which every effect of a block shows."""
-
-CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
-"""The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
 
 SMALLEST, LARGEST = 0.12, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
@@ -33,12 +27,6 @@ def is_ruled_out(group: Group, start: Start) -> bool:
     channel = SHOWS_IN.get(start.effect.block)
     mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
     return bool(mine) and all(c.is_clean for c in mine)
-
-
-def is_cut(group: Group, setting: Setting) -> bool:
-    """Is the block of an effect cut out of the loop, where a channel can do that?"""
-    channel = CUT_BY.get(setting.effect.block)
-    return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
 def is_plausible(setting: Setting, machine: Machine) -> bool:

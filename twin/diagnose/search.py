@@ -9,10 +9,10 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, expected_loss, inflation, is_quiet, unexplained
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, expected_loss, inflation, is_cut, is_quiet, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group
-from twin.diagnose.plausible import is_cut, is_imitated, is_plausible, is_ruled_out
+from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_from, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
