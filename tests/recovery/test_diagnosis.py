@@ -5,6 +5,7 @@ every time. The long examination is a command.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 import tomllib
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from examples.diagnose import record, short_runs
 from twin.campaign import read_campaign
 from twin.diagnose import diagnose
+from twin.diagnose.diagnosis import is_unknown
 from twin.diagnose.observe import observe, view_of
 from twin.diagnose.search import search
 from twin.exam.draw import draw_case
@@ -23,6 +25,7 @@ from twin.machine import default_machine_path, load_machine
 from twin.moves import moves_in_turn
 
 SEED = 5
+RIGID = Richness.off()
 
 
 def run_of(name, turns):
@@ -46,17 +49,17 @@ def travel(axis):
     return run_of("travel", {axis: ([0.12 * one, -0.12 * one, 0.2 * one, -0.2 * one], 0.08 * one)})
 
 
-def campaign_of(folder, kind, effect, axis, runs):
+def campaign_of(folder, kind, effect, axis, runs, richness=RIGID):
     """Draw a machine and record it: (campaign, what is hidden)."""
     table = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
-    case = draw_case(SEED, kind, table, effect=effect, axis=axis if effect else None, richness=Richness.off())
+    case = draw_case(SEED, kind, table, effect=effect, axis=axis if effect else None, richness=richness)
     record(case, runs, axis if axis in "XYZ" else "AC", folder, table)
     return read_campaign(folder, load_machine()), case.effects[0] if case.effects else None
 
 
-def found_on(folder, kind, effect, axis):
+def found_on(folder, kind, effect, axis, richness=RIGID):
     """Draw a machine, record it, search the axis: (found, truth)."""
-    campaign, hidden = campaign_of(folder, kind, effect, axis, [*short_runs(axis), travel(axis)])
+    campaign, hidden = campaign_of(folder, kind, effect, axis, [*short_runs(axis), travel(axis)], richness)
     machine = load_machine()
     group = observe([view_of(machine, run) for run in campaign.runs], (axis,) if axis in "XYZ" else ("A", "C"))
     with ThreadPoolExecutor(2) as pool:
@@ -95,6 +98,31 @@ def test_hidden_effect_is_named_with_its_size(tmp_path, effect, axis, parameter,
     value = found.fit.settings[0].parameters[parameter]
     neutral = 1.0 if parameter == "factor" else 0.0
     assert abs(value - hidden[parameter]) < accuracy * abs(hidden[parameter] - neutral)
+
+
+@pytest.mark.parametrize(
+    ("effect", "axis"),
+    [("hardening_spring", "X"), ("windage", "Y"), ("notch_filter", "Z"), ("scale_coupling_play", "Z")],
+)
+def test_effect_outside_the_library_is_unknown(tmp_path, effect, axis):
+    """Its next of kin may be named, but does not explain it: one size in one run and another in the next, or much left in all."""
+    found, _ = found_on(tmp_path, "outside", effect, axis)
+    assert is_unknown(found)
+
+
+@pytest.mark.parametrize(("effect", "axis"), [("current_limit", "C"), ("backlash", "A"), ("speed_gain", "Y")])
+def test_large_effect_casts_no_shadow(tmp_path, effect, axis):
+    """On a machine with a little of everything, what a large effect leaves of its own is no second effect."""
+    found, _ = found_on(tmp_path, "single", effect, axis, Richness.small())
+    assert [(s.effect.name, s.axis) for s in found.fit.settings] == [(effect, axis)]
+    assert not is_unknown(found)
+
+
+def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
+    """Its first free mode at 1 / position cycle: there what little its damping differs shows as if a filter were off."""
+    found, _ = found_on(tmp_path, "healthy", None, "C", replace(Richness.small(), compliance_hz=(402.0, 403.0)))
+    assert found.fit.settings == ()
+    assert any(n.quantity == "damping" for n in found.tuning.nuisances)
 
 
 def test_healthy_machine_has_none(tmp_path):

@@ -1,0 +1,60 @@
+"""When what was found only stands in for another law: one size in one run and another in the next, or too much left in most runs."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.fit import Free
+from twin.diagnose.found import differs_between_runs, is_systematic
+from twin.diagnose.observe import Channel
+from twin.effects import EFFECTS, Setting
+
+SAMPLES, RUNS = 400, 3
+SETTING = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
+
+
+def found_with(left, slope, credit=None):
+    """A search's result of which the rows of each run are given: what is left and the slope over the factor (run, sample)."""
+    channels = [Channel(k, "X", "velocity", np.asarray(rows), np.ones(SAMPLES), 1.0) for k, rows in enumerate(left)]
+    for k, channel in enumerate(channels):
+        channel.rows = slice(k * SAMPLES, (k + 1) * SAMPLES)
+        channel.settled = lambda view: np.ones(SAMPLES, bool)
+    rows = np.concatenate(left)
+    parameter = SETTING.effect.parameter("factor")
+    return SimpleNamespace(
+        group=SimpleNamespace(
+            channels=channels,
+            views=[None] * RUNS,
+            weights=np.ones(rows.size),
+            credit=np.ones(rows.size),
+            run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
+        ),
+        fit=SimpleNamespace(
+            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], left=lambda group: rows
+        ),
+    )
+
+
+def noise(seed):
+    return np.random.default_rng(seed).normal(size=(RUNS, SAMPLES))
+
+
+@pytest.mark.parametrize(
+    ("steps", "differs"), [((0.0, 0.0, 0.0), False), ((2.0, 0.0, -2.0), True), ((2.0, 2.0, 2.0), False), ((0.4, 0.0, -0.4), False)]
+)
+def test_an_effect_has_one_size(steps, differs):
+    """A step of 1 is 0.05 of a factor that is 0.5 from neutral, a tenth of the size."""
+    slope = np.full((RUNS, SAMPLES), 2.0)
+    assert differs_between_runs(found_with(noise(1) + np.array(steps)[:, None] * slope, slope)) is differs
+
+
+def test_sizes_that_are_chance_do_not_differ():
+    slope = np.full((RUNS, SAMPLES), 0.01)  # a run alone knows the step to 1 / (0.01 sqrt(400)) = 5
+    assert not differs_between_runs(found_with(noise(2), slope))
+
+
+@pytest.mark.parametrize(("levels", "systematic"), [((1.0, 1.0, 1.0), False), ((9.0, 1.0, 1.0), False), ((1.0, 2.0, 2.0), True)])
+def test_what_is_left_in_most_runs_is_another_law(levels, systematic):
+    """Root mean squares over noise: one run with much is chance, most runs with twice the noise are not."""
+    assert is_systematic(found_with(noise(3) * np.array(levels)[:, None], np.ones((RUNS, SAMPLES)))) is systematic
