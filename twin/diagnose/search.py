@@ -25,7 +25,6 @@ LOOKS = 3
 """Times at most that effects and what is normal besides them are fitted about where they were found."""
 
 MOST_FITTED = 8
-
 RIVALS_WITHIN, BENT_WITHIN = 0.25, 0.08
 """Screened candidates that are fitted in closed loop: those that reach this share of the best one's gain (less for effects
 that are not in proportion to their size, which a start may underrate), at most so many."""
@@ -55,7 +54,10 @@ def search(
     progress: Callable[[str], None],
     quick: bool = False,
 ) -> Found:
-    """Forward selection with refit of all accepted effects, then removals."""
+    """Forward selection with refit of all accepted effects, then removals.
+
+    Where something is left beside an effect, all that is there is fitted once more together before anything is added to it.
+    """
     rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     group, tuning = on_imperfect_machine(group, tuning, group.residual)
@@ -64,7 +66,8 @@ def search(
     looked = True
     while True:
         if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * expected_loss(found.group):
-            looked = _look_again(found, machine, mapper) or True
+            _look_again(found, machine, mapper)
+            looked = True
         if len(found.fit.settings) == MOST_EFFECTS or (quick and is_quiet(found)):
             break
         candidates = _round(found, machine, folds, mapper, progress, quick)
@@ -73,7 +76,7 @@ def search(
         if earned and not looked:
             looked = True
             if _look_again(found, machine, mapper):
-                continue
+                continue  # what is left is another matter now
         found.rounds.append(candidates)
         if best is None or not earned:
             break
