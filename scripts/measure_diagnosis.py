@@ -18,8 +18,9 @@ import tomllib
 
 from twin.campaign import read_campaign
 from twin.diagnose.diagnosis import folds_of
-from twin.diagnose.observe import axis_groups, observe, view_of
+from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
+from twin.diagnose.view import view_of
 from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign
 from twin.exam.parameters import Richness
 from twin.machine import default_machine_path, load_machine

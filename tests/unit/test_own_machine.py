@@ -14,7 +14,7 @@ from tests.other_structures import machine_text, slides, write_slides
 from twin.campaign import read_campaign
 from twin.cli import main
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.observe import view_of
+from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.gap import gap_of_campaign
 from twin.machine import Machine, load_machine

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free
 from twin.diagnose.found import differs_between_runs, is_systematic
-from twin.diagnose.observe import Channel
 from twin.effects import EFFECTS, Setting
 
 SAMPLES, RUNS = 400, 3

@@ -19,7 +19,8 @@ import numpy as np
 
 from twin.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
 from twin.compiled import compiled
-from twin.diagnose.observe import Group, RunView, simulate_group
+from twin.diagnose.observe import Group, simulate_group
+from twin.diagnose.view import RunView
 from twin.machine import Axis, Machine
 from twin.run import commissioned_inertia
 from twin.setpoints import command_of

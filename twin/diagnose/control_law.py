@@ -22,7 +22,7 @@ from twin.trace import Trace
 from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:
-    from twin.diagnose.observe import RunView
+    from twin.diagnose.view import RunView
 
 FLOOR = 0.01
 """What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""

@@ -15,11 +15,12 @@ from twin.campaign import Campaign, MeasuredRun
 from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, expected_loss, is_systematic, settled_channels
 from twin.diagnose.left_out import EVIDENCE, FOLDS, bounded, leave_out, retuned_within
 from twin.diagnose.next_measurement import Proposal, propose
-from twin.diagnose.observe import axis_groups, observe, view_of
+from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.search import search
 from twin.diagnose.tolerance import LEAST_SHARE, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.diagnose.tuning import PRIOR_WEIGHT
+from twin.diagnose.view import view_of
 from twin.diagnose.where import places
 from twin.effects import Parameter, Setting, settings_of, with_effects
 from twin.errors import InputError

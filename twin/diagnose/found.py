@@ -9,8 +9,9 @@ import math
 import numpy as np
 
 from twin.diagnose.candidates import size_parameter
+from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, Free
-from twin.diagnose.observe import ENOUGH, Channel, Group
+from twin.diagnose.observe import ENOUGH, Group
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
 

@@ -16,26 +16,24 @@ Axes that the mass matrix does not couple are looked at apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import functools
 
 import mujoco
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
-from twin.campaign import MeasuredRun
+from twin.diagnose.channel import Channel
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
+from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import is_moving, sensor_noise
+from twin.gap import sensor_noise
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
-from twin.reduced import Motion, ReducedPlant
+from twin.reduced import ReducedPlant
 from twin.run import simulate
-from twin.setpoints import Setpoints, recorded_setpoints
 from twin.trace import Trace
 
-CHANNELS = ("controller", "windup", "position", "velocity", "current")
 REALISATIONS = 4
 """Runs of the nominal twin with noise in the loop, from which expectation and scatter are taken."""
 
@@ -45,114 +43,14 @@ Variant = Callable[[Machine], Machine]
 ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
 
-BREAK_AWAY_S = 0.06
-"""Time after break-away in which a position still shows where it was stuck."""
-
-SETTLED_S = 0.2
-"""Time after break-away from which nothing shows any more how long and where an axis was stuck."""
-
 UNSETTLED = 0.03
 """Weight as evidence of the samples before that."""
-
-SHAPES = 60.0
-"""Independent shapes that a fault of the model may take over one channel: no number of samples makes it better known."""
-
-DOUBT = 0.01
-"""Share of what an effect changes to which its law and its place in the twin are trusted."""
-
-LAG_S = 0.01
-"""Time by which what an effect changes may come earlier or later than the twin says."""
 
 LONGEST_CORRELATION = 150
 """Samples over which the noise of a channel may be correlated (the loop's own memory)."""
 
-
-@dataclass(frozen=True)
-class RunView:
-    """One run as the diagnosis sees it."""
-
-    name: str
-    trace: Trace
-    machine: Machine  # with this run's feedforward
-    setpoints: Setpoints  # all axes of the machine
-    motion: Motion  # nominal motion of all axes
-    started_at: float
-    references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
-
-    def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Velocity feedforward, delayed set point, and where the set point moves, at the sample times; remembered."""
-        if name not in self.references:
-            axis = self.machine.axis(name)
-            self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
-        return self.references[name]
-
-    def moves(self, name: str) -> bool:
-        """Does the axis' set point move in this run?"""
-        return name in self.trace.axes and bool(np.ptp(self.trace.get(name, "setpoint")) > 1e-6)
-
-
-@dataclass
-class Channel:
-    """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
-
-    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
-    the twin may be wrong about the effects that it has found, a fault that is the same in many samples.
-    """
-
-    run: int
-    axis: str
-    name: str
-    residual: np.ndarray
-    sigma: np.ndarray
-    correlation: float
-    rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
-    doubt: np.ndarray | float = 0.0
-
-    @functools.cached_property
-    def is_clean(self) -> bool:
-        """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
-        u = self.residual / self.sigma
-        n = len(u)
-        if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
-            means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
-            return bool(float(np.mean(u**2)) < 1.5 and np.abs(means).max() < 2.0)
-        if float(np.mean(u**2)) > 1.15 + 6.0 * np.sqrt(2.0 / n):
-            return False
-        for width in (25, 400):
-            if n > 4 * width:
-                means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
-                if float(np.mean(means**2)) > 1.5 + 6.0 * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > 6.5:
-                    return False
-        return True
-
-    def settled(self, view: RunView) -> np.ndarray:
-        """True for the samples that no longer show how the axis was stuck before (sample,)."""
-        free = ~rests(view, self.axis, SETTLED_S)
-        if self.name == "controller":
-            return np.ones(len(self.residual), bool)
-        return free[view.reference(self.axis)[2]] if self.name in ("windup", "current") else free
-
-    @property
-    def noise_weight(self) -> np.ndarray:
-        """1 / (sigma sqrt(correlation)), (sample,): what a sample weighs where the twin is not doubted."""
-        return 1.0 / (self.sigma * np.sqrt(self.correlation))
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Noise and doubt together (sample,)."""
-        return np.hypot(self.sigma, self.doubt)
-
-    @property
-    def weight(self) -> np.ndarray:
-        """1 / sqrt(sigma^2 correlation + doubt^2 n / SHAPES), (sample,): n samples of doubt count as SHAPES."""
-        many = max(len(self.sigma) / SHAPES, 1.0)
-        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
-
-    def doubted(self, change: np.ndarray, period: float) -> Channel:
-        """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s]."""
-        if not np.any(change):
-            return replace(self, doubt=0.0)
-        return replace(self, doubt=DOUBT * maximum_filter1d(np.abs(change), 2 * round(LAG_S / period) + 1))
+NOISIER = 5.0
+"""A record this much rougher than expected is no longer taken for sensor noise."""
 
 
 @dataclass
@@ -292,43 +190,6 @@ def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[
     return out
 
 
-def _command(view: RunView, axis: Axis) -> np.ndarray:
-    """Velocity feedforward at the sample times (sample,) [axis units a second]."""
-    times = view.trace.time - view.trace.time[0]
-    a = view.machine.axis_names.index(axis.name)
-    tp = view.machine.position_cycle
-    d = axis.loops.feedforward_delay_s
-    now, before = view.setpoints.at(times - d)[:, a], view.setpoints.at(times - d - tp)[:, a]
-    return axis.loops.velocity_feedforward * (now - before) / tp
-
-
-def _delayed(view: RunView, axis: Axis) -> np.ndarray:
-    times = view.trace.time - view.trace.time[0]
-    return view.setpoints.at(times - axis.loops.position_delay_s)[:, view.machine.axis_names.index(axis.name)]
-
-
-def view_of(machine: Machine, run: MeasuredRun) -> RunView:
-    """A run with the nominal twin's own motion, along which the reduced plant is taken."""
-    actual = with_effects(machine.with_feedforward(run.feedforward), [])
-    setpoints = recorded_setpoints(run.trace, actual)
-    times = np.arange(len(setpoints.position)) * setpoints.period
-    position = setpoints.position.copy()
-    for a, axis in enumerate(actual.axes):
-        # a linear axis follows its set point by the delay and, without feedforward, by 1 / Kv more
-        lag = axis.loops.position_delay_s + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
-        position[:, a] = setpoints.at(times - lag)[:, a]
-    speed = np.gradient(position, setpoints.period, axis=0)
-    rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")
-    if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
-        # inertia and gravity depend on where rotary axes are: take their motion from the engine
-        names = [actual.axis_names[a] for a in rotary]
-        nominal = simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=setpoints.period).trace
-        position[:, rotary] = nominal.matrix("position", names)[: len(position)]
-        speed[:, rotary] = nominal.matrix("velocity", names)[: len(position)]
-    acceleration = np.gradient(speed, setpoints.period, axis=0)
-    return RunView(run.name, run.trace, actual, setpoints, Motion(position, speed, acceleration, setpoints.period), run.started_at)
-
-
 def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ...]]:
     """Axes that the mass matrix couples somewhere in their travel, as groups in the machine's order."""
     plant = build_plant(with_effects(machine, []))
@@ -422,16 +283,6 @@ def rebased(group: Group, machine_of: Variant) -> Group:
     return Group(group.axes, views, channels, nominal, shaken, group.seed)
 
 
-def rests(view: RunView, name: str, after_s: float = BREAK_AWAY_S) -> np.ndarray:
-    """True where an axis is at rest or has broken away less than `after_s` ago (sample,)."""
-    moving = view.reference(name)[2]
-    started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
-    resting = ~moving
-    for i in started:
-        resting[i : i + 1 + round(after_s / view.trace.period)] = True
-    return resting
-
-
 def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
 
@@ -445,13 +296,9 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> 
     level = float(np.mean(square))
     measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
     expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
-    if expected > 0.0 and 1.0 < measured / expected < _NOISIER**2:
+    if expected > 0.0 and 1.0 < measured / expected < NOISIER**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
-
-
-_NOISIER = 5.0
-"""A record this much rougher than expected is no longer taken for sensor noise."""
 
 
 def _correlation(normed: np.ndarray) -> float:

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.channel import Channel
 from twin.diagnose.found import Found, expected_loss
-from twin.diagnose.observe import Channel, Group
+from twin.diagnose.observe import Group
 
 NOTICED = 0.12
 """Excess of the mean square over noise from which these methods say that something is there."""

@@ -27,8 +27,9 @@ from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.fit import answer
 from twin.diagnose.left_out import EVIDENCE
 from twin.diagnose.next_measurement import KINDS, move_of
-from twin.diagnose.observe import Group, axis_groups, observe, view_of
+from twin.diagnose.observe import Group, axis_groups, observe
 from twin.diagnose.tuning import PRIOR_WEIGHT, tuning_of
+from twin.diagnose.view import view_of
 from twin.errors import TwinError
 from twin.machine import Machine, load_machine
 from twin.progress import Progress

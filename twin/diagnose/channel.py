@@ -1,0 +1,87 @@
+"""One signal of one axis in one run: what is left of it beside the twin, in noise and in doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+import functools
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from twin.diagnose.view import RunView, rests
+
+SETTLED_S = 0.2
+"""Time after break-away from which nothing shows any more how long and where an axis was stuck."""
+
+SHAPES = 60.0
+"""Independent shapes that a fault of the model may take over one channel: no number of samples makes it better known."""
+
+DOUBT = 0.01
+"""Share of what an effect changes to which its law and its place in the twin are trusted."""
+
+LAG_S = 0.01
+"""Time by which what an effect changes may come earlier or later than the twin says."""
+
+
+@dataclass
+class Channel:
+    """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
+
+    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
+    the twin may be wrong about the effects that it has found, a fault that is the same in many samples.
+    """
+
+    run: int
+    axis: str
+    name: str
+    residual: np.ndarray
+    sigma: np.ndarray
+    correlation: float
+    rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
+    doubt: np.ndarray | float = 0.0
+
+    @functools.cached_property
+    def is_clean(self) -> bool:
+        """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
+        u = self.residual / self.sigma
+        n = len(u)
+        if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
+            means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
+            return bool(float(np.mean(u**2)) < 1.5 and np.abs(means).max() < 2.0)
+        if float(np.mean(u**2)) > 1.15 + 6.0 * np.sqrt(2.0 / n):
+            return False
+        for width in (25, 400):
+            if n > 4 * width:
+                means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
+                if float(np.mean(means**2)) > 1.5 + 6.0 * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > 6.5:
+                    return False
+        return True
+
+    def settled(self, view: RunView) -> np.ndarray:
+        """True for the samples that no longer show how the axis was stuck before (sample,)."""
+        free = ~rests(view, self.axis, SETTLED_S)
+        if self.name == "controller":
+            return np.ones(len(self.residual), bool)
+        return free[view.reference(self.axis)[2]] if self.name in ("windup", "current") else free
+
+    @property
+    def noise_weight(self) -> np.ndarray:
+        """1 / (sigma sqrt(correlation)), (sample,): what a sample weighs where the twin is not doubted."""
+        return 1.0 / (self.sigma * np.sqrt(self.correlation))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Noise and doubt together (sample,)."""
+        return np.hypot(self.sigma, self.doubt)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1 / sqrt(sigma^2 correlation + doubt^2 n / SHAPES), (sample,): n samples of doubt count as SHAPES."""
+        many = max(len(self.sigma) / SHAPES, 1.0)
+        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
+
+    def doubted(self, change: np.ndarray, period: float) -> Channel:
+        """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s]."""
+        if not np.any(change):
+            return replace(self, doubt=0.0)
+        return replace(self, doubt=DOUBT * maximum_filter1d(np.abs(change), 2 * round(LAG_S / period) + 1))

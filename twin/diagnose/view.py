@@ -1,0 +1,90 @@
+"""One measured run as the diagnosis sees it: its trace, this run's machine, and the nominal motion beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.campaign import MeasuredRun
+from twin.effects import with_effects
+from twin.gap import is_moving
+from twin.machine import Axis, Machine
+from twin.reduced import Motion
+from twin.run import simulate
+from twin.setpoints import Setpoints, recorded_setpoints
+from twin.trace import Trace
+
+BREAK_AWAY_S = 0.06
+"""Time after break-away in which a position still shows where it was stuck."""
+
+
+@dataclass(frozen=True)
+class RunView:
+    """One run as the diagnosis sees it."""
+
+    name: str
+    trace: Trace
+    machine: Machine  # with this run's feedforward
+    setpoints: Setpoints  # all axes of the machine
+    motion: Motion  # nominal motion of all axes
+    started_at: float
+    references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
+
+    def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Velocity feedforward, delayed set point, and where the set point moves, at the sample times; remembered."""
+        if name not in self.references:
+            axis = self.machine.axis(name)
+            self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
+        return self.references[name]
+
+    def moves(self, name: str) -> bool:
+        """Does the axis' set point move in this run?"""
+        return name in self.trace.axes and bool(np.ptp(self.trace.get(name, "setpoint")) > 1e-6)
+
+
+def view_of(machine: Machine, run: MeasuredRun) -> RunView:
+    """A run with the nominal twin's own motion, along which the reduced plant is taken."""
+    actual = with_effects(machine.with_feedforward(run.feedforward), [])
+    setpoints = recorded_setpoints(run.trace, actual)
+    times = np.arange(len(setpoints.position)) * setpoints.period
+    position = setpoints.position.copy()
+    for a, axis in enumerate(actual.axes):
+        # a linear axis follows its set point by the delay and, without feedforward, by 1 / Kv more
+        lag = axis.loops.position_delay_s + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
+        position[:, a] = setpoints.at(times - lag)[:, a]
+    speed = np.gradient(position, setpoints.period, axis=0)
+    rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")
+    if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
+        # inertia and gravity depend on where rotary axes are: take their motion from the engine
+        names = [actual.axis_names[a] for a in rotary]
+        nominal = simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=setpoints.period).trace
+        position[:, rotary] = nominal.matrix("position", names)[: len(position)]
+        speed[:, rotary] = nominal.matrix("velocity", names)[: len(position)]
+    acceleration = np.gradient(speed, setpoints.period, axis=0)
+    return RunView(run.name, run.trace, actual, setpoints, Motion(position, speed, acceleration, setpoints.period), run.started_at)
+
+
+def _command(view: RunView, axis: Axis) -> np.ndarray:
+    """Velocity feedforward at the sample times (sample,) [axis units a second]."""
+    times = view.trace.time - view.trace.time[0]
+    a = view.machine.axis_names.index(axis.name)
+    tp = view.machine.position_cycle
+    d = axis.loops.feedforward_delay_s
+    now, before = view.setpoints.at(times - d)[:, a], view.setpoints.at(times - d - tp)[:, a]
+    return axis.loops.velocity_feedforward * (now - before) / tp
+
+
+def _delayed(view: RunView, axis: Axis) -> np.ndarray:
+    times = view.trace.time - view.trace.time[0]
+    return view.setpoints.at(times - axis.loops.position_delay_s)[:, view.machine.axis_names.index(axis.name)]
+
+
+def rests(view: RunView, name: str, after_s: float = BREAK_AWAY_S) -> np.ndarray:
+    """True where an axis is at rest or has broken away less than `after_s` ago (sample,)."""
+    moving = view.reference(name)[2]
+    started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
+    resting = ~moving
+    for i in started:
+        resting[i : i + 1 + round(after_s / view.trace.period)] = True
+    return resting
