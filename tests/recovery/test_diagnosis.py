@@ -15,9 +15,9 @@ import pytest
 from examples.diagnose import record, short_runs
 from twin.campaign import read_campaign
 from twin.diagnose import diagnose
-from twin.diagnose.diagnosis import is_unknown
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
+from twin.diagnose.verdict import is_unknown
 from twin.diagnose.view import view_of
 from twin.exam.draw import draw_case
 from twin.exam.parameters import AXES, Richness

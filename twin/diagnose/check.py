@@ -1,0 +1,63 @@
+"""Is a campaign this machine's, and what do its signals leave open?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.campaign import Campaign
+from twin.errors import InputError
+from twin.gap import COMPARED
+from twin.machine import Axis, Machine
+from twin.setpoints import check_travel, setpoints_of
+
+BEYOND = 0.2
+"""A position gap above this share of the motion belongs to another machine."""
+
+
+def check_campaign(campaign: Campaign, machine: Machine) -> None:
+    """Refuse what another machine recorded: set points outside the travel, motion that does not follow them; and what holds no signal."""
+    if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
+        raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    for run in campaign.runs:
+        check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
+        for axis in run.trace.axes:
+            if not run.trace.has(axis, "position"):
+                continue
+            setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, "position")
+            loops = machine.axis(axis).loops
+            lag = loops.position_delay_s + 1.0 / loops.position_gain_per_s
+            allowed = 3.0 * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
+            largest = float(np.abs(setpoint - position).max())
+            if largest > max(allowed, BEYOND * float(np.ptp(setpoint))):
+                raise InputError(
+                    f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
+                    f"off its set point, beyond any effect on machine {machine.name}; check the machine file, signs and units of the record"
+                )
+
+
+def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
+    """Is a signal recorded in any run? The command of an axis without current loop stands for its current; one encoder is enough."""
+    if signal == "position" and axis.encoder == "motor":
+        return True
+    if signal in ("velocity", "velocity_setpoint") and not axis.has_speed_integral and axis.loops.speed_mean_cycles:
+        signal = axis.effort  # the law of both controllers is seen in the command as a whole
+    return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
+
+
+def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
+    """What the recorded signals leave open."""
+    notes = []
+    axes = sorted({a for run in campaign.runs for a in run.trace.axes})
+    for signal, lost in (
+        ("motor_position", "transmission and measurement cannot be cut from the mechanics"),
+        ("velocity_setpoint", "the position controller cannot be cut from the speed controller"),
+        ("current", "controller, motor and load cannot be told apart"),
+        ("velocity", "the speed controller cannot be cut"),
+        ("position", "what the scale sees is not known"),
+    ):
+        lacking = [a for a in axes if not _recorded(machine.axis(a), signal, campaign)]
+        if lacking:
+            notes.append(f"no {signal} of axis {', '.join(lacking)}: {lost}")
+    if len(campaign.runs) == 1:
+        notes.append("a single run: nothing could be left out of the fit")
+    return notes

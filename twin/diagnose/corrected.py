@@ -1,0 +1,100 @@
+"""The corrected machine, and how far the gap shrinks with it on runs left out of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from twin.campaign import Campaign, MeasuredRun
+from twin.diagnose.found import Found
+from twin.diagnose.left_out import bounded, leave_out, retuned_within
+from twin.diagnose.tolerance import LEAST_SHARE, NORMAL, SPRINGS, WIDEST, tuned, with_added
+from twin.effects import Setting, settings_of, with_effects
+from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_campaign
+from twin.machine import Machine
+
+
+def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
+    """The machine file with re-tuned values and the effects found."""
+    values: dict[str, Any] = {}
+    for f in found:
+        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+            for path in nuisance.paths(machine):
+                old: Any = machine.document
+                for key in path.split("."):
+                    old = old[key]
+                factor = 1.0 + float(deviation)
+                values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
+    return with_added(
+        with_effects(machine.with_values(values), normal_imperfections(machine, found)), [s for f in found for s in f.fit.settings]
+    )
+
+
+def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setting]:
+    """What every machine has a little of and this one shows, as settings of the effects that it would be if it were large."""
+    for f in found:
+        normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
+        shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
+        machine = tuned(shown, within(f, machine.parameter_tolerance)[normal])(machine)
+    return list(settings_of(machine))
+
+
+def within(f: Found, tolerance: float) -> np.ndarray:
+    """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
+    deviations = f.fit.tuning * f.tuning.spread
+    if np.any(np.abs(deviations) > WIDEST * tolerance):
+        deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
+    return f.tuning.base + deviations
+
+
+def retuned_share(found: Sequence[Found], tolerance: float) -> float:
+    """Share of the squared gap above noise that re-tuning within the tolerance closes by itself."""
+    before = after = 0.0
+    for f in found:
+        theta = retuned_within(f, tolerance).tuning
+        left = f.group.residual - f.retuned.about.jacobian @ theta
+        noise = sum(len(c.residual) / c.correlation for c in f.group.channels)
+        was, now = (float(np.sum(f.group.in_noise(rows) ** 2)) for rows in (f.group.residual, left))
+        before += max(was - noise, 0.0)
+        after += max(now - noise, 0.0)
+    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
+
+
+def held_out_gaps(
+    campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool
+) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
+    """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
+    realisations = 2 if quick else REALISATIONS
+    before = predict_campaign(machine, campaign.runs, realisations=realisations)
+    predictions: dict[str, dict[str, Prediction]] = {"before": before, "after": {}}
+    gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]] = {"before": {}, "after": {}}
+    for run in campaign.runs:
+        gaps["before"][run.name] = gap_of(machine, run, before[run.name])
+    for fold in folds:
+        variant = machine
+        settings: list[Setting] = []
+        for f in found:
+            shift, tuning_shift = leave_out(f, fold) if len(folds) > 1 else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
+            moved = f.fit.settings
+            for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
+                moved = free.moved(moved, float(step))
+            settings += moved
+            deviations = within(f, machine.parameter_tolerance)
+            # what all runs together say is not there does not appear because the one that says so is left out
+            absent = [
+                n.quantity in SPRINGS and d < LEAST_SHARE * machine.parameter_tolerance for n, d in zip(f.tuning.nuisances, deviations)
+            ]
+            deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
+            most = WIDEST * machine.parameter_tolerance
+            variant = tuned(f.tuning.nuisances, np.clip(deviations, -most, most))(variant)
+        runs: list[MeasuredRun] = [campaign.runs[i] for i in fold]
+        after = predict_campaign(with_added(variant, settings), runs, realisations=1 if quick else realisations)
+        if quick:  # one realisation has no scatter of its own
+            after = {name: replace(prediction, scatter=before[name].scatter) for name, prediction in after.items()}
+        predictions["after"] |= after
+        for run in runs:
+            gaps["after"][run.name] = gap_of(machine, run, after[run.name])
+    return gaps, predictions
