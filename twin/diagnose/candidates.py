@@ -60,6 +60,14 @@ def size_parameter(effect: Effect) -> Parameter:
     )
 
 
+def deviation_of(parameter: Parameter, value: float) -> float:
+    """How far a value is from doing nothing; an angle is known as an angle."""
+    if parameter.periodic:
+        return 1.0
+    neutral = parameter.neutral if parameter.neutral is not None and math.isfinite(parameter.neutral) else 0.0
+    return abs(value - neutral)
+
+
 def is_scaled(parameter: Parameter) -> bool:
     """True where the answer is in proportion to the deviation from neutral (springs and limits are not)."""
     return parameter.neutral is not None and math.isfinite(parameter.neutral)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from twin.campaign import Campaign
+from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections, retuned_share
 from twin.diagnose.found import Found
@@ -24,7 +25,7 @@ from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.verdict import named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.where import places
-from twin.effects import Parameter, Setting, with_effects
+from twin.effects import Setting, with_effects
 from twin.errors import InputError
 from twin.gap import COMPARED, Prediction, SignalGap
 from twin.machine import Machine
@@ -151,7 +152,7 @@ class Diagnosis:
             if index is not None:
                 for i, f in enumerate(found.fit.free):
                     if f.setting == index and f.parameter.name == parameter.name:
-                        known = MODEL_ERROR * self._deviation(f.parameter, value) / f.unit if not f.logarithmic else MODEL_ERROR / f.unit
+                        known = MODEL_ERROR * deviation_of(f.parameter, value) / f.unit if not f.logarithmic else MODEL_ERROR / f.unit
                         half = 1.96 * math.hypot(math.sqrt(max(float(covariance[i, i]), 0.0)), known)
                         if f.logarithmic:
                             low, high = value * math.exp(-half * f.unit), value * math.exp(min(half * f.unit, 50.0))
@@ -160,18 +161,10 @@ class Diagnosis:
             out[parameter.name] = {"value": value, "low": low, "high": high, "unit": parameter.unit(axis)}
         return out
 
-    @staticmethod
-    def _deviation(parameter: Parameter, value: float) -> float:
-        """How far a value is from doing nothing; an angle is known as an angle."""
-        if parameter.periodic:
-            return 1.0
-        neutral = parameter.neutral if parameter.neutral is not None and math.isfinite(parameter.neutral) else 0.0
-        return abs(value - neutral)
-
     def _candidates(self) -> list[dict[str, Any]]:
         """Every effect and axis tried, best first: fitted ones with their evidence, the others as screened."""
         rows: list[tuple[float, dict[str, Any]]] = []
-        chosen = {(s.effect.name, s.axis, s.from_axis): p for s, _, p in self.settings}
+        chosen = {s.key: p for s, _, p in self.settings}
         for found in self.found:
             seen = set()
             for candidates in found.rounds:

@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import size_parameter
+from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit, Free
+from twin.diagnose.fit import Fit
 from twin.diagnose.observe import ENOUGH, Group
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
@@ -55,7 +55,7 @@ class Candidate:
 
     @property
     def key(self) -> tuple[str, str, str | None]:
-        return self.setting.effect.name, self.setting.axis, self.setting.from_axis
+        return self.setting.key
 
 
 @dataclass
@@ -146,16 +146,10 @@ def differs_between_runs(found: Found) -> bool:
                 step = float(slope @ left[rows]) / known
                 if abs(step) * math.sqrt(known) > BEYOND_CHANCE:
                     steps.append(step)
-        relative = free.unit if free.logarithmic else free.unit / max(_deviation(free, found.fit), 1e-30)
+        relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
         if len(steps) > 1 and (max(steps) - min(steps)) * relative > ONE_SIZE:
             return True
     return False
-
-
-def _deviation(free: Free, fit: Fit) -> float:
-    """How far a size is from doing nothing."""
-    neutral = free.parameter.neutral
-    return abs(free.value(fit.settings) - (neutral if neutral is not None and math.isfinite(neutral) else 0.0))
 
 
 def is_cut(group: Group, setting: Setting) -> bool:

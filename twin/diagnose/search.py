@@ -176,7 +176,7 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     accepted = found.fit.settings
     residual = group.residual - found.fit.response
     left = residual - tuning.jacobian @ tuning.solve(residual)
-    taken = {(s.effect.name, s.axis, s.from_axis) for s in accepted}
+    taken = {s.key for s in accepted}
     starts = [s for s in starts_of(group, machine, left) if s.key not in taken and not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)

@@ -162,14 +162,13 @@ def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
 
 def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
     """The machine with its own effects and these. Where an effect describes what is normal already, springs add up in series."""
-    added = {(s.effect.name, s.axis, s.from_axis): s for s in settings}
+    added = {s.key: s for s in settings}
     kept = []
     for own in settings_of(machine):
-        key = (own.effect.name, own.axis, own.from_axis)
-        if key in added:
-            other = added[key]
+        if own.key in added:
+            other = added[own.key]
             stiffness = 1.0 / (1.0 / own.parameters["stiffness"] + 1.0 / other.parameters["stiffness"])
-            added[key] = replace(other, parameters={**own.parameters, **other.parameters, "stiffness": stiffness})
+            added[own.key] = replace(other, parameters={**own.parameters, **other.parameters, "stiffness": stiffness})
         elif not (own.effect.name == "transmission_compliance" and ("backlash", own.axis, None) in added):
             kept.append(own)  # the contact of a gap has a spring of its own
     return with_effects(machine, [*kept, *added.values()])

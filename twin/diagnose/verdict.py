@@ -42,14 +42,15 @@ def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
+        trust = STANDS_IN if f.fit.settings and is_unknown(f) else 1.0
         for setting in f.fit.settings:
             probability = CONFIDENCE
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates)):
-                    if candidate.key == (setting.effect.name, setting.axis, setting.from_axis):
+                    if candidate.key == setting.key:
                         probability = p
             if is_plausible(setting, machine):
-                out.append((setting, f, probability * (STANDS_IN if is_unknown(f) else 1.0)))
+                out.append((setting, f, probability * trust))
     strength = {id(f): closed(f) for f in found}
     return sorted(out, key=lambda item: -strength[id(item[1])])
 

@@ -158,6 +158,11 @@ class Setting:
     parameters: Mapping[str, float]
     from_axis: str | None = None
 
+    @property
+    def key(self) -> tuple[str, str, str | None]:
+        """Effect, axis and from_axis: what a machine can have once."""
+        return self.effect.name, self.axis, self.from_axis
+
     def table(self) -> dict[str, Any]:
         """As it stands in a machine file."""
         source = {"from_axis": self.from_axis} if self.from_axis else {}
@@ -226,7 +231,7 @@ def settings_of(machine: Machine) -> tuple[Setting, ...]:
     settings = tuple(check_setting(table, machine, f"{where}: effect {i + 1}") for i, table in enumerate(machine.effects))
     seen: set[tuple[str, str, str | None]] = set()
     for setting in settings:
-        key = (setting.effect.name, setting.axis, setting.from_axis)
+        key = setting.key
         if key in seen:
             raise InputError(f"{where}: effect {setting.effect.name} stands twice on axis {setting.axis}; keep one")
         seen.add(key)
