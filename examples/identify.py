@@ -21,8 +21,10 @@ from twin.campaign import read_campaign
 from twin.exam.draw import SIGNALS, Case, columns_of, draw_case, simulate
 from twin.exam.parameters import AXES
 from twin.exam.programme import TestRun
-from twin.identify import identify_campaign, plan_campaign, write_identified, write_plan, write_report
-from twin.identify.plan import Plan
+from twin.identify.campaign_fit import identify_campaign
+from twin.identify.plan import Plan, plan_campaign, write_plan
+from twin.identify.report import write_report
+from twin.identify.write import write_identified
 from twin.machine import default_machine_path, load_machine
 from twin.summary import table
 

@@ -35,10 +35,11 @@ import pyarrow.parquet
 from twin.benchmark import BareEngine, moving_setpoints
 from twin.machine import Machine, load_machine
 from twin.moves import phases_of_move
-from twin.study import read_study, surrogate_from
 from twin.study.design import machine_of, variants_of
 from twin.study.evaluate import evaluate, work_of
 from twin.study.paths import with_numbers
+from twin.study.results import surrogate_from
+from twin.study.spec import read_study
 from twin.trace import Trace, write_trace
 
 Rates = tuple[float, float]

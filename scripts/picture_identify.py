@@ -15,7 +15,8 @@ import tempfile
 from measure_identification import KNOWN, SPREAD, draw
 
 from twin.campaign import read_campaign
-from twin.identify import figures, identify_campaign
+from twin.identify import figures
+from twin.identify.campaign_fit import identify_campaign
 from twin.machine import load_machine
 from twin.report import save_png
 

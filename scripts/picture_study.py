@@ -20,7 +20,7 @@ from twin.cli import main as twin
 from twin.machine import load_machine
 from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT
-from twin.study import surrogate_from
+from twin.study.results import surrogate_from
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ROOT / "docs" / "pictures" / "study"

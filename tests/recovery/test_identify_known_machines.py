@@ -21,10 +21,10 @@ from tests.script import script
 from twin.campaign import read_campaign
 from twin.cli import main
 from twin.exam.programme import programme
-from twin.identify import identify_campaign, plan_campaign, write_identified, write_plan
+from twin.identify.campaign_fit import identify_campaign
 from twin.identify.judge import LIMITS, Judged
-from twin.identify.plan import Plan, _acceleration_runs, _check_runs, _predict
-from twin.identify.write import machine_comments
+from twin.identify.plan import Plan, _acceleration_runs, _check_runs, _predict, plan_campaign, write_plan
+from twin.identify.write import machine_comments, write_identified
 from twin.machine import Machine, load_machine
 from twin.program import interpolate, read_program
 from twin.setpoints import limit_warnings

@@ -2,6 +2,8 @@
 
 import json
 from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -42,6 +44,13 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     for word in ("run", "gap", "set points", "cascade + plant"):
         assert word in out
+
+
+def test_help_needs_no_engine() -> None:
+    """Usage is there at once: neither engine nor viewer nor plots are loaded for it."""
+    loaded = "import sys; from twin.cli import build_parser; build_parser(); print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"mujoco", "rerun", "matplotlib", "pyarrow"} & set(modules)
 
 
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

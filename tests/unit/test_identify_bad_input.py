@@ -12,7 +12,8 @@ from tests.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, 
 from twin.campaign import MeasuredRun
 from twin.cli import main
 from twin.errors import InputError
-from twin.identify import Identification, identify_campaign
+from twin.identify.campaign_fit import identify_campaign
+from twin.identify.result import Identification
 from twin.machine import Machine
 
 

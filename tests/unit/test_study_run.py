@@ -20,11 +20,10 @@ from twin.machine import load_machine
 from twin.moves import moves_in_turn
 from twin.run import simulate
 from twin.setpoints import setpoints_of
-from twin.study import surrogate_from
 from twin.study.carry_out import Workers, carry_out, fingerprint
 from twin.study.design import variants_of
 from twin.study.evaluate import Answer, evaluate, work_of
-from twin.study.results import answers_of, table_of
+from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
 from twin.study.store import FILE, Store
 from twin.surface.levels import levels_of_program

@@ -1,9 +1,9 @@
 """Identify a machine from its own traces, and plan the traces that identify it.
 
-    identify_campaign   campaign -> Identification: parameters with intervals, findings, machine
-    write_identified    the identified machine as a machine file, each value with grade, interval and campaign
-    write_report        HTML and PNG
-    plan_campaign       moves that tell every parameter to a wanted precision, with the predicted interval of each
+    campaign_fit    identify_campaign: campaign -> Identification: parameters with intervals, findings, machine (result)
+    write           write_identified: the identified machine as a machine file, each value with grade, interval and campaign
+    report          write_report: HTML and PNG
+    plan            plan_campaign: moves that tell every parameter to a wanted precision, with the predicted interval of each
 
 The direct route, block by block:
     recording           flags checked, late channels taken back            findings           what is wrong with a recording, or missing
@@ -14,26 +14,3 @@ The direct route, block by block:
     parameters          the table of all that was found                    noise              measuring noise from standstill
 The second route: refine (re-simulation in MuJoCo). single_axis: an axis under another control (EMPS benchmark).
 """
-
-from twin.identify.campaign_fit import identify_campaign
-from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
-from twin.identify.plan import plan_campaign, write_plan
-from twin.identify.report import write_report
-from twin.identify.result import Identification, Parameter, Range
-from twin.identify.write import as_json, write_identified
-
-__all__ = [
-    "Identification",
-    "Parameter",
-    "Range",
-    "add_identify_arguments",
-    "add_plan_arguments",
-    "as_json",
-    "identify_campaign",
-    "identify_command",
-    "plan_campaign",
-    "plan_command",
-    "write_identified",
-    "write_plan",
-    "write_report",
-]

@@ -13,8 +13,3 @@ results.py    rows of a study -> its answers; the table; the surrogate of a fini
 report.py     findings in words, figures, HTML
 output.py     all that is written
 """
-
-from twin.study.results import surrogate_from
-from twin.study.spec import Study, read_study
-
-__all__ = ["Study", "read_study", "surrogate_from"]
