@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+import os
 from typing import Any
 
 import numpy as np
 
-from twin.campaign import Campaign, MeasuredRun
+from twin.campaign import Campaign
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out, retuned_within
 from twin.diagnose.tolerance import LEAST_SHARE, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_campaign
+from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict
 from twin.machine import Machine
 
 
@@ -68,33 +70,36 @@ def held_out_gaps(
 ) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
     realisations = 2 if quick else REALISATIONS
-    before = predict_campaign(machine, campaign.runs, realisations=realisations)
-    predictions: dict[str, dict[str, Prediction]] = {"before": before, "after": {}}
-    gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]] = {"before": {}, "after": {}}
-    for run in campaign.runs:
-        gaps["before"][run.name] = gap_of(machine, run, before[run.name])
+    jobs = [("before", machine, run, realisations) for run in campaign.runs]
     for fold in folds:
-        variant = machine
-        settings: list[Setting] = []
-        for f in found:
-            shift, tuning_shift = leave_out(f, fold) if len(folds) > 1 else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
-            moved = f.fit.settings
-            for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
-                moved = free.moved(moved, float(step))
-            settings += moved
-            deviations = within(f, machine.parameter_tolerance)
-            # what all runs together say is not there does not appear because the one that says so is left out
-            absent = [
-                n.quantity in SPRINGS and d < LEAST_SHARE * machine.parameter_tolerance for n, d in zip(f.tuning.nuisances, deviations)
-            ]
-            deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
-            most = WIDEST * machine.parameter_tolerance
-            variant = tuned(f.tuning.nuisances, np.clip(deviations, -most, most))(variant)
-        runs: list[MeasuredRun] = [campaign.runs[i] for i in fold]
-        after = predict_campaign(with_added(variant, settings), runs, realisations=1 if quick else realisations)
-        if quick:  # one realisation has no scatter of its own
-            after = {name: replace(prediction, scatter=before[name].scatter) for name, prediction in after.items()}
-        predictions["after"] |= after
-        for run in runs:
-            gaps["after"][run.name] = gap_of(machine, run, after[run.name])
+        variant = _fitted_without(machine, found, fold if len(folds) > 1 else ())
+        jobs += [("after", variant, campaign.runs[i], 1 if quick else realisations) for i in fold]
+    jobs.sort(key=lambda job: -len(job[2].trace.time) * job[3])  # the longest first: no core waits for the last one
+    predictions: dict[str, dict[str, Prediction]] = {"before": {}, "after": {}}
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        for (which, _, run, _), prediction in zip(jobs, pool.map(lambda job: predict(*job[1:]), jobs)):
+            predictions[which][run.name] = prediction
+    if quick:  # one realisation has no scatter of its own
+        predictions["after"] = {
+            name: replace(prediction, scatter=predictions["before"][name].scatter) for name, prediction in predictions["after"].items()
+        }
+    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in campaign.runs} for which, of_run in predictions.items()}
     return gaps, predictions
+
+
+def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:
+    """The corrected machine as it is when the runs of a fold are left out of the fit."""
+    settings: list[Setting] = []
+    variant, tolerance = machine, machine.parameter_tolerance
+    for f in found:
+        shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
+        moved = f.fit.settings
+        for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
+            moved = free.moved(moved, float(step))
+        settings += moved
+        deviations = within(f, tolerance)
+        # what all runs together say is not there does not appear because the one that says so is left out
+        absent = [n.quantity in SPRINGS and d < LEAST_SHARE * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
+        variant = tuned(f.tuning.nuisances, np.clip(deviations, -WIDEST * tolerance, WIDEST * tolerance))(variant)
+    return with_added(variant, settings)

@@ -16,13 +16,14 @@ from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections, retuned_share
 from twin.diagnose.found import Found
-from twin.diagnose.left_out import FOLDS, retuned_within
+from twin.diagnose.left_out import FOLDS
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
+from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
-from twin.diagnose.tolerance import tuned
+from twin.diagnose.sizes import sized
 from twin.diagnose.tuning import PRIOR_WEIGHT
-from twin.diagnose.verdict import named, probabilities_of, verdict_of
+from twin.diagnose.verdict import is_unknown, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, with_effects
@@ -149,15 +150,18 @@ class Diagnosis:
                 continue
             value = setting.parameters[parameter.name]
             low = high = value
-            if index is not None:
-                for i, f in enumerate(found.fit.free):
-                    if f.setting == index and f.parameter.name == parameter.name:
-                        known = MODEL_ERROR * deviation_of(f.parameter, value) / f.unit if not f.logarithmic else MODEL_ERROR / f.unit
-                        half = 1.96 * math.hypot(math.sqrt(max(float(covariance[i, i]), 0.0)), known)
-                        if f.logarithmic:
-                            low, high = value * math.exp(-half * f.unit), value * math.exp(min(half * f.unit, 50.0))
-                        else:
-                            low, high = value - half * f.unit, value + half * f.unit
+            i = next((i for i, f in enumerate(found.fit.free) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
+            if i is not None:
+                free = found.fit.free[i]
+                step = free.unit * (abs(value) if free.logarithmic else 1.0)
+                fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
+                law = MODEL_ERROR * (abs(value) if free.logarithmic else deviation_of(parameter, value))
+                half = 1.96 * max(math.hypot(fitted, law), normal_spread(setting, parameter, self.machine))
+                if free.logarithmic:
+                    half /= abs(value)
+                    low, high = value * math.exp(-half), value * math.exp(min(half, 50.0))
+                else:
+                    low, high = value - half, value + half
             out[parameter.name] = {"value": value, "low": low, "high": high, "unit": parameter.unit(axis)}
         return out
 
@@ -229,20 +233,29 @@ def diagnose(
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
     check_campaign(campaign, machine)
-    views = [view_of(machine_without, run) for run in campaign.runs]
-    folds = folds_of(len(views))
+    folds = folds_of(len(campaign.runs))
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    found = []
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+    cores = os.cpu_count() or 1
+    # groups are searched side by side, each asking the same workers for its simulations
+    with ThreadPoolExecutor(max_workers=cores) as workers, ThreadPoolExecutor(max_workers=cores) as searches:
 
         def mapper(function, items):  # type: ignore[no-untyped-def]
-            return list(pool.map(function, items))
+            return list(workers.map(function, items))
 
-        for axes in axis_groups(machine_without, measured):
+        def search_group(axes: tuple[str, ...]) -> Found | None:
             say(f"{'+'.join(axes)}: what noise makes")
             group = observe(views, axes, seed)
-            if group.size:
-                found.append(search(group, machine_without, folds, mapper, say, quick))
+            if not group.size:
+                return None
+            result = search(group, machine_without, folds, mapper, say, quick)
+            result.unknown = is_unknown(result)
+            return sized(result, machine_without)
+
+        views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
+        groups = axis_groups(machine_without, measured)
+        longest_first = sorted(groups, key=len, reverse=True)
+        results = dict(zip(longest_first, searches.map(search_group, longest_first)))
+    found = [result for axes in groups if (result := results[axes])]
 
     settings = named(found, machine_without)
     corrected = corrected_machine(machine, found)
@@ -266,10 +279,9 @@ def diagnose(
         predictions=predictions,
     )
     if verdict != "none":
-        healthy = [tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread) for f in found]
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
-        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-            diagnosis.where = places([f.group for f in found], [s for s, _, _ in settings], healthy, weights, pool.map)
+        say("where the gap lies")
+        diagnosis.where = places(found, [s for s, _, _ in settings], machine.parameter_tolerance, weights)
     return diagnosis
 
 

@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import is_scaled, size_parameter
+from twin.diagnose.candidates import size_parameter
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, beside, tuning_from
+from twin.diagnose.tuning import NEARBY, Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
@@ -31,11 +31,11 @@ STEPS = 4
 RUN_S = 15.0
 """Length of a run for which a frequency is known to a part of a wave."""
 
-IN_STEP = 0.5
-"""A step of 1 shifts the far end of a wave by this many waves at most; slopes are taken over a tenth of it."""
+IN_STEP = 0.1
+"""A step of 1 shifts the far end of a wave by this many waves at most."""
 
-NEARBY = 0.05
-"""Share by which what is normal is changed to see what a little more of it does."""
+SLOPE = 1.0
+"""Step over which slopes are taken: wide enough that what a break-away a sample earlier or later changes is small beside it."""
 
 CONVERGED = 0.02
 """A step that lowers the loss by less than this (in units of a likelihood) is the last."""
@@ -84,7 +84,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]
                 free.append(Free(i, p, False, 0.3))
             else:
                 span = high - low if math.isfinite(high - low) and high > low else abs(value) or 1.0
-                free.append(Free(i, p, False, 0.2 * span if not is_scaled(p) else max(0.1 * span, 1e-12)))
+                free.append(Free(i, p, False, max(0.2 * span, 1e-12)))
     return free
 
 
@@ -121,6 +121,13 @@ class Fit:
     def left(self, group: Group) -> np.ndarray:
         """What effects and tuning leave of a group's residual (row,), weighted."""
         return group.residual - self.response - self.retuning
+
+    def reweighed(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
+        """The same settings where every row weighs `scale` (row,) times as much, with tuning and residual (row,) weighed like that."""
+        response = self.response * scale
+        left = residual - response
+        tuning, loss = about.solve(left), about.loss(left)
+        return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
     def covariance(self, tuning: Tuning, inflation: float = 1.0) -> np.ndarray:
         """Covariance of the free parameters in scale units, tuning eliminated."""
@@ -192,7 +199,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) ->
         nuisance = tuning.nuisances[i]
         if nuisance.quantity == "slip":  # what creeps shows in shaken simulations alone
             return tuning.jacobian[:, i]
-        step = tuning.spread
+        step = max(NEARBY, tuning.spread)
         if nuisance.quantity in NORMAL:
             step = NEARBY * max(abs(float(tuning.base[i])), machine.parameter_tolerance)
         axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
@@ -207,7 +214,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) ->
 
 def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray) -> np.ndarray:
     """Change per scale unit by a small step, towards the inside of the bounds."""
-    for step in (0.1, -0.1):
+    for step in (SLOPE, -SLOPE):
         moved = f.moved(settings, step)
         actual = _distance(f, settings, moved)
         if abs(actual) > 1e-6:

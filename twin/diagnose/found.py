@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit
+from twin.diagnose.fit import Fit, no_effect
 from twin.diagnose.observe import ENOUGH, Group
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
@@ -68,6 +68,7 @@ class Found:
     fit: Fit
     retuned: Fit
     inflation: float
+    unknown: bool = False  # is something left that no effect explains?
     accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
     rounds: list[list[Candidate]] = field(default_factory=list)
     screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)
@@ -79,6 +80,19 @@ class Found:
         """Take another tuning; what was simulated before is remembered with it."""
         self.tuning = tuning
         self.answers = {key: tuning.remembered(column) for key, (column, _) in self.answers.items()}
+
+    def doubt(self, change: np.ndarray, left: np.ndarray | None = None) -> None:
+        """Doubt what effects change by `change` (row,), and where they leave `left` (row,), both weighted; all that is remembered
+        weighs accordingly."""
+        old = self.group.weights
+        self.rigid, self.group = self.rigid.doubted(change, left), self.group.doubted(change, left)
+        scale = self.group.weights / old
+        fits = (self.fit, *self.accepted)
+        tunings = {id(t): t.reweighed(scale) for t in {id(t): t for t in (self.tuning, *(f.about for f in fits))}.values()}
+        self.fit, *self.accepted = (f.reweighed(scale, tunings[id(f.about)], self.group.residual) for f in fits)
+        self.answers = {key: ((column * scale).astype(np.float32), a) for key, (column, a) in self.answers.items()}
+        self.tuned_about(tunings[id(self.tuning)])
+        self.retuned = no_effect(self.group, self.tuning)
 
 
 def expected_loss(group: Group) -> float:

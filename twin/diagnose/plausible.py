@@ -7,8 +7,8 @@ import math
 from twin.diagnose.candidates import Start, size_parameter
 from twin.diagnose.found import SHOWS_IN, Found
 from twin.diagnose.observe import Group
-from twin.diagnose.tolerance import NORMAL
-from twin.effects import Setting
+from twin.diagnose.tolerance import NORMAL, UNIFORM
+from twin.effects import Parameter, Setting
 from twin.effects.change import load_inertia
 from twin.machine import Machine
 
@@ -49,6 +49,19 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
     if setting.effect.name == "inertia":
         return _share_of_inertia(setting, machine) > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
     return SMALLEST * low < abs(value) < LARGEST * high
+
+
+def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> float:
+    """Standard deviation that the tolerance gives to the size of an effect which changes a toleranced parameter, 0 to that of any other.
+
+    A friction of 1.30 times the nominal is one of 1.29 times that of a machine whose own is 1 % higher: no measurement parts these.
+    """
+    if setting.effect.name not in BEYOND_TOLERANCE or parameter is not size_parameter(setting.effect):
+        return 0.0
+    whole = setting.parameters[parameter.name]
+    if setting.effect.name == "inertia":
+        whole /= max(_share_of_inertia(setting, machine), 1e-12)
+    return machine.parameter_tolerance * float(UNIFORM) * abs(whole)
 
 
 def is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, expe
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_from, tuning_of, with_imperfections
+from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
@@ -84,7 +83,7 @@ def search(
         _accept(found, best.fit, machine, mapper)
         looked = False
         if first and found.retuned.loss - found.fit.loss < evidence_needed(found, found.fit, folds):
-            _reweigh(found, np.zeros(found.group.size))
+            found.doubt(np.zeros(found.group.size))
             found.accepted.clear()
             found.fit = found.retuned  # what is normal, seen better, explains it as well
             break
@@ -94,7 +93,9 @@ def search(
 
 def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
     """Take an effect; it is trusted to a share of what it changes, and what is normal besides it is seen better now."""
-    fit = _doubted(found, machine, fit)
+    found.fit = fit
+    found.doubt(fit.response)
+    fit = fit_effects(found.group, machine, found.tuning, fit.settings, 2) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
     group, tuning = on_imperfect_machine(found.rigid, tuning, left)
@@ -134,27 +135,6 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
     found.accepted[-1] = found.fit
     found.inflation = inflation(found.group, found.fit)
     return before - found.fit.loss > EVIDENCE
-
-
-def _doubted(found: Found, machine: Machine, fit: Fit) -> Fit:
-    """The fit again where its effects are trusted to a share of what they change."""
-    scale = _reweigh(found, fit.response)
-    again = fit_effects(found.group, machine, found.tuning, fit.settings, 2)
-    return again or replace(fit, response=fit.response * scale, columns=fit.columns * scale[:, None], about=found.tuning)
-
-
-def _reweigh(found: Found, change: np.ndarray) -> np.ndarray:
-    """Doubt what effects change by `change` (row,), weighted: all that is remembered of the group is multiplied by what is returned."""
-    old = found.group.weights
-    found.rigid, found.group = found.rigid.doubted(change), found.group.doubted(change)
-    scale = found.group.weights / old
-    jacobian = np.asfortranarray(found.tuning.jacobian * scale[:, None])
-    tuning = replace(tuning_from(found.tuning.nuisances, jacobian, found.tuning.spread), base=found.tuning.base)
-    found.answers = {key: ((column * scale).astype(np.float32), a) for key, (column, a) in found.answers.items()}
-    found.tuned_about(tuning)
-    found.accepted = [replace(fit, response=fit.response * scale) for fit in found.accepted]
-    found.retuned = no_effect(found.group, tuning)
-    return scale  # type: ignore[no-any-return]
 
 
 def evidence_needed(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:

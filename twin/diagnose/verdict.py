@@ -42,7 +42,7 @@ def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
-        trust = STANDS_IN if f.fit.settings and is_unknown(f) else 1.0
+        trust = STANDS_IN if f.fit.settings and f.unknown else 1.0
         for setting in f.fit.settings:
             probability = CONFIDENCE
             for candidates in f.rounds:
@@ -64,7 +64,7 @@ def is_unknown(f: Found) -> bool:
 
 def verdict_of(found: Sequence[Found], settings: Sequence[Any]) -> str:
     """'effect', 'none', or 'unknown' where something is left that no effect explains."""
-    if any(is_unknown(f) for f in found):
+    if any(f.unknown for f in found):
         return "unknown"
     return "effect" if settings else "none"
 

@@ -2,64 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+import os
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.blocks import REGIMES, BlockResidual, block_residuals, regime_masks, scaling
+from twin.diagnose.found import Found
+from twin.diagnose.left_out import retuned_within
 from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
-from twin.machine import Machine
 
 NOTICED = 1.6
 """Mean square of a block's residual over noise from which a block is a place of the gap."""
+
+NEXT_TO_NONE = 0.01
+"""Share of the largest squared gap of an axis up to which the gap of others is next to none."""
 
 MOST_RUNS = 0.8
 """The runs named are those that together hold this share of a place's excess."""
 
 
-def places(
-    groups: Sequence[Group],
-    settings: Sequence[Setting],
-    retuned: Sequence[Callable[[Machine], Machine]],
-    weights: Mapping[str, float],
-    mapper: Callable = map,  # type: ignore[type-arg]
-) -> list[dict[str, Any]]:
+def places(found: Sequence[Found], settings: Sequence[Setting], tolerance: float, weights: Mapping[str, float]) -> list[dict[str, Any]]:
     """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
 
-    `retuned` gives each group's machine re-tuned within its tolerance: that is no fault of a block. `weights` is the squared gap
-    above noise of each axis.
+    Each group's machine is re-tuned within its tolerance first: that is no fault of a block. `weights` is the squared gap above noise
+    of each axis; a group with nothing found and next to none of that is no place.
 
     A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place.
     """
-    found = []
-    for group, machine_of in zip(groups, retuned):
-        residuals = block_residuals(group, machine_of, mapper)
-        for axis in group.axes:
-            of_axis = [b for b in residuals if b.axis == axis]
-            blocks = sorted({b.block for b in of_axis})
-            for block in blocks:
-                parts = [b for b in of_axis if b.block == block]
+    listed: list[dict[str, Any]] = []
+    least = NEXT_TO_NONE * max(weights.values(), default=0.0)
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        for f in found:
+            group = f.group
+            if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
+                continue
+            healthy = tuned(f.tuning.nuisances, retuned_within(f, tolerance).tuning * f.tuning.spread)
+            residuals = block_residuals(group, healthy, pool.map)
+            for axis, block in sorted({(b.axis, b.block) for b in residuals}):
+                parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
                 excess = sum(b.excess for b in parts)
                 level = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
                 if level > NOTICED:
-                    found.append(_place(group, axis, block, parts, excess, level))
+                    listed.append(_place(group, axis, block, parts, excess, level))
     for setting in settings:
-        _lead(found, setting, groups)
+        _lead(listed, setting)
     # an axis weighs what its gap weighs; its blocks share that by their excess
-    for axis in {p["axis"] for p in found}:
-        mine = [p for p in found if p["axis"] == axis]
+    for axis in {p["axis"] for p in listed}:
+        mine = [p for p in listed if p["axis"] == axis]
         total = sum(p["_excess"] for p in mine) or 1.0
         for place in mine:
             place["_excess"] *= max(weights.get(axis, 0.0), 1e-6) / total
-    total = sum(p["_excess"] for p in found) or 1.0
-    for place in found:
+    total = sum(p["_excess"] for p in listed) or 1.0
+    for place in listed:
         place["share"] = place.pop("_excess") / total
-    return sorted(found, key=lambda p: -p["share"])
+    return sorted(listed, key=lambda p: -p["share"])
 
 
-def _lead(found: list[dict[str, Any]], setting: Setting, groups: Sequence[Group]) -> None:
+def _lead(listed: list[dict[str, Any]], setting: Setting) -> None:
     """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
 
     Current loop and mechanics share the force balance, transmission and measurement the windup, and what the recorded
@@ -74,7 +78,7 @@ def _lead(found: list[dict[str, Any]], setting: Setting, groups: Sequence[Group]
         "speed controller": ("speed controller", "mechanics"),
         "position controller": ("position controller", "speed controller"),
     }[block]
-    mine = [p for p in found if p["axis"] == axis]
+    mine = [p for p in listed if p["axis"] == axis]
     for name in same:
         for place in mine:
             if place["block"] == name and "effect" not in place:
@@ -85,7 +89,7 @@ def _lead(found: list[dict[str, Any]], setting: Setting, groups: Sequence[Group]
                     if other is not place:
                         other["_excess"] *= 0.05
                 return
-    found.append(
+    listed.append(
         {
             "axis": axis,
             "block": block,

@@ -1,0 +1,35 @@
+"""How large the effects found are, beside what the twin does not follow.
+
+A search explains as much as it can. Where an axis breaks away some milliseconds sooner than the twin says, a few samples are far
+off and depend steeply on everything: to follow them a fit bends all sizes. So the effects are fitted once more where what the fit
+leaves around a sample counts as doubt of the twin there, a fault that is the same in many samples (`Channel.weight`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twin.diagnose.fit import fit_effects
+from twin.diagnose.found import Found, inflation
+from twin.machine import Machine
+
+ROUNDS, STEPS = 2, 3
+"""Times that what is left is looked at, and steps of each fit."""
+
+
+def sized(found: Found, machine: Machine) -> Found:
+    """What was found with its effects fitted where the twin is right; itself where there is none."""
+    if not found.fit.settings:
+        return found
+    found = replace(found, answers={})
+    change = found.fit.response / found.group.weights
+    for _ in range(ROUNDS):
+        weights = found.group.weights
+        found.doubt(change * weights, found.fit.left(found.group))
+        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, STEPS)
+        if fit is None:
+            break
+        found.fit = fit
+        found.accepted[-1] = fit
+    found.inflation = inflation(found.group, found.fit)
+    return found
