@@ -62,8 +62,12 @@ def campaign_of(folder, kind, effect, axis, runs, richness=RIGID):
 def observed(folder, kind, effect, axis, richness=RIGID):
     """Draw a machine, record it: (what it shows beside the twin, truth)."""
     campaign, hidden = campaign_of(folder, kind, effect, axis, [*short_runs(axis), travel(axis)], richness)
+    return group_of(campaign, axis), hidden
+
+
+def group_of(campaign, axis):
     machine = load_machine()
-    return observe([view_of(machine, run) for run in campaign.runs], (axis,) if axis in "XYZ" else ("A", "C")), hidden
+    return observe([view_of(machine, run) for run in campaign.runs], (axis,) if axis in "XYZ" else ("A", "C"))
 
 
 def searched(group):
@@ -159,6 +163,17 @@ def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
     found, _ = found_on(tmp_path, "healthy", None, "C", replace(Richness.small(), compliance_hz=(402.0, 403.0)))
     assert found.fit.settings == ()
     assert any(n.quantity == "damping" for n in found.tuning.nuisances)
+
+
+def test_drive_train_that_meets_the_cycle_is_healthy_without_motor_encoder(tmp_path):
+    """Scale and current alone: elasticity and damping show in the position only, and must be fitted together to be told from a frame."""
+    campaign_of(tmp_path, "healthy", None, "X", [*short_runs("X"), travel("X")], replace(Richness.small(), compliance_hz=(450.0, 452.0)))
+    for file in tmp_path.glob("*.parquet"):
+        table = pq.read_table(file)
+        kept = [c for c in table.column_names if not c.startswith("X.") or c.split()[0] in ("X.setpoint", "X.position", "X.current")]
+        pq.write_table(table.select(kept), file)
+    found = searched(group_of(read_campaign(tmp_path, load_machine()), "X"))
+    assert found.fit.settings == ()
 
 
 def test_healthy_machine_has_none(tmp_path):

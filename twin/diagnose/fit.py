@@ -25,7 +25,7 @@ from twin.effects.effect import Parameter
 from twin.errors import TwinError
 from twin.machine import Axis, Machine
 
-STEPS = 4
+STEPS = 8
 """Gauss-Newton steps at most."""
 
 RUN_S = 15.0
@@ -36,6 +36,12 @@ IN_STEP = 0.1
 
 SLOPE = 1.0
 """Step over which slopes are taken: wide enough that what a break-away a sample earlier or later changes is small beside it."""
+
+NARROW = 0.1
+"""The same where a wider one leads no further, and much is left."""
+
+ABOVE_NOISE = 1.05
+"""Loss over that of noise up to which little is left."""
 
 CONVERGED = 0.02
 """A step that lowers the loss by less than this (in units of a likelihood) is the last."""
@@ -142,30 +148,38 @@ def no_effect(group: Group, tuning: Tuning) -> Fit:
     return Fit((), [], tuning.loss(group.residual), tuning.solve(group.residual), np.zeros(group.size), np.zeros((group.size, 0)), tuning)
 
 
-def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequence[Setting], steps: int = STEPS) -> Fit | None:
-    """Gauss-Newton from these settings; None where they cannot be simulated."""
+def fit_effects(
+    group: Group, machine: Machine, tuning: Tuning, settings: Sequence[Setting], steps: int = STEPS, narrowest: float = NARROW
+) -> Fit | None:
+    """Gauss-Newton from these settings; None where they cannot be simulated.
+
+    Slopes are taken over `SLOPE` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
+    """
     settings = tuple(settings)
     try:
         response = answer(group, settings)
     except TwinError:
         return None
+    noise = 0.5 * float(group.expected.sum())
     best = tuning.loss(group.residual - response)
     free = free_parameters(settings, machine)
-    columns = np.zeros((group.size, len(free)))
+    columns, reach = None, np.full(len(free), SLOPE)
     for _ in range(steps):
         try:
-            for i, f in enumerate(free):
-                columns[:, i] = _slope(group, settings, f, response)
+            slopes = np.column_stack(
+                [_slope(group, settings, f, response, over) for f, over in zip(free, reach)] or [np.zeros((group.size, 0))]
+            )
         except TwinError:
             return None
+        columns = slopes if columns is None else columns
         residual = group.residual - response
-        information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(columns, residual[:, None])[:, 0]
-        move = np.linalg.solve(information, gradient)
+        information = tuning.inner(slopes, slopes) + 1e-6 * np.eye(len(free))
+        gradient = tuning.inner(slopes, residual[:, None])[:, 0]
+        move = np.clip(np.linalg.solve(information, gradient), -6.0, 6.0)
         improved = False
         for shrink in (1.0, 0.4, 0.1):
             tried = settings
-            for f, m in zip(free, np.clip(move * shrink, -6.0, 6.0)):
+            for f, m in zip(free, move * shrink):
                 tried = f.moved(tried, float(m))
             try:
                 changed = answer(group, tried)
@@ -174,9 +188,16 @@ def fit_effects(group: Group, machine: Machine, tuning: Tuning, settings: Sequen
             loss = tuning.loss(group.residual - changed)
             if loss < best:
                 gain, best, settings, response, improved = best - loss, loss, tried, changed, True
+                columns, reach = slopes, np.clip(np.abs(move * shrink), narrowest, SLOPE)
                 break
-        if not improved or gain < CONVERGED * max(1.0, 0.002 * best):
+        if not improved:
+            if best < ABOVE_NOISE * noise or np.all(reach <= narrowest):
+                break
+            reach = np.full(len(free), narrowest)
+        elif gain < CONVERGED * max(1.0, 0.002 * best):
             break
+    if columns is None:
+        columns = np.zeros((group.size, len(free)))
     return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns, tuning)
 
 
@@ -212,9 +233,9 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) ->
     )
 
 
-def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray) -> np.ndarray:
-    """Change per scale unit by a small step, towards the inside of the bounds."""
-    for step in (SLOPE, -SLOPE):
+def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray, over: float) -> np.ndarray:
+    """Change per scale unit by a step, towards the inside of the bounds."""
+    for step in (over, -over):
         moved = f.moved(settings, step)
         actual = _distance(f, settings, moved)
         if abs(actual) > 1e-6:

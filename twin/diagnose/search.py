@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
-from twin.diagnose.fit import Fit, answer, fit_effects, no_effect, tuning_beside
+from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
 from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, expected_loss, inflation, is_cut, is_quiet, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
+from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -22,6 +23,9 @@ MOST_EFFECTS = 3
 
 LOOKS = 3
 """Times at most that effects and what is normal besides them are fitted about where they were found."""
+
+LITTLE = 1.3
+"""Loss over that of noise up to which normal imperfections alone are looked at again: beside an effect that is not yet known they bend."""
 
 MOST_FITTED = 8
 RIVALS_WITHIN, BENT_WITHIN = 0.25, 0.08
@@ -62,7 +66,8 @@ def search(
     group, tuning = on_imperfect_machine(group, tuning, group.residual)
     retuned = no_effect(group, tuning)
     found = Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
-    looked = True
+    # what little is left may be of the normal imperfections, which were found one after another
+    looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > LITTLE * expected_loss(group)
     while True:
         if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * expected_loss(found.group):
             _look_again(found, machine, mapper)
@@ -132,7 +137,8 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
             break
     if found.group is not group:
         found.retuned = no_effect(found.group, found.tuning)
-    found.accepted[-1] = found.fit
+    if found.accepted:
+        found.accepted[-1] = found.fit
     found.inflation = inflation(found.group, found.fit)
     return before - found.fit.loss > EVIDENCE
 
@@ -175,7 +181,7 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     near = [item for i, item in enumerate(order) if i < 2 or item[1][0] > (RIVALS_WITHIN if _is_linear(item[1][1]) else BENT_WITHIN) * top]
     chosen = near[:most]
     progress(f"{'+'.join(group.axes)}: fitting {', '.join(f'{k[0]} {k[1]}' for k, _ in chosen[:3])} ...")
-    fits = list(mapper(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], 2 if quick else 4), chosen))
+    fits = list(mapper(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], 3 if quick else STEPS), chosen))
     base, healthy = held_out_loss(found, found.fit, folds), loss_within(found, found.fit, machine.parameter_tolerance)
     candidates = []
     for fit in fits:

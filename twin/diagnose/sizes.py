@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from twin.diagnose.fit import fit_effects
+from twin.diagnose.fit import SLOPE, fit_effects
 from twin.diagnose.found import Found, inflation
 from twin.machine import Machine
 
@@ -26,7 +26,7 @@ def sized(found: Found, machine: Machine) -> Found:
     for _ in range(ROUNDS):
         weights = found.group.weights
         found.doubt(change * weights, found.fit.left(found.group))
-        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, STEPS)
+        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, STEPS, narrowest=SLOPE)
         if fit is None:
             break
         found.fit = fit

@@ -118,7 +118,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
             if moved < UNCHANGED:
                 break
         current = best or current
-        if best is not None and nuisance.quantity == "elasticity" and nuisance.owner in cut:
+        if best is not None and nuisance.quantity == "elasticity":
             current = _with_damping(best, group, machine, nuisance, size, residual)
     return current
 
