@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import itertools
 from typing import Protocol
 
 import numpy as np
@@ -205,7 +206,8 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, reco
         noise = np.zeros((0, 0, 0))
     else:
         seen = [n.motor if axis.encoder == "motor" else n.position for n, axis in zip(noises, machine.axes)]
-        noise = rng.standard_normal((ticks, len(noises), 3)) * [[q, n.speed, n.current] for q, n in zip(seen, noises)]
+        noise = rng.standard_normal((ticks, len(noises), 3))
+        noise *= np.array([[q, n.speed, n.current] for q, n in zip(seen, noises)])  # in place: a long run has tens of millions
     return loop.Sensing(
         noise=noise,
         recorded=recorded,
@@ -218,7 +220,8 @@ def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: f
     time = np.arange(len(record)) * period
     # in parts, so that the splines of a long program need no more memory than a short one's
     parts = -(-max(len(time), len(setpoints.position)) // SPLINE_SAMPLES)
-    positions = np.concatenate([setpoints.at(part) for part in np.array_split(time, parts) if part.size])
+    ends = np.linspace(0, len(time), parts + 1).astype(int).tolist()
+    positions = np.concatenate([setpoints.at_cycles(i, j - i, period, [0.0])[0] for i, j in itertools.pairwise(ends) if j > i])
     signals = {}
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-import os
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,7 @@ def retuned_share(found: Sequence[Found], tolerance: float) -> float:
 
 
 def held_out_gaps(
-    campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool
+    campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool, threads: int
 ) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
     realisations = 2 if quick else REALISATIONS
@@ -76,7 +75,7 @@ def held_out_gaps(
         jobs += [("after", variant, campaign.runs[i], 1 if quick else realisations) for i in fold]
     jobs.sort(key=lambda job: -len(job[2].trace.time) * job[3])  # the longest first: no core waits for the last one
     predictions: dict[str, dict[str, Prediction]] = {"before": {}, "after": {}}
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         for (which, _, run, _), prediction in zip(jobs, pool.map(lambda job: predict(*job[1:]), jobs)):
             predictions[which][run.name] = prediction
     if quick:  # one realisation has no scatter of its own

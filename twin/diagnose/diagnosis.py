@@ -225,9 +225,13 @@ def diagnose(
     *,
     quick: bool = False,
     seed: int = 0,
+    threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Diagnose a campaign against a machine; deterministic for a seed. Raises InputError where the campaign is another machine's."""
+    """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core unless told otherwise.
+
+    Raises InputError where the campaign is another machine's.
+    """
     say = progress or (lambda _: None)
     machine_without = with_effects(machine, [])
     if machine.effects:
@@ -235,9 +239,9 @@ def diagnose(
     check_campaign(campaign, machine)
     folds = folds_of(len(campaign.runs))
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    cores = os.cpu_count() or 1
+    threads = threads or os.cpu_count() or 1
     # groups are searched side by side, each asking the same workers for its simulations
-    with ThreadPoolExecutor(max_workers=cores) as workers, ThreadPoolExecutor(max_workers=cores) as searches:
+    with ThreadPoolExecutor(threads) as workers, ThreadPoolExecutor(threads) as searches:
 
         def mapper(function, items):  # type: ignore[no-untyped-def]
             return list(workers.map(function, items))
@@ -260,7 +264,7 @@ def diagnose(
     settings = named(found, machine_without)
     corrected = corrected_machine(machine, found)
     say("simulating the runs left out")
-    gaps, predictions = held_out_gaps(campaign, machine_without, found, folds, quick)
+    gaps, predictions = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
     verdict = verdict_of(found, settings)
     diagnosis = Diagnosis(
         campaign=campaign,
@@ -281,7 +285,7 @@ def diagnose(
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")
-        diagnosis.where = places(found, [s for s, _, _ in settings], machine.parameter_tolerance, weights)
+        diagnosis.where = places(found, [s for s, _, _ in settings], machine.parameter_tolerance, weights, threads)
     return diagnosis
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-import os
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,9 @@ MOST_RUNS = 0.8
 """The runs named are those that together hold this share of a place's excess."""
 
 
-def places(found: Sequence[Found], settings: Sequence[Setting], tolerance: float, weights: Mapping[str, float]) -> list[dict[str, Any]]:
+def places(
+    found: Sequence[Found], settings: Sequence[Setting], tolerance: float, weights: Mapping[str, float], threads: int
+) -> list[dict[str, Any]]:
     """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
 
     Each group's machine is re-tuned within its tolerance first: that is no fault of a block. `weights` is the squared gap above noise
@@ -36,7 +37,7 @@ def places(found: Sequence[Found], settings: Sequence[Setting], tolerance: float
     """
     listed: list[dict[str, Any]] = []
     least = NEXT_TO_NONE * max(weights.values(), default=0.0)
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         for f in found:
             group = f.group
             if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):

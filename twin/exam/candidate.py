@@ -29,7 +29,7 @@ def main() -> int:
     given = parser.parse_args()
     try:
         machine = load_machine(given.machine)
-        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick)
+        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick, threads=1)  # one candidate for each core
     except TwinError as error:
         print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
