@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -156,6 +157,8 @@ def fit_effects(
     Slopes are taken over `SLOPE` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
     """
     settings = tuple(settings)
+    if not settings:
+        return no_effect(group, tuning)
     try:
         response = answer(group, settings)
     except TwinError:
@@ -163,42 +166,53 @@ def fit_effects(
     noise = 0.5 * float(group.expected.sum())
     best = tuning.loss(group.residual - response)
     free = free_parameters(settings, machine)
-    columns, reach = None, np.full(len(free), SLOPE)
-    for _ in range(steps):
+    columns, reach = np.zeros((group.size, len(free))), np.full(len(free), SLOPE)
+    for step in range(steps):
         try:
-            slopes = np.column_stack(
-                [_slope(group, settings, f, response, over) for f, over in zip(free, reach)] or [np.zeros((group.size, 0))]
-            )
+            slopes = beside(*(_slope(group, settings, f, response, over)[:, None] for f, over in zip(free, reach)))
         except TwinError:
             return None
-        columns = slopes if columns is None else columns
-        residual = group.residual - response
+        columns = slopes if step == 0 else columns
         information = tuning.inner(slopes, slopes) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(slopes, residual[:, None])[:, 0]
+        gradient = tuning.inner(slopes, (group.residual - response)[:, None])[:, 0]
         move = np.clip(np.linalg.solve(information, gradient), -6.0, 6.0)
-        improved = False
-        for shrink in (1.0, 0.4, 0.1):
-            tried = settings
-            for f, m in zip(free, move * shrink):
-                tried = f.moved(tried, float(m))
-            try:
-                changed = answer(group, tried)
-            except TwinError:
-                continue
-            loss = tuning.loss(group.residual - changed)
-            if loss < best:
-                gain, best, settings, response, improved = best - loss, loss, tried, changed, True
-                columns, reach = slopes, np.clip(np.abs(move * shrink), narrowest, SLOPE)
+        lower = _lower(group, tuning, settings, free, move, best)
+        if lower is not None:
+            gain = best - lower.loss
+            best, settings, response, columns = lower.loss, lower.settings, lower.response, slopes
+            reach = np.clip(np.abs(lower.move), narrowest, SLOPE)
+            if gain < CONVERGED * max(1.0, 0.002 * best):
                 break
-        if not improved:
-            if best < ABOVE_NOISE * noise or np.all(reach <= narrowest):
-                break
-            reach = np.full(len(free), narrowest)
-        elif gain < CONVERGED * max(1.0, 0.002 * best):
+        elif best < ABOVE_NOISE * noise or np.all(reach <= narrowest):
             break
-    if columns is None:
-        columns = np.zeros((group.size, len(free)))
+        else:
+            reach = np.full(len(free), narrowest)
     return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns, tuning)
+
+
+class _Lower(NamedTuple):
+    loss: float
+    settings: tuple[Setting, ...]
+    response: np.ndarray
+    move: np.ndarray
+
+
+def _lower(
+    group: Group, tuning: Tuning, settings: tuple[Setting, ...], free: Sequence[Free], move: np.ndarray, best: float
+) -> _Lower | None:
+    """Where a move, or a part of it, leaves less than `best`."""
+    for part in (1.0, 0.4, 0.1):
+        tried = settings
+        for f, m in zip(free, part * move):
+            tried = f.moved(tried, float(m))
+        try:
+            response = answer(group, tried)
+        except TwinError:
+            continue
+        loss = tuning.loss(group.residual - response)
+        if loss < best:
+            return _Lower(loss, tried, response, part * move)
+    return None
 
 
 def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:

@@ -21,8 +21,9 @@ NEAR_NOISE = 0.02
 STANDS_OUT = 1.3
 """Mean square over noise from which a single channel counts as not explained."""
 
-SYSTEMATIC = 3.0
-"""Mean square over noise and doubt from which what is left in most runs is of another law."""
+SYSTEMATIC = 5.0
+"""Mean square over noise and doubt from which what is left in most runs is of another law. A true law keeps up to 3.3 (a current limit
+clips noise too, which the twin's expectation has none of), next of kin that no other rule tells keep 60 and more."""
 
 BEYOND_CHANCE = 4.0
 """Standard deviations from which a run alone asks for another size."""

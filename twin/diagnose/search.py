@@ -21,6 +21,9 @@ from twin.machine import Machine
 MOST_EFFECTS = 3
 """Effects that one group of axes can be found to have."""
 
+REFIT_STEPS = 4
+"""Steps of a fit that starts where it has been before."""
+
 LOOKS = 3
 """Times at most that effects and what is normal besides them are fitted about where they were found."""
 
@@ -100,11 +103,11 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     """Take an effect; it is trusted to a share of what it changes, and what is normal besides it is seen better now."""
     found.fit = fit
     found.doubt(fit.response)
-    fit = fit_effects(found.group, machine, found.tuning, fit.settings, 2) or found.fit
+    fit = fit_effects(found.group, machine, found.tuning, fit.settings, REFIT_STEPS) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
     group, tuning = on_imperfect_machine(found.rigid, tuning, left)
-    again = fit_effects(group, machine, tuning, fit.settings, 2) if group is not found.group else None
+    again = fit_effects(group, machine, tuning, fit.settings, REFIT_STEPS) if group is not found.group else None
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
         found.tuned_about(tuning)
@@ -121,14 +124,14 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
     before, group = found.fit.loss, found.group
     for _ in range(LOOKS):
         tuning = tuning_beside(found.group, found.fit, machine, mapper)
-        again = fit_effects(found.group, machine, tuning, found.fit.settings, 2)
+        again = fit_effects(found.group, machine, tuning, found.fit.settings, REFIT_STEPS)
         if again is None or again.loss > found.fit.loss:
             break
         gain = found.fit.loss - again.loss
         found.fit = again
         found.tuned_about(tuning)
         nearer, tuning = moved_to(found.rigid, tuning, again.tuning)
-        moved = fit_effects(nearer, machine, tuning, again.settings, 2) if nearer is not found.rigid else None
+        moved = fit_effects(nearer, machine, tuning, again.settings, REFIT_STEPS) if nearer is not found.rigid else None
         if moved is not None and moved.loss < again.loss + EVIDENCE:
             gain += again.loss - moved.loss
             found.fit, found.group = moved, nearer
