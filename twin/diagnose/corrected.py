@@ -12,7 +12,7 @@ import numpy as np
 from twin.campaign import Campaign
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out, retuned_within
-from twin.diagnose.tolerance import LEAST_SHARE, NORMAL, SPRINGS, WIDEST, tuned, with_added
+from twin.diagnose.tolerance import LEAST_SHARE, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict
 from twin.machine import Machine
@@ -48,7 +48,9 @@ def within(f: Found, tolerance: float) -> np.ndarray:
     deviations = f.fit.tuning * f.tuning.spread
     if np.any(np.abs(deviations) > WIDEST * tolerance):
         deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
-    return f.tuning.base + deviations
+    deviations = f.tuning.base + deviations
+    too_stiff = [n.quantity == "slip" and d < LEAST_SLIP * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+    return np.where(too_stiff, 0.0, deviations)
 
 
 def retuned_share(found: Sequence[Found], tolerance: float) -> float:

@@ -114,8 +114,11 @@ class Nuisance:
         return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
 
 
-LEAST_SHARE = 0.04
-"""An imperfection smaller than this share of what is normal is none: its spring would be near the stiffest that a tick still follows."""
+LEAST_SHARE = 0.01
+"""An imperfection smaller than this share of what is normal is none."""
+
+LEAST_SLIP = 0.04
+"""Slip below this share stays out of a machine: its spring would be near the stiffest that a tick still follows."""
 
 
 def _damped(machine: Machine, owner: str, factor: float) -> Machine:
