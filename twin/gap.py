@@ -78,17 +78,22 @@ def predict_campaign(
     machine: Machine, runs: Sequence[MeasuredRun], *, realisations: int = REALISATIONS, progress: Callable[[str], None] | None = None
 ) -> dict[str, Prediction]:
     """`predict` for several runs on all cores; independent of the number of workers."""
-    results: dict[str, Prediction] = {}
+    predictions = predict_each([(machine, run, realisations) for run in runs], progress=progress)
+    return {run.name: prediction for run, prediction in zip(runs, predictions)}
 
-    def one(run: MeasuredRun) -> Prediction:
-        return predict(machine, run, realisations)
 
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        for run, prediction in zip(runs, pool.map(one, runs)):
-            results[run.name] = prediction
+def predict_each(
+    jobs: Sequence[tuple[Machine, MeasuredRun, int]], *, threads: int | None = None, progress: Callable[[str], None] | None = None
+) -> list[Prediction]:
+    """`predict` for machines, runs and realisations, in their order; the longest are simulated first, so that no core waits for one."""
+    order = sorted(range(len(jobs)), key=lambda i: -len(jobs[i][1].trace.time) * jobs[i][2])
+    results: dict[int, Prediction] = {}
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        for i, prediction in zip(order, pool.map(lambda i: predict(*jobs[i]), order)):
+            results[i] = prediction
             if progress:
-                progress(run.name)
-    return results
+                progress(jobs[i][1].name)
+    return [results[i] for i in range(len(jobs))]
 
 
 def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:

@@ -21,20 +21,20 @@ def noise():
 def test_what_changes_is_trusted_to_a_share(channel):
     change = np.zeros(SAMPLES)
     change[1000] = 500.0
-    doubt = channel.doubted(change, PERIOD).doubt
+    doubt = channel.doubted(change, np.zeros(SAMPLES), PERIOD).doubt
     assert doubt.max() == DOUBT * 500.0
     assert np.count_nonzero(doubt) == 11  # 10 ms before and after
 
 
 def test_noise_alone_leaves_the_weights(channel):
-    weights = channel.doubted(np.zeros(SAMPLES), PERIOD, noise()).weight
+    weights = channel.doubted(np.zeros(SAMPLES), noise(), PERIOD).weight
     assert np.mean(weights < 0.9 / SIGMA) < 0.02
 
 
 def test_a_break_away_loses_its_weight_and_the_rest_keeps_it(channel):
     left = noise()
     left[1500:1510] += 100.0
-    doubted = channel.doubted(np.zeros(SAMPLES), PERIOD, left)
+    doubted = channel.doubted(np.zeros(SAMPLES), left, PERIOD)
     mean_square = 10 * 100.0**2 / 51  # over 0.1 s
     known = SIGMA**2 + (mean_square - BY_CHANCE * SIGMA**2) * SAMPLES / SHAPES
     assert doubted.weight[1505] == pytest.approx(known**-0.5, rel=0.1)
@@ -44,5 +44,5 @@ def test_a_break_away_loses_its_weight_and_the_rest_keeps_it(channel):
 def test_doubt_of_what_was_left_before_is_forgotten(channel):
     left = noise()
     left[1500:1510] += 100.0
-    again = channel.doubted(np.zeros(SAMPLES), PERIOD, left).doubted(np.zeros(SAMPLES), PERIOD, noise())
+    again = channel.doubted(np.zeros(SAMPLES), left, PERIOD).doubted(np.zeros(SAMPLES), noise(), PERIOD)
     assert again.weight[1505] > 0.5 / SIGMA

@@ -86,15 +86,11 @@ class Channel:
         many = max(len(self.sigma) / SHAPES, 1.0)
         return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
 
-    def doubted(self, change: np.ndarray, period: float, left: np.ndarray | None = None) -> Channel:
+    def doubted(self, change: np.ndarray, left: np.ndarray, period: float) -> Channel:
         """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s].
 
         `left` (sample,) is what they do not explain: as far as it stands out of noise around a sample, the twin is wrong there.
         """
-        if not np.any(change) and left is None:
-            return replace(self, doubt=0.0)
         doubt = DOUBT * maximum_filter1d(np.abs(change), 2 * round(LAG_S / period) + 1)
-        if left is not None:
-            around = uniform_filter1d(np.square(left), 2 * round(0.5 * EVENT_S / period) + 1)
-            doubt = np.sqrt(doubt**2 + np.maximum(around - BY_CHANCE * (self.sigma**2 + doubt**2), 0.0))
-        return replace(self, doubt=doubt)
+        around = uniform_filter1d(np.square(left), 2 * round(0.5 * EVENT_S / period) + 1)
+        return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - BY_CHANCE * (self.sigma**2 + doubt**2), 0.0)))

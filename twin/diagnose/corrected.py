@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +13,7 @@ from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out, retuned_within
 from twin.diagnose.tolerance import LEAST_SHARE, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict
+from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_each
 from twin.machine import Machine
 
 
@@ -71,20 +70,21 @@ def held_out_gaps(
 ) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
     realisations = 2 if quick else REALISATIONS
-    jobs = [("before", machine, run, realisations) for run in campaign.runs]
+    runs = list(campaign.runs)
+    jobs = [(machine, run, realisations) for run in runs]
     for fold in folds:
         variant = _fitted_without(machine, found, fold if len(folds) > 1 else ())
-        jobs += [("after", variant, campaign.runs[i], 1 if quick else realisations) for i in fold]
-    jobs.sort(key=lambda job: -len(job[2].trace.time) * job[3])  # the longest first: no core waits for the last one
-    predictions: dict[str, dict[str, Prediction]] = {"before": {}, "after": {}}
-    with ThreadPoolExecutor(threads) as pool:
-        for (which, _, run, _), prediction in zip(jobs, pool.map(lambda job: predict(*job[1:]), jobs)):
-            predictions[which][run.name] = prediction
+        jobs += [(variant, runs[i], 1 if quick else realisations) for i in fold]
+    simulated = predict_each(jobs, threads=threads)
+    predictions = {
+        which: {run.name: prediction for (_, run, _), prediction in zip(jobs[part], simulated[part])}
+        for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
+    }
     if quick:  # one realisation has no scatter of its own
         predictions["after"] = {
             name: replace(prediction, scatter=predictions["before"][name].scatter) for name, prediction in predictions["after"].items()
         }
-    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in campaign.runs} for which, of_run in predictions.items()}
+    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in predictions.items()}
     return gaps, predictions
 
 

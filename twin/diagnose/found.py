@@ -86,10 +86,12 @@ class Found:
         """Doubt what effects change by `change` (row,), and where they leave `left` (row,), both weighted; all that is remembered
         weighs accordingly."""
         old = self.group.weights
+        left = np.zeros(self.group.size) if left is None else left
         self.rigid, self.group = self.rigid.doubted(change, left), self.group.doubted(change, left)
         scale = self.group.weights / old
         fits = (self.fit, *self.accepted)
-        tunings = {id(t): t.reweighed(scale) for t in {id(t): t for t in (self.tuning, *(f.about for f in fits))}.values()}
+        shared = {id(t): t for t in (self.tuning, *(f.about for f in fits))}
+        tunings = {key: tuning.reweighed(scale) for key, tuning in shared.items()}
         self.fit, *self.accepted = (f.reweighed(scale, tunings[id(f.about)], self.group.residual) for f in fits)
         self.answers = {key: ((column * scale).astype(np.float32), a) for key, (column, a) in self.answers.items()}
         self.tuned_about(tunings[id(self.tuning)])

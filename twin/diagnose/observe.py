@@ -98,15 +98,11 @@ class Group:
             out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
 
-    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> Group:
+    def doubted(self, change: np.ndarray, left: np.ndarray) -> Group:
         """The group where effects that change its channels by `change` (row,) are trusted to a share of that, and the twin less where
         they leave it with more than noise, `left` (row,); both weighted."""
-        plain = change / self.weights
-        remaining = None if left is None else left / self.weights
-        channels = [
-            c.doubted(plain[c.rows], self.views[c.run].trace.period, None if remaining is None else remaining[c.rows])
-            for c in self.channels
-        ]
+        plain, remaining = change / self.weights, left / self.weights
+        channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
         return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed)
 
     def in_noise(self, rows: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
-        trust = STANDS_IN if f.fit.settings and f.unknown else 1.0
+        trust = STANDS_IN if f.unknown else 1.0
         for setting in f.fit.settings:
             probability = CONFIDENCE
             for candidates in f.rounds:
