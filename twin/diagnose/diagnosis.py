@@ -10,6 +10,7 @@ import os
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from twin.campaign import Campaign
 from twin.diagnose.candidates import deviation_of
@@ -219,6 +220,7 @@ class Diagnosis:
         return out
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     campaign: Campaign,
     machine: Machine,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +68,10 @@ class Tuning:
         """Half the least square that tuning leaves of a residual."""
         return 0.5 * float(self.inner(residual, residual))
 
+    def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
+        """The tuning with one more nuisance, which changes `column` (row,) at its spread."""
+        return tuning_from([*self.nuisances, nuisance], beside(self.jacobian, column[:, None]), self.spread)
+
     def reweighed(self, scale: np.ndarray) -> Tuning:
         """The same tuning where every row weighs `scale` (row,) times as much."""
         return replace(tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread), base=self.base)
@@ -100,26 +105,23 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     wanted += [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
     current = plain
     for nuisance in wanted:
-        trial = functools.partial(_added, current, group, machine, nuisance)
-        tried = [t for t in mapper(trial, SHARES) if t is not None]
-        best = min(tried, key=lambda t: t.loss(residual), default=None)
+        trial = functools.partial(_at_share, current, group, machine, nuisance, residual)
+        best = max((t for t in mapper(trial, SHARES) if t is not None), key=lambda t: t.gain, default=None)
         for _ in range(2):
-            if best is None:
-                break
-            size = float(best.solve(residual)[-1]) * UNIFORM
-            if not 0.0 < size < 1.0 or current.loss(residual) - best.loss(residual) < EARNED:
+            if best is None or not 0.0 < best.size < 1.0 or best.gain < EARNED:
                 best = None
                 break
-            better = _added(current, group, machine, nuisance, size)
-            if better is None or better.loss(residual) > best.loss(residual):
+            size = best.size
+            better = trial(size)
+            if better is None or better.gain < best.gain:
                 break
-            moved = abs(float(better.solve(residual)[-1]) * UNIFORM / size - 1.0)
             best = better
-            if moved < UNCHANGED:
+            if abs(better.size / size - 1.0) < UNCHANGED:
                 break
-        current = best or current
-        if best is not None and nuisance.quantity == "elasticity":
-            current = _with_damping(best, group, machine, nuisance, size, residual)
+        if best is not None:
+            current = current.with_column(nuisance, best.column)
+            if nuisance.quantity == "elasticity":
+                current = _with_damping(current, group, machine, nuisance, size, residual)
     return current
 
 
@@ -140,8 +142,24 @@ def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tu
     return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
 
 
-def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, share: float) -> Tuning | None:
-    """The tuning with one more nuisance, simulated at this share of what is normal; None where it cannot be simulated."""
+class Trial(NamedTuple):
+    """One more nuisance beside a tuning: what it changes at its spread (row,), the loss that it takes away, its best size (1: the
+    largest that is normal)."""
+
+    column: np.ndarray
+    gain: float
+    size: float
+
+
+def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
+    """What a nuisance that changes `column` (row,) at its spread would explain of a residual (row,) beside the tuning."""
+    new = tuning.remembered(column)
+    slope, curvature = tuning.product(new, tuning.remembered(residual)), tuning.product(new, new) + PRIOR_WEIGHT
+    return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
+
+
+def _at_share(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, share: float) -> Trial | None:
+    """A nuisance simulated at this share of what is normal; None where it cannot be simulated."""
     try:
         answer = group.response(
             lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
@@ -150,7 +168,7 @@ def _added(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, s
         )
     except TwinError:
         return None
-    return tuning_from([*tuning.nuisances, nuisance], beside(tuning.jacobian, answer[:, None] * (UNIFORM / share)), tuning.spread)
+    return trial_of(tuning, answer * (UNIFORM / share), residual)
 
 
 def _with_damping(tuning: Tuning, group: Group, machine: Machine, elasticity: Nuisance, share: float, residual: np.ndarray) -> Tuning:
@@ -163,21 +181,19 @@ def _with_damping(tuning: Tuning, group: Group, machine: Machine, elasticity: Nu
             lambda m: damping.apply(elasticity.apply(m, 1.0 + share * tolerance), 1.0 + damped * tolerance), axes=(damping.owner,)
         )
 
-    step, damped = DAMPED, tuning
+    step = DAMPED
     try:
         plain = answer(0.0)
         for _ in range(2):  # its answer is not in proportion: the second time about as much as there is
-            column = (answer(step) - plain)[:, None] * (UNIFORM / step)
-            damped = tuning_from([*tuning.nuisances, damping], beside(tuning.jacobian, column), tuning.spread)
-            if tuning.loss(residual) - damped.loss(residual) < EARNED:
+            damped = trial_of(tuning, (answer(step) - plain) * (UNIFORM / step), residual)
+            if damped.gain < EARNED:
                 return tuning
-            found = float(damped.solve(residual)[-1]) * UNIFORM
-            if abs(found / step - 1.0) < UNCHANGED or abs(found) < DAMPED * UNCHANGED:
+            if abs(damped.size / step - 1.0) < UNCHANGED or abs(damped.size) < DAMPED * UNCHANGED:
                 break
-            step = min(max(found, -1.0), 1.0)
+            step = min(max(damped.size, -1.0), 1.0)
     except TwinError:
         return tuning
-    return damped if abs(found) < WIDEST else tuning
+    return tuning.with_column(damping, damped.column) if abs(damped.size) < WIDEST else tuning
 
 
 def beside(*blocks: np.ndarray) -> np.ndarray:
