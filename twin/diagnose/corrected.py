@@ -11,7 +11,7 @@ import numpy as np
 from twin.campaign import Campaign
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out, retuned_within
-from twin.diagnose.tolerance import LEAST_SHARE, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
+from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_each
 from twin.machine import Machine
@@ -100,7 +100,7 @@ def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int
         settings += moved
         deviations = within(f, tolerance)
         # what all runs together say is not there does not appear because the one that says so is left out
-        absent = [n.quantity in SPRINGS and d < LEAST_SHARE * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        absent = [n.quantity in SPRINGS and d < LEAST_IMPERFECTION * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
         variant = tuned(f.tuning.nuisances, np.clip(deviations, -WIDEST * tolerance, WIDEST * tolerance))(variant)
     return with_added(variant, settings)

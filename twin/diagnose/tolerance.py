@@ -89,7 +89,7 @@ class Nuisance:
             share = (factor - 1.0) / machine.parameter_tolerance
             if self.quantity == "damping":
                 return _damped(machine, self.owner, NORMAL_DAMPING ** min(max(share, -WIDEST), WIDEST))
-            if share < LEAST_SHARE:
+            if share < LEAST_IMPERFECTION:
                 return machine
             stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
@@ -114,7 +114,7 @@ class Nuisance:
         return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
 
 
-LEAST_SHARE = 0.01
+LEAST_IMPERFECTION = 0.01
 """An imperfection smaller than this share of what is normal is none."""
 
 LEAST_SLIP = 0.04
