@@ -27,6 +27,7 @@ from twin.terms import (
     MEASURE,
     SETPOINT,
     X_CURRENT_SETPOINT,
+    X_FRICTION_FORCE,
     X_FRICTION_LEVEL,
     X_LOAD_ACCELERATION,
     X_LOAD_FORCE,
@@ -216,16 +217,18 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 x[X_LOAD_FORCE] = 0.0
                 x[X_ROTOR_FORCE] = 0.0
                 x[X_MOTOR_TORQUE] = 0.0
+                x[X_FRICTION_FORCE] = 0.0
                 x[X_FRICTION_LEVEL] = level[a]
             call_terms(terms, FORCE, signals)
             for a in range(axes):
                 x = signals[a]
                 engine.ctrl[engine.actuator[a]] += x[X_MOTOR_TORQUE]
                 engine.frictionloss[engine.load_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
+                on_load = x[X_LOAD_FORCE] + x[X_FRICTION_FORCE]
                 if engine.rotor_dof[a] == engine.load_dof[a]:
-                    engine.applied[engine.load_dof[a]] = x[X_LOAD_FORCE] + x[X_ROTOR_FORCE]
+                    engine.applied[engine.load_dof[a]] = on_load + x[X_ROTOR_FORCE]
                 else:
-                    engine.applied[engine.load_dof[a]] = x[X_LOAD_FORCE]
+                    engine.applied[engine.load_dof[a]] = on_load
                     engine.applied[engine.rotor_dof[a]] = x[X_ROTOR_FORCE]
         call_address_2(engine.step, engine.model, engine.data)
 
@@ -233,7 +236,7 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
             for a in range(axes):
                 row = record[n // schedule.record_ticks, a]
                 dof = engine.load_dof[a]
-                row[8] = -(engine.passive[dof] + engine.constraint[dof]) * drives.ratio[a]
+                row[8] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
                 row[9] = engine.bias[dof] * drives.ratio[a]
 
     if has_force:

@@ -44,8 +44,9 @@ STAGES = 4
     X_ROTOR_FORCE,  # force on the rotor, at the axis
     X_MOTOR_TORQUE,  # torque added to the motor's, Nm
     X_FRICTION_LEVEL,  # Coulomb level of the load's contact, N or Nm
-) = range(18)
-SIGNAL_COUNT = 18
+    X_FRICTION_FORCE,  # friction on the load beside Coulomb's and the viscous one of the model
+) = range(19)
+SIGNAL_COUNT = 19
 PARAMETER_COUNT = 8
 STATE_COUNT = 4
 MAX_AXES = 32

@@ -103,3 +103,18 @@ def test_presliding_under_swinging(shape):
     bent = stiffness * z + bristle["damping"] * np.array([rate(at, zi) for at, zi in zip(t, z)])
     force = -missing_force(trace, "X")
     assert np.abs(force - (bent[1:] + bent[:-1]) / 2).max() < 0.01 * a.coulomb_friction
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [{"name": "presliding", "stiffness": 5e7}, {"name": "stribeck", "excess": 500.0, "velocity": 0.003}],
+        [{"name": "viscous_asymmetry", "fraction": 0.3}, {"name": "coulomb_friction", "factor": 1.3}],
+    ],
+)
+def test_recorded_friction_closes_the_balance(effects):
+    """Recorded friction = what motor and mass leave, tick by tick: the record holds the friction of the effects too."""
+    a = axis_of("X")
+    trace = follow("X", swing(3e-3, 8.0, 0.4), effects)
+    recorded = trace.get("X", "torque_friction")[:-1] / a.ratio
+    assert np.abs(recorded + missing_force(trace, "X", viscous=0.0)).max() < 0.01 * a.coulomb_friction

@@ -10,9 +10,9 @@ from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.terms import (
     FORCE,
+    X_FRICTION_FORCE,
     X_FRICTION_LEVEL,
     X_LOAD_ACCELERATION,
-    X_LOAD_FORCE,
     X_LOAD_MIDDLE,
     X_LOAD_SPEED,
     X_STEP,
@@ -145,7 +145,7 @@ def asymmetric_viscous(parameters, state, signals, axis):  # type: ignore[no-unt
     """F -= p[0] |v| in the middle of the step."""
     p, s, x = arrays(parameters, state, signals)
     speed = x[axis, X_LOAD_SPEED] + 0.5 * x[axis, X_STEP] * x[axis, X_LOAD_ACCELERATION]
-    x[axis, X_LOAD_FORCE] -= p[0] * abs(speed)
+    x[axis, X_FRICTION_FORCE] -= p[0] * abs(speed)
 
 
 @term
@@ -168,4 +168,4 @@ def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     else:
         s[0] = before + speed * h
         mean = before + 0.5 * speed * h
-    x[axis, X_LOAD_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h
+    x[axis, X_FRICTION_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h
