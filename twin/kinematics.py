@@ -1,7 +1,7 @@
 """The five-axis transformation: where the tool is in the part for given axes, and which axes bring it there.
 
-The frames are read from the compiled MJCF at rest (joint axes, anchors, sites `tool` and `workpiece`); nothing is typed
-twice. With axes X Y Z A C the part side is turned by R = Rot(A) Rot(C), both about the joints' own axes, the tool side is
+The frames are read from the MJCF at rest with the machine file's lengths (joint axes, anchors, sites `tool` and `workpiece`);
+nothing is typed twice. With axes X Y Z A C the part side is turned by R = Rot(A) Rot(C), both about the joints' own axes, the tool side is
 shifted along the slides:
 
     workpiece_from_tool = (bed_from_workpiece(A, C))^-1 @ bed_from_tool(X, Y, Z)
@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-import functools
-from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from twin.errors import InputError
 from twin.machine import Machine
+from twin.plant import frames_of_model
 
 SINGULAR_SINE = 1e-9
 """A tool axis closer than this (as a sine) to the turning axis leaves C free: C then keeps its angle."""
@@ -142,20 +142,17 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def kinematics_of(machine: Machine) -> Kinematics:
-    """The kinematics of a machine: frames from its MJCF, travels from its machine file."""
-    frames = _frames(machine.model_path, machine.model_path.stat().st_mtime_ns)
+    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file."""
     order = ("X", "Y", "Z", "A", "C")
     known = {axis.name: axis.travel for axis in machine.axes}
     travel = np.array([known.get(name, (0.0, 0.0)) for name in order])
-    return Kinematics(**frames, travel=travel)
+    return Kinematics(**_frames(machine), travel=travel)
 
 
-@functools.lru_cache(maxsize=8)
-def _frames(model_path: Path, _modified_ns: int) -> Mapping[str, Any]:
-    """Compile the MJCF and read the frames with all axes at zero."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_path(str(model_path))
+def _frames(machine: Machine) -> Mapping[str, Any]:
+    """Read the frames with all axes at zero."""
+    model_path = machine.model_path
+    model = frames_of_model(machine)
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
@@ -177,7 +174,8 @@ def _frames(model_path: Path, _modified_ns: int) -> Mapping[str, Any]:
         raise InputError(f"{model_path}: the part must hang on C and C on A; reorder the bodies")
     tool_body = model.site_bodyid[sites["tool"]]
     tool_axis = data.site_xmat[sites["tool"]].reshape(3, 3)[:, 2]
-    nose = data.xpos[tool_body]
+    # where the file does not say how long the tool is, the body that carries it begins at the spindle nose
+    carrier_to_tip = float((data.xpos[tool_body] - data.site_xpos[sites["tool"]]) @ tool_axis)
     return {
         "slides": np.column_stack([data.xaxis[joint[name]] for name in "XYZ"]),
         "tool_tip": data.site_xpos[sites["tool"]].copy(),
@@ -188,15 +186,15 @@ def _frames(model_path: Path, _modified_ns: int) -> Mapping[str, Any]:
         "turn_anchor": data.xanchor[turn].copy(),
         "part_origin": data.site_xpos[sites["workpiece"]].copy(),
         "part_axes": data.site_xmat[sites["workpiece"]].reshape(3, 3).copy(),
-        "tool_length": float((nose - data.site_xpos[sites["tool"]]) @ tool_axis),
+        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
     }
 
 
-def _chain(model: object, site: int, kind: int) -> list[int]:
+def _chain(model: mujoco.MjModel, site: int, kind: int) -> list[int]:
     """Joints between a site and the bed, from the site outwards; other kinds of joints there are an error of the caller."""
-    joints, body = [], model.site_bodyid[site]  # type: ignore[attr-defined]
+    joints, body = [], model.site_bodyid[site]
     while body:
-        first, count = model.body_jntadr[body], model.body_jntnum[body]  # type: ignore[attr-defined]
-        joints += [j for j in range(first + count - 1, first - 1, -1) if model.jnt_type[j] == kind]  # type: ignore[attr-defined]
-        body = model.body_parentid[body]  # type: ignore[attr-defined]
+        first, count = model.body_jntadr[body], model.body_jntnum[body]
+        joints += [j for j in range(first + count - 1, first - 1, -1) if model.jnt_type[j] == kind]
+        body = model.body_parentid[body]
     return joints

@@ -111,6 +111,18 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
             _lock(spec, joint)
     for edit in edits:
         edit(spec)
+    return compiled_spec(spec, where)
+
+
+def frames_of_model(machine: Machine) -> mujoco.MjModel:
+    """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
+    spec = load_spec(machine.model_path)
+    _set_geometry(spec, machine)
+    return compiled_spec(spec, str(machine.path or machine.name))
+
+
+def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
+    """Compile a spec; errors in one line that says where."""
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:

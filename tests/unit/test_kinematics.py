@@ -1,5 +1,7 @@
 """The five-axis transformation: MuJoCo's own poses are the reference, and its laws are stated with random axes."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,8 +9,10 @@ import pytest
 from twin.errors import InputError
 from twin.kinematics import kinematics_of, rotation
 from twin.machine import Machine
+from twin.plant import compile_model
 from twin.program.axis_path import axis_jet, frames_of
 from twin.program.orientation import OUTSIDE_TRAVEL, UNREACHABLE, choose_angles, inverse
+from twin.replay.scene import scene_of
 
 SCALE = np.array([0.3, 0.25, 0.2, 0.5, 4.0])
 
@@ -46,11 +50,9 @@ def machine(request, mikron: Machine, tmp_path) -> Machine:
     """The Mikron, and a machine whose axes are skew and offset in every way."""
     if request.param == "mikron":
         return mikron
-    from dataclasses import replace
-
     path = tmp_path / "skew.xml"
     path.write_text(SKEW)
-    return replace(mikron, model_path=path)
+    return replace(mikron, model_path=path, geometry={})  # the lengths of its MJCF
 
 
 def test_forward_kinematics_are_those_of_the_model(machine: Machine) -> None:
@@ -61,6 +63,26 @@ def test_forward_kinematics_are_those_of_the_model(machine: Machine) -> None:
         have = site_poses(model, q)
         assert np.abs(have[0] - tip).max() < 1e-12
         assert np.abs(have[1] - direction).max() < 1e-12
+
+
+def test_lengths_of_the_machine_file_move_the_frames(mikron: Machine) -> None:
+    """What is simulated, transformed and drawn is one machine, also where the file's lengths are not the MJCF's."""
+    lengths: dict[str, object] = {
+        "tool_length_m": 0.2,
+        "a_axis_to_c_axis_y_m": 0.03,
+        "a_axis_to_c_axis_z_m": -0.01,
+        "table_top_above_a_axis_m": 0.08,
+    }
+    lengths["spindle_nose_at_home_m"] = [0.0, 0.01, 0.6]
+    changed = replace(mikron, geometry={**mikron.geometry, **lengths})
+    q = np.array([0.1, -0.05, 0.08, 0.4, 1.1])
+    tip, direction = kinematics_of(changed).forward(q)
+    for model in (compile_model(changed), scene_of(changed).model):
+        have = site_poses(model, q)
+        assert np.abs(have[0] - tip).max() < 1e-12
+        assert np.abs(have[1] - direction).max() < 1e-12
+    assert kinematics_of(changed).tool_length == 0.2
+    assert np.linalg.norm(tip - kinematics_of(mikron).forward(q)[0]) > 0.01
 
 
 def test_inverse_undoes_forward(machine: Machine) -> None:
@@ -122,8 +144,6 @@ def test_c_keeps_its_angle_along_the_turning_axis(mikron: Machine) -> None:
 
 
 def test_a_turning_axis_with_stops_rewinds(mikron: Machine) -> None:
-    from dataclasses import replace
-
     kinematics = kinematics_of(mikron)
     stopped = replace(kinematics, travel=np.vstack([kinematics.travel[:4], [-np.pi, np.pi]]))
     turn = np.linspace(0.0, 1.5 * np.pi, 100)

@@ -10,6 +10,7 @@ from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
 from twin.errors import InputError
 from twin.machine import Axis, Machine
+from twin.plant import frames_of_model
 from twin.terms import (
     FORCE,
     X_LOAD_ACCELERATION,
@@ -167,7 +168,7 @@ def periodic_disturbance(change: Change, axis: Axis, frequency_hz: float, force:
 
 def _vertical(machine: Machine, axis: Axis) -> float:
     """Component of a linear axis along +z of the machine frame."""
-    model = mujoco.MjModel.from_xml_path(str(machine.model_path))
+    model = frames_of_model(machine)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     up = float(data.xaxis[model.joint(axis.name).id][2])
@@ -176,7 +177,7 @@ def _vertical(machine: Machine, axis: Axis) -> float:
 
 def _table_body(machine: Machine, axis: Axis) -> str:
     """The body of the last rotary axis that this one carries."""
-    model = mujoco.MjModel.from_xml_path(str(machine.model_path))
+    model = frames_of_model(machine)
     carrier = int(model.joint(axis.name).bodyid[0])
     name = model.body(carrier).name
     for joint in range(model.njnt):

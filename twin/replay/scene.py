@@ -13,9 +13,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from twin.errors import InputError
 from twin.machine import Machine
-from twin.plant import compile_model, load_spec
+from twin.plant import compiled_spec, frames_of_model, load_spec
 from twin.poses import rotate
 from twin.replay.names import entity
 
@@ -85,31 +84,19 @@ class Scene:
 
 
 def scene_of(machine: Machine) -> Scene:
-    """The scene of a machine file."""
-    scene = scene_from_mjcf(machine.model_path, machine.name)
-    # frames as they are simulated; a body that an effect adds has no looks
-    plant, seen = compile_model(machine), scene.model
-    for body in range(1, seen.nbody):
-        same = mujoco.mj_name2id(plant, mujoco.mjtObj.mjOBJ_BODY, seen.body(body).name)
-        if same >= 0:
-            seen.body_pos[body], seen.body_quat[body] = plant.body_pos[same], plant.body_quat[same]
-    for site in range(seen.nsite):
-        same = mujoco.mj_name2id(plant, mujoco.mjtObj.mjOBJ_SITE, seen.site(site).name)
-        if same >= 0:
-            seen.site_pos[site], seen.site_quat[site] = plant.site_pos[same], plant.site_quat[same]
-    return scene
+    """The scene of a machine file: frames as they are simulated; a body that an effect adds has no looks."""
+    return _scene(frames_of_model(machine), machine.name)
 
 
-def scene_from_mjcf(path: Path, name: str | None = None) -> Scene:
+def scene_from_mjcf(path: Path) -> Scene:
     """The scene of any MJCF file."""
-    spec = load_spec(path)
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: MuJoCo cannot compile this model: {' '.join(str(error).split())}; correct it there") from None
+    return _scene(compiled_spec(load_spec(path), str(path)), path.stem)
+
+
+def _scene(model: mujoco.MjModel, name: str) -> Scene:
     shapes = [shape for geom in range(model.ngeom) if (shape := _geom_shape(model, geom)) is not None]
     sites = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site) for site in ("tool", "workpiece")]
-    return Scene(name or path.stem, model, body_paths(model), tuple(shapes), *sites)
+    return Scene(name, model, body_paths(model), tuple(shapes), *sites)
 
 
 def body_paths(model: mujoco.MjModel) -> tuple[str, ...]:
