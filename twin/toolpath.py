@@ -62,16 +62,22 @@ class ToolPath:
 
 
 @dataclass(frozen=True)
-class ContourError:
-    """How far a path lies from its reference: distance (sample,) [m], nearest points (sample, 3) [m], angle of the axes (sample,) [rad]."""
+class Contour:
+    """How far points lie from their reference: distance (sample,) [m], and the nearest points of it (sample, 3) [m]."""
 
     error: np.ndarray
     nearest: np.ndarray
-    orientation: np.ndarray
 
     def magnified(self, followed: np.ndarray, factor: float) -> np.ndarray:
         """The path (sample, 3) with its deviation from the reference magnified."""
         return self.nearest + factor * (followed - self.nearest)
+
+
+@dataclass(frozen=True)
+class ContourError(Contour):
+    """A contour with the angle (sample,) [rad] between the tool axes."""
+
+    orientation: np.ndarray
 
 
 def path_of_axes(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray) -> ToolPath:
@@ -109,6 +115,13 @@ def search_window(machine: Machine) -> float:
     return max(SHORTEST_WINDOW, LAGS / min(gains)) if gains else SHORTEST_WINDOW
 
 
+def contour_of(
+    time: np.ndarray, followed: np.ndarray, reference_time: np.ndarray, reference: np.ndarray, window: float = SHORTEST_WINDOW
+) -> Contour:
+    """Contour error of points (sample, 3) against a path (point, 3) with times of its own."""
+    return _nearest(followed, reference, *_searched(time, reference_time, window))[0]
+
+
 def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SHORTEST_WINDOW) -> ContourError:
     """Contour and orientation error of a path against a reference with times of its own.
 
@@ -116,24 +129,33 @@ def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SH
     both lengths.
     """
     last = len(reference) - 1
-    if last < 0 or len(path) == 0:
+    if not len(path) or not len(reference):
         raise InputError("tool path: no sample to compare; give a path and a reference with at least one pose each")
-    if window is None:
-        low, high = np.zeros(len(path), int), np.full(len(path), last)
-    else:
-        low = np.clip(np.searchsorted(reference.time, path.time - window, side="left"), 0, max(last - 1, 0))
-        high = np.clip(np.searchsorted(reference.time, path.time + window, side="right") - 1, min(1, last), last)
-    nearest, distance, where = np.empty_like(path.tip), np.empty(len(path)), np.empty(len(path))
-    find_nearest(np.ascontiguousarray(path.tip), np.ascontiguousarray(reference.tip), low, high, nearest, distance, where)
+    low, high = _searched(path.time, reference.time, math.inf if window is None else window)
+    contour, _ = _nearest(path.tip, reference.tip, low, high)
     # where the tool turns about its tip the place along the path shows in the axis only: it counts as the way of a point ARM above
-    poses = [np.ascontiguousarray(np.hstack([p.tip, ARM * p.axis])) for p in (path, reference)]
-    find_nearest(poses[0], poses[1], low, high, np.empty_like(poses[0]), np.empty(len(path)), where)
+    poses = [np.hstack([p.tip, ARM * p.axis]) for p in (path, reference)]
+    _, where = _nearest(poses[0], poses[1], low, high)
     row = np.minimum(where.astype(int), max(last - 1, 0))
     part = (where - row)[:, None]
     there = (1.0 - part) * reference.axis[row] + part * reference.axis[np.minimum(row + 1, last)]
     there /= np.linalg.norm(there, axis=1, keepdims=True)
     angle = np.arctan2(np.linalg.norm(np.cross(path.axis, there), axis=1), np.einsum("ij,ij->i", path.axis, there))
-    return ContourError(distance, nearest, angle)
+    return ContourError(contour.error, contour.nearest, angle)
+
+
+def _searched(time: np.ndarray, reference_time: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """First and last reference point (sample,) within a window [s] around each sample."""
+    last = len(reference_time) - 1
+    low = np.clip(np.searchsorted(reference_time, time - window, side="left"), 0, max(last - 1, 0))
+    return low, np.clip(np.searchsorted(reference_time, time + window, side="right") - 1, min(1, last), last)
+
+
+def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Contour, np.ndarray]:
+    """Contour of points (n, k) against a path (m, k), and the places along it (n,) in samples."""
+    nearest, distance, where = np.empty_like(points), np.empty(len(points)), np.empty(len(points))
+    find_nearest(np.ascontiguousarray(points), np.ascontiguousarray(path), low, high, nearest, distance, where)
+    return Contour(distance, nearest), where
 
 
 @njit(cache=True, nogil=True)

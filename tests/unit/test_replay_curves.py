@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from twin.machine import load_machine
-from twin.replay.contour import contour_of, keep_shape
 from twin.replay.curves import axis_curves, not_recorded, torque_parts
-from twin.replay.decimate import SAME_LINE, decimate, thinned
+from twin.replay.decimate import SAME_LINE, decimate, keep_shape, thinned
 from twin.replay.events import find_events, stretches, turning_points
 from twin.replay.paths import error_scale, kept_points
+from twin.toolpath import contour_of
 from twin.trace import Trace
 
 MACHINE = load_machine()

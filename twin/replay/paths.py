@@ -15,7 +15,7 @@ import rerun as rr
 
 from twin.colours import ERROR_BANDS, Colour
 from twin.poses import IDENTITY, Pose, body_poses, site_pose
-from twin.replay.contour import keep_shape
+from twin.replay.decimate import keep_shape
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene
 
