@@ -61,7 +61,6 @@ class Diagnosis:
     def document(self) -> dict[str, Any]:
         """The contract."""
         before, after = self._pooled("before"), self._pooled("after")
-        floor = self._floor()
         return {
             "verdict": self.verdict,
             "effects": [self._effect(s, f, p) for s, f, p in self.settings],
@@ -70,7 +69,7 @@ class Diagnosis:
             "gap": {
                 "before": before,
                 "after": after,
-                "noise_floor": floor,
+                "noise_floor": 1.0,  # what the others are multiples of
                 "unit": "RMS over axes and signals, in multiples of what noise alone makes",
                 "retuning_share": self.retuned_share,
                 "held_out_runs": self.held_out,
@@ -102,9 +101,6 @@ class Diagnosis:
     def _pooled(self, which: str) -> float:
         axes = sorted({name for axes in self.gaps[which].values() for name in axes})
         return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in axes]))) if axes else 1.0
-
-    def _floor(self) -> float:
-        return 1.0
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}
@@ -255,7 +251,7 @@ def diagnose(
                 return None
             result = search(group, machine_without, folds, mapper, say, quick)
             result.unknown = is_unknown(result)
-            return sized(result, machine_without)
+            return sized(result, machine_without, mapper)
 
         views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
         groups = axis_groups(machine_without, measured)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import functools
 import math
 from typing import NamedTuple
 
@@ -150,9 +151,15 @@ def no_effect(group: Group, tuning: Tuning) -> Fit:
 
 
 def fit_effects(
-    group: Group, machine: Machine, tuning: Tuning, settings: Sequence[Setting], steps: int = STEPS, narrowest: float = NARROW
+    group: Group,
+    machine: Machine,
+    tuning: Tuning,
+    settings: Sequence[Setting],
+    mapper: Callable,  # type: ignore[type-arg]
+    steps: int = STEPS,
+    narrowest: float = NARROW,
 ) -> Fit | None:
-    """Gauss-Newton from these settings; None where they cannot be simulated.
+    """Gauss-Newton from these settings; None where they cannot be simulated. `mapper` maps over threads.
 
     Slopes are taken over `SLOPE` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
     """
@@ -169,7 +176,8 @@ def fit_effects(
     columns, reach = np.zeros((group.size, len(free))), np.full(len(free), SLOPE)
     for step in range(steps):
         try:
-            slopes = beside(*(_slope(group, settings, f, response, over)[:, None] for f, over in zip(free, reach)))
+            taken = mapper(functools.partial(_slope, group, settings, response), zip(free, reach))
+            slopes = beside(*(column[:, None] for column in taken))
         except TwinError:
             return None
         columns = slopes if step == 0 else columns
@@ -247,9 +255,10 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) ->
     )
 
 
-def _slope(group: Group, settings: tuple[Setting, ...], f: Free, response: np.ndarray, over: float) -> np.ndarray:
-    """Change per scale unit by a step, towards the inside of the bounds."""
-    for step in (over, -over):
+def _slope(group: Group, settings: tuple[Setting, ...], response: np.ndarray, over: tuple[Free, float]) -> np.ndarray:
+    """Change per scale unit of a parameter, over a step of so many, towards the inside of the bounds."""
+    f, reach = over
+    for step in (reach, -reach):
         moved = f.moved(settings, step)
         actual = _distance(f, settings, moved)
         if abs(actual) > 1e-6:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def search(
             found.accepted.clear()
             found.fit = found.retuned  # what is normal, seen better, explains it as well
             break
-    _try_removals(found, machine, folds)
+    _try_removals(found, machine, folds, mapper)
     return found
 
 
@@ -103,11 +104,11 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     """Take an effect; it is trusted to a share of what it changes, and what is normal besides it is seen better now."""
     found.fit = fit
     found.doubt(fit.response)
-    fit = fit_effects(found.group, machine, found.tuning, fit.settings, REFIT_STEPS) or found.fit
+    fit = fit_effects(found.group, machine, found.tuning, fit.settings, mapper, REFIT_STEPS) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
     group, tuning = on_imperfect_machine(found.rigid, tuning, left)
-    again = fit_effects(group, machine, tuning, fit.settings, REFIT_STEPS) if group is not found.group else None
+    again = fit_effects(group, machine, tuning, fit.settings, mapper, REFIT_STEPS) if group is not found.group else None
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
         found.tuned_about(tuning)
@@ -124,14 +125,14 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
     before, group = found.fit.loss, found.group
     for _ in range(LOOKS):
         tuning = tuning_beside(found.group, found.fit, machine, mapper)
-        again = fit_effects(found.group, machine, tuning, found.fit.settings, REFIT_STEPS)
+        again = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, REFIT_STEPS)
         if again is None or again.loss > found.fit.loss:
             break
         gain = found.fit.loss - again.loss
         found.fit = again
         found.tuned_about(tuning)
         nearer, tuning = moved_to(found.rigid, tuning, again.tuning)
-        moved = fit_effects(nearer, machine, tuning, again.settings, REFIT_STEPS) if nearer is not found.rigid else None
+        moved = fit_effects(nearer, machine, tuning, again.settings, mapper, REFIT_STEPS) if nearer is not found.rigid else None
         if moved is not None and moved.loss < again.loss + EVIDENCE:
             gain += again.loss - moved.loss
             found.fit, found.group = moved, nearer
@@ -184,7 +185,9 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     near = [item for i, item in enumerate(order) if i < 2 or item[1][0] > (RIVALS_WITHIN if _is_linear(item[1][1]) else BENT_WITHIN) * top]
     chosen = near[:most]
     progress(f"{'+'.join(group.axes)}: fitting {', '.join(f'{k[0]} {k[1]}' for k, _ in chosen[:3])} ...")
-    fits = list(mapper(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], 3 if quick else STEPS), chosen))
+    steps = 3 if quick else STEPS
+    with ThreadPoolExecutor(max(len(chosen), 1)) as fitting:  # they wait for the workers' simulations
+        fits = list(fitting.map(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], mapper, steps), chosen))
     base, healthy = held_out_loss(found, found.fit, folds), loss_within(found, found.fit, machine.parameter_tolerance)
     candidates = []
     for fit in fits:
@@ -242,14 +245,14 @@ def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.n
     return found.answers[key]
 
 
-def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]]) -> None:
+def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Callable) -> None:  # type: ignore[type-arg]
     """Drop an accepted effect that the later ones have made superfluous."""
     while len(found.fit.settings) > 1:
         full = held_out_loss(found, found.fit, folds)
         worst: tuple[float, Fit] | None = None
         for i in range(len(found.fit.settings)):
             rest = [s for j, s in enumerate(found.fit.settings) if j != i]
-            fit = fit_effects(found.group, machine, found.tuning, rest, 2)
+            fit = fit_effects(found.group, machine, found.tuning, rest, mapper, 2)
             if fit is None:
                 continue
             cost = (held_out_loss(found, fit, folds) - full) / found.inflation

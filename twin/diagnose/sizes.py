@@ -7,6 +7,7 @@ leaves around a sample counts as doubt of the twin there, a fault that is the sa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from twin.diagnose.fit import SLOPE, fit_effects
@@ -17,7 +18,7 @@ ROUNDS, STEPS = 2, 3
 """Times that what is left is looked at, and steps of each fit."""
 
 
-def sized(found: Found, machine: Machine) -> Found:
+def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: ignore[type-arg]
     """What was found with its effects fitted where the twin is right; itself where there is none."""
     if not found.fit.settings:
         return found
@@ -26,7 +27,7 @@ def sized(found: Found, machine: Machine) -> Found:
     for _ in range(ROUNDS):
         weights = found.group.weights
         found.doubt(change * weights, found.fit.left(found.group))
-        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, STEPS, narrowest=SLOPE)
+        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, mapper, STEPS, narrowest=SLOPE)
         if fit is None:
             break
         found.fit = fit
