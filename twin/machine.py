@@ -188,7 +188,7 @@ class Machine:
             have = self.document["axis"][axis.name]["loops"]
             for other, torque, at_axis in keys.speed_gains(axis.effort):
                 if key not in have and other in have and not torque:
-                    told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+                    told = axis.told_torque_constant
                     return ".".join([*tables, other]), value / told / (axis.ratio if at_axis else 1.0)
         return path, value
 

@@ -114,6 +114,11 @@ class Axis:
         """Rotor and screw or gear as seen at the axis [kg or kg m2]."""
         return self.rotor_inertia_kg_m2 / self.ratio**2
 
+    @property
+    def told_torque_constant(self) -> float:
+        """Torque constant by which the control turns torques into currents [Nm/A]: what it was told, or the motor's own."""
+        return self.commissioned_torque_constant or self.motor.torque_constant_nm_per_a
+
 
 def axis_of_table(name: str, table: Any, where: str) -> Axis:
     """A checked Axis from `[axis.NAME]`; every fault is an InputError that names table and key."""
