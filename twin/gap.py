@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 
 import numpy as np
@@ -19,7 +19,7 @@ from twin.errors import InputError
 from twin.machine import Axis, Machine
 from twin.machine_keys import EFFORTS
 from twin.run import simulate
-from twin.setpoints import check_travel, recorded_setpoints
+from twin.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.trace import OTHER_UNITS, Trace
 from twin.units import ARCSEC, AXIS_UNITS
 
@@ -27,9 +27,12 @@ COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "tor
 """Of the last three the one that the axis' speed controller commands."""
 
 REALISATIONS = 4
-MOVING = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
-"""Set point speeds above which the current (or the command) is compared: the current of an axis that sticks is history."""
 
+SAME_PERIOD = 1e-4
+"""Relative difference of periods that the printed times of a record may make."""
+
+SAME_TIME = 0.01
+"""Share of a period by which the last samples of a record and of its simulation may part and count as simultaneous."""
 
 LEAST_COMMAND = 1e-4
 """What is not told apart of a command, as a share of its limit: the resolution of a converter."""
@@ -58,15 +61,17 @@ def predict(machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS
     setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
     actual = machine.with_feedforward(run.feedforward)
+    period = simulated_period(machine, run.trace.period)
     traces = [
-        simulate(
-            actual, setpoints, sample_period=run.trace.period, started_at=run.started_at, noise_seed=seed + i, record_noise=False
-        ).trace
+        at_times(
+            simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, record_noise=False).trace,
+            run.trace.time,
+        )
         for i in range(realisations)
     ]
     signals, scatter = {}, {}
     for key in traces[0].signals:
-        stack = np.stack([_at(trace, key, run.trace.time) for trace in traces])
+        stack = np.stack([trace.signals[key] for trace in traces])
         signals[key] = stack.mean(axis=0)
         # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1))
         spread = stack.std(axis=0, ddof=1) if realisations > 1 else np.zeros_like(signals[key])
@@ -139,8 +144,8 @@ def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
-    """(sample,) True where the set point moves faster than the threshold of comparing currents."""
-    return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > MOVING[axis.kind]
+    """(sample,) True where the set point moves: there the current (or the command) is compared, that of an axis that sticks is history."""
+    return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > AT_REST[axis.kind]
 
 
 def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
@@ -150,7 +155,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     """
     noise = machine.noise(axis)
     if signal == axis.effort and not axis.has_current_loop:
-        told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+        told = axis.told_torque_constant
         gain = axis.loops.speed_gain_nm_s_per_rad / (told * axis.ratio)
         n = axis.loops.speed_mean_cycles
         steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
@@ -166,12 +171,21 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
 
 
-def _at(trace: Trace, key: tuple[str, str], times: np.ndarray) -> np.ndarray:
-    """A simulated signal at measured times (the twin samples at whole ticks from 0 on)."""
-    values = trace.signals[key]
-    if len(values) == len(times) and abs(trace.period - (times[-1] - times[0]) / (len(times) - 1)) < 1e-9:
-        return values
-    return np.interp(times - times[0], trace.time, values)
+def simulated_period(machine: Machine, period: float) -> float:
+    """Sample period [s] of a simulation that is compared with a record of this one: the same, or each tick where that is no whole number
+    of ticks."""
+    ticks = period / machine.base_tick
+    return period if round(ticks) >= 1 and abs(ticks / round(ticks) - 1.0) < SAME_PERIOD else machine.base_tick
+
+
+def at_times(trace: Trace, times: np.ndarray) -> Trace:
+    """A simulated trace (rows at whole ticks from 0 on) at the times of a record (sample,) [s], which may begin anywhere."""
+    count = len(times)
+    if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
+        return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
+    return replace(
+        trace, time=times, signals={key: np.interp(times - times[0], trace.time, values) for key, values in trace.signals.items()}
+    )
 
 
 def _mean_square(values: np.ndarray) -> float:

@@ -40,7 +40,7 @@ UP_TO_SPEED = 0.6
 """Least length of a lead-in [s], and the part of it in which the speed is reached: its transient has died when the recording begins."""
 
 AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
-"""Set point speeds up to which a recording begins at rest [m/s, rad/s]."""
+"""Set point speeds up to which an axis is at rest [m/s, rad/s]."""
 
 LIMIT_TOLERANCE = 0.01
 """Recorded set points are rounded: a limit counts as exceeded beyond this fraction."""

@@ -13,22 +13,19 @@ e in axis units a second; q the measuring system that closes the loop.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from twin.diagnose.view import RunView
+from twin.gap import SAME_PERIOD
 from twin.machine import Axis
 from twin.trace import Trace
 from twin.units import AXIS_UNITS
 
-if TYPE_CHECKING:
-    from twin.diagnose.view import RunView
-
 FLOOR = 0.01
 """What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
 
-SAME_PERIOD = 1e-3
 AT_LIMIT = 0.999
+"""Share of its limit from which a command counts as clipped."""
 
 
 def closed_on(trace: Trace, axis: Axis) -> str:
@@ -40,19 +37,18 @@ def law_error(trace: Trace, view: RunView, axis: Axis) -> np.ndarray | None:
     """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it."""
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
-    if not measured.has(name, signal):
+    if not measured.has(name, signal) or not view.on_cycles:
         return None
-    count = len(measured.time)
     command, delayed, _ = view.reference(name)
-    position = trace.get(name, signal)[:count]
+    position = trace.get(name, signal)
     wanted = command + axis.loops.position_gain_per_s * (delayed - position)
     if measured.has(name, "velocity_setpoint"):
         every = max(1, round(view.machine.position_cycle / measured.period))
-        return (trace.get(name, "velocity_setpoint")[:count] - wanted)[::every]
+        return (trace.get(name, "velocity_setpoint") - wanted)[::every]
     if not _shows_command(view, axis):
         return None
-    u = trace.get(name, axis.effort)[:count]
-    told = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    u = trace.get(name, axis.effort)
+    told = axis.told_torque_constant
     error = u * told * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - _differentiated(position, view, axis))
     error[np.abs(u) > AT_LIMIT * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
     error[: axis.loops.speed_mean_cycles + 1] = 0.0  # and the first ones not where the axis was before

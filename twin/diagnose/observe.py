@@ -27,7 +27,7 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import sensor_noise
+from twin.gap import at_times, sensor_noise, simulated_period
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import ReducedPlant
@@ -44,7 +44,7 @@ ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
 
 UNSETTLED = 0.03
-"""Weight as evidence of the samples before that."""
+"""Weight as evidence of samples that still show how an axis was stuck."""
 
 LONGEST_CORRELATION = 150
 """Samples over which the noise of a channel may be correlated (the loop's own memory)."""
@@ -105,6 +105,11 @@ class Group:
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
         return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed)
 
+    @functools.cached_property
+    def expected_loss(self) -> float:
+        """Half the squares that noise alone, and what the twin is doubted by, make."""
+        return 0.5 * float(self.expected.sum())
+
     def in_noise(self, rows: np.ndarray) -> np.ndarray:
         """Weighted rows (row,) as they weigh where the twin is not doubted."""
         return rows / self.weights * np.concatenate([c.noise_weight for c in self.channels]) if self.channels else rows
@@ -141,7 +146,7 @@ def simulate_group(
     noise_seed: int | None = None,
     record_noise: bool = True,
 ) -> Trace:
-    """Simulate some axes of a run by themselves in the reduced plant."""
+    """Simulate some axes of a run by themselves in the reduced plant; at the times of the run's record."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
     changed = with_added(machine, settings)
     hidden = settings_of(changed)
@@ -156,21 +161,21 @@ def simulate_group(
     carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
     motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
     setpoints = view.setpoints.part(tuple(index))
-    return simulate(
+    simulated = simulate(
         part,
         setpoints,
-        sample_period=view.trace.period,
+        sample_period=simulated_period(machine, view.trace.period),
         started_at=view.started_at,
         plant_of=lambda change: ReducedPlant(change, motion, machine.with_axes(carrying)),
         noise_seed=noise_seed,
         record_noise=record_noise,
     ).trace
+    return at_times(simulated, view.trace.time)
 
 
 def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[str, str], np.ndarray]:
     """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,)."""
     out = {}
-    count = len(view.trace.time)
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace
@@ -179,15 +184,15 @@ def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[
             out[name, "controller"] = error
         moving = view.reference(name)[2]
         if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > ENOUGH:
-            out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[:count][moving]
+            out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
         for signal in ("position", "motor_position"):
             if measured.has(name, signal):
-                out[name, "position"] = trace.get(name, signal)[:count]
+                out[name, "position"] = trace.get(name, signal)
                 break
         if measured.has(name, "velocity"):
-            out[name, "velocity"] = trace.get(name, "velocity")[:count]
+            out[name, "velocity"] = trace.get(name, "velocity")
         if measured.has(name, axis.effort) and moving.sum() > ENOUGH:
-            out[name, "current"] = trace.get(name, axis.effort)[:count][moving]
+            out[name, "current"] = trace.get(name, axis.effort)[moving]
     return out
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import functools
 
 import numpy as np
 
 from twin.campaign import MeasuredRun
 from twin.effects import with_effects
-from twin.gap import is_moving
+from twin.gap import SAME_PERIOD, at_times, is_moving, simulated_period
 from twin.machine import Axis, Machine
 from twin.reduced import Motion
 from twin.run import simulate
@@ -38,6 +39,13 @@ class RunView:
             self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
         return self.references[name]
 
+    @functools.cached_property
+    def on_cycles(self) -> bool:
+        """Is it recorded at whole ticks, some samples at each position cycle? Only then are the controllers' own samples in it."""
+        period, cycle = self.trace.period, self.machine.position_cycle
+        cycles = max(period / cycle, cycle / period)
+        return simulated_period(self.machine, period) == period and abs(cycles / round(cycles) - 1.0) < SAME_PERIOD
+
     def moves(self, name: str) -> bool:
         """Does the axis' set point move in this run?"""
         return name in self.trace.axes and bool(np.ptp(self.trace.get(name, "setpoint")) > 1e-6)
@@ -58,9 +66,10 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
         # inertia and gravity depend on where rotary axes are: take their motion from the engine
         names = [actual.axis_names[a] for a in rotary]
-        nominal = simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=setpoints.period).trace
-        position[:, rotary] = nominal.matrix("position", names)[: len(position)]
-        speed[:, rotary] = nominal.matrix("velocity", names)[: len(position)]
+        period = simulated_period(actual, setpoints.period)
+        nominal = at_times(simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=period).trace, times)
+        position[:, rotary] = nominal.matrix("position", names)
+        speed[:, rotary] = nominal.matrix("velocity", names)
     acceleration = np.gradient(speed, setpoints.period, axis=0)
     return RunView(run.name, run.trace, actual, setpoints, Motion(position, speed, acceleration, setpoints.period), run.started_at)
 

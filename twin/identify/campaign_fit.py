@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.campaign import Campaign, MeasuredRun
 from twin.errors import InputError, TwinError
-from twin.gap import MOVING, gap_of, predict_campaign
+from twin.gap import gap_of, predict_campaign
 from twin.identify.axis_run import axis_run
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.noise import measured_noise
@@ -23,7 +23,7 @@ from twin.identify.recording import prepared
 from twin.identify.result import Identification
 from twin.machine import Machine
 from twin.run import simulate
-from twin.setpoints import recorded_setpoints
+from twin.setpoints import AT_REST, recorded_setpoints
 
 
 def identify_campaign(
@@ -145,7 +145,7 @@ def pooled_gap(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, dict[
     squares: dict[str, dict[str, list[tuple[float, float, str]]]] = {}
     for run in runs:
         for axis, signals in gap_of(machine, run, predictions[run.name]).items():
-            if np.max(np.abs(np.gradient(run.trace.get(axis, "setpoint"), run.trace.period))) < MOVING[machine.axis(axis).kind]:
+            if np.max(np.abs(np.gradient(run.trace.get(axis, "setpoint"), run.trace.period))) < AT_REST[machine.axis(axis).kind]:
                 continue
             for signal, g in signals.items():
                 squares.setdefault(axis, {}).setdefault(signal, []).append((g.rms, g.noise, g.unit))
