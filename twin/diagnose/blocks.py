@@ -21,7 +21,9 @@ from twin.cascade import Drives, DriveState, current_controller, drives_at_rest,
 from twin.compiled import compiled
 from twin.diagnose.observe import Group, simulate_group
 from twin.diagnose.view import RunView
+from twin.effects import apply_effects, with_effects
 from twin.machine import Axis, Machine
+from twin.reduced import loads_along
 from twin.run import commissioned_inertia
 from twin.setpoints import command_of
 from twin.trace import Trace
@@ -87,7 +89,9 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
         for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
             if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in _MOTION):
                 continue
-            if block == "speed controller" and not all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint")):
+            if block == "speed controller" and not (
+                view.on_cycles and all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint"))
+            ):
                 continue
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
@@ -101,24 +105,24 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     machine = view.machine.with_axes([axis.name])
     a = view.machine.axis_names.index(axis.name)
     ticks = max(1, round(trace.period / machine.base_tick))
-    count = min(len(trace.time), len(view.trace.time))
+    count = len(trace.time)
     setpoints = view.setpoints.part((a,))
     every = max(1, round(machine.position_cycle / trace.period))
     command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
-    current = trace.get(axis.name, axis.effort)[:count]
+    current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
     predicted = _run_speed_loop(
         drives,
         state,
-        trace.get(axis.name, "velocity_setpoint")[:count] / axis.ratio,
+        trace.get(axis.name, "velocity_setpoint") / axis.ratio,
         np.repeat(command.torque_feedforward[:, 0], every)[:count],
-        trace.get(axis.name, "velocity")[:count] / axis.ratio,
+        trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
     )
     error = current - predicted
     error = error - _moving_mean(error, round(DRIFT_S / trace.period))
-    moving = np.flatnonzero(view.reference(axis.name)[2][:count])
+    moving = np.flatnonzero(view.reference(axis.name)[2])
     return error[moving], moving
 
 
@@ -152,35 +156,31 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
     """Force that the motion leaves unexplained [N or Nm], where the axis slides."""
     from scipy.signal import savgol_filter
 
-    a = view.machine.axis_names.index(axis.name)
-    count = min(len(trace.time), len(view.trace.time))
+    count = len(trace.time)
     window = max(7, round(SMOOTH_S / trace.period) | 1)
     if count < 2 * window:
         return np.zeros(0), np.zeros(0, int)
     if view.trace.has(axis.name, "velocity"):
-        speed = trace.get(axis.name, "velocity")[:count]
+        speed = trace.get(axis.name, "velocity")
     else:
-        speed = np.gradient(
-            trace.get(axis.name, next(s for s in ("motor_position", "position") if view.trace.has(axis.name, s)))[:count], trace.period
-        )
+        position = next(s for s in ("motor_position", "position") if view.trace.has(axis.name, s))
+        speed = np.gradient(trace.get(axis.name, position), trace.period)
     v = savgol_filter(speed, window, 2)
     acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
-    drive = savgol_filter(trace.get(axis.name, axis.effort)[:count], window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
-    inertia, bias = _inertia_and_bias(view, axis, a, count)
+    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    inertia, bias = _inertia_and_bias(view, axis, count)
     force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
     slow = _moving_minimum(np.abs(v), window)
     sliding = np.flatnonzero(slow > 3e-4 * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
     return force[sliding], sliding
 
 
-def _inertia_and_bias(view: RunView, axis: Axis, a: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Inertia with rotor and bias of an axis along the nominal motion (sample,)."""
-    from twin.effects import apply_effects
-    from twin.reduced import loads_along
-
     group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
     index = [view.machine.axis_names.index(name) for name in group]
-    change = apply_effects(view.machine.with_axes(group))
+    # normal imperfections, also those of axes that are not here, carry nothing
+    change = apply_effects(with_effects(view.machine.with_axes(group), []))
     loads = loads_along(change, view.motion.part(tuple(index)))
     column = group.index(axis.name)
     rows = np.minimum(np.arange(count) * view.trace.period / view.machine.base_tick / loads.row_ticks, len(loads.inertia) - 1)

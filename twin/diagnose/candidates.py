@@ -48,7 +48,7 @@ class Start:
     @property
     def key(self) -> tuple[str, str, str | None]:
         """Effect, axis and from_axis: what makes a candidate."""
-        return self.effect.name, self.axis, self.settings[0].from_axis
+        return self.settings[0].key
 
 
 def size_parameter(effect: Effect) -> Parameter:
@@ -208,7 +208,7 @@ class _Lines:
         return self._along(signed=True, low=1.0 / (3.0 * high), high=3.0 / low, per=1.0, inverse=True)
 
     def _along(self, signed: bool, low: float, high: float, per: float, inverse: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Spectrum of the current's residual over position: bins of a 20th of the shortest wave, then a Fourier transform."""
+        """Spectrum of the current's residual over position: bins of an eighth of the shortest wave, then a Fourier transform."""
         parts = list(self._pieces("current"))
         if not parts:
             return np.array([1.0]), np.array([0.0])

@@ -22,7 +22,7 @@ from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
-from twin.diagnose.sizes import sized
+from twin.diagnose.sizes import drop_implausible, sized
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.verdict import is_unknown, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
@@ -54,7 +54,6 @@ class Diagnosis:
     held_out: list[str]
     proposal: Proposal
     retuned_share: float
-    seed: int
     notes: list[str] = field(default_factory=list)
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
 
@@ -123,7 +122,7 @@ class Diagnosis:
     def _effect(self, setting: Setting, found: Found, probability: float) -> dict[str, Any]:
         axes = {setting.axis}
         if setting.effect.edits_bodies:
-            axes |= set(found.group.axes)
+            axes |= {a for a in found.group.axes if any(a in recorded for recorded in self.gaps["before"].values())}
         explained = float(np.mean([self.explained(a) for a in axes]))
         return {
             "effect": setting.effect.name,
@@ -250,6 +249,7 @@ def diagnose(
             if not group.size:
                 return None
             result = search(group, machine_without, folds, mapper, say, quick)
+            drop_implausible(result, machine_without, mapper)
             result.unknown = is_unknown(result)
             return sized(result, machine_without, mapper)
 
@@ -259,7 +259,7 @@ def diagnose(
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
     found = [result for axes in groups if (result := results[axes])]
 
-    settings = named(found, machine_without)
+    settings = named(found)
     corrected = corrected_machine(machine, found)
     say("simulating the runs left out")
     gaps, predictions = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
@@ -276,14 +276,13 @@ def diagnose(
         held_out=[run.name for run in campaign.runs] if len(folds) > 1 else [],
         proposal=propose(machine, found, verdict),
         retuned_share=retuned_share(found, machine.parameter_tolerance),
-        seed=seed,
         notes=notes_of(campaign, machine),
         predictions=predictions,
     )
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")
-        diagnosis.where = places(found, [s for s, _, _ in settings], machine.parameter_tolerance, weights, threads)
+        diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
     return diagnosis
 
 

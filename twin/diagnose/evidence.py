@@ -15,28 +15,28 @@ from typing import Any
 import numpy as np
 
 from twin.campaign import MeasuredRun
+from twin.diagnose.corrected import within
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import retuned_within
 from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.where import STRETCH_S
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
 
+MOTION = ("velocity", "motor_position", "position")
 BLOCKS_NEED = {
-    "position controller": ("position", "velocity_setpoint"),
-    "speed controller": ("velocity", "velocity_setpoint", "current"),
-    "current loop": ("velocity", "current"),
-    "mechanics": ("velocity", "current"),
-    "transmission": ("position", "motor_position"),
-    "measurement": ("position", "motor_position"),
+    "position controller": (("position", "motor_position"), ("velocity_setpoint",)),
+    "speed controller": (("velocity",), ("velocity_setpoint",), ("current",)),
+    "current loop": (MOTION, ("current",)),
+    "mechanics": (MOTION, ("current",)),
+    "transmission": (("position",), ("motor_position",)),
+    "measurement": (("position",), ("motor_position",)),
 }
-"""Blocks in the order of the loop, and the recorded signals without which a block cannot be seen."""
+"""Blocks in the order of the loop, and the recorded signals, one of each, without which a block cannot be seen."""
 
 CONTROLLERS = ("position controller", "speed controller")
-
-STRETCH_S = 0.5
-"""Length of the stretch that is shown where no block was named."""
 
 MARGIN = 0.15
 """Part of a stretch that is shown before and after it."""
@@ -130,28 +130,31 @@ def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str
     rows = []
     for axis in axes:
         row = []
-        for block, signals in BLOCKS_NEED.items():
+        for block in BLOCKS_NEED:
             place = placed.get((axis, block))
-            seen = any(_moves(run, axis) and _has_all(diagnosis, run, axis, signals) for run in diagnosis.campaign.runs)
-            seen = seen or (block in CONTROLLERS and _law_seen(diagnosis, axis))
             if place:
                 row.append(("place", float(place["share"]), float(place.get("level", 0.0))))
             else:
-                row.append(("healthy" if seen else "unseen", 0.0, 0.0))
+                row.append(("healthy" if _is_seen(diagnosis, axis, block) else "unseen", 0.0, 0.0))
         rows.append(row)
     return axes, rows
 
 
-def _law_seen(diagnosis: Diagnosis, axis: str) -> bool:
-    """Was the law of two P controllers held against their command as a whole?"""
-    channels = {(c.axis, c.name) for f in diagnosis.found for c in f.group.channels}
-    return not diagnosis.machine.axis(axis).has_speed_integral and (axis, "controller") in channels
+def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
+    """Was the law of a block held against what was recorded?
 
-
-def _has_all(diagnosis: Diagnosis, run: MeasuredRun, axis: str, signals: Sequence[str]) -> bool:
-    """Are these signals recorded? The command of an axis without current loop stands for its current."""
-    effort = diagnosis.machine.axis(axis).effort
-    return all(run.trace.has(axis, effort if s == "current" else s) for s in signals)
+    That of the position controller, or of two P controllers together, has a channel. The command of an axis without current loop stands
+    for its current.
+    """
+    own = diagnosis.machine.axis(axis)
+    law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
+    if block == "position controller" or (block in CONTROLLERS and law and not own.has_speed_integral):
+        return law
+    return any(
+        _moves(run, axis)
+        and all(any(run.trace.has(axis, own.effort if s == "current" else s) for s in one_of) for one_of in BLOCKS_NEED[block])
+        for run in diagnosis.campaign.runs
+    )
 
 
 def _moves(run: MeasuredRun, axis: str) -> bool:
@@ -218,6 +221,6 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity.replace("_", " "), float(deviation))
         for found in diagnosis.found
-        for nuisance, deviation in zip(found.tuning.nuisances, found.fit.tuning * found.tuning.spread)
+        for nuisance, deviation in zip(found.tuning.nuisances, within(found, diagnosis.machine.parameter_tolerance))
         if nuisance.quantity not in NORMAL
     ]

@@ -167,10 +167,9 @@ def fit_effects(
     if not settings:
         return no_effect(group, tuning)
     try:
-        response = answer(group, settings)
+        (response,) = mapper(functools.partial(answer, group), [settings])
     except TwinError:
         return None
-    noise = 0.5 * float(group.expected.sum())
     best = tuning.loss(group.residual - response)
     free = free_parameters(settings, machine)
     columns, reach = np.zeros((group.size, len(free))), np.full(len(free), SLOPE)
@@ -184,14 +183,14 @@ def fit_effects(
         information = tuning.inner(slopes, slopes) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(slopes, (group.residual - response)[:, None])[:, 0]
         move = np.clip(np.linalg.solve(information, gradient), -6.0, 6.0)
-        lower = _lower(group, tuning, settings, free, move, best)
+        lower = _lower(group, tuning, settings, free, move, best, mapper)
         if lower is not None:
             gain = best - lower.loss
             best, settings, response, columns = lower.loss, lower.settings, lower.response, slopes
             reach = np.clip(np.abs(lower.move), narrowest, SLOPE)
             if gain < CONVERGED * max(1.0, 0.002 * best):
                 break
-        elif best < ABOVE_NOISE * noise or np.all(reach <= narrowest):
+        elif best < ABOVE_NOISE * group.expected_loss or np.all(reach <= narrowest):
             break
         else:
             reach = np.full(len(free), narrowest)
@@ -206,7 +205,13 @@ class _Lower(NamedTuple):
 
 
 def _lower(
-    group: Group, tuning: Tuning, settings: tuple[Setting, ...], free: Sequence[Free], move: np.ndarray, best: float
+    group: Group,
+    tuning: Tuning,
+    settings: tuple[Setting, ...],
+    free: Sequence[Free],
+    move: np.ndarray,
+    best: float,
+    mapper: Callable,  # type: ignore[type-arg]
 ) -> _Lower | None:
     """Where a move, or a part of it, leaves less than `best`."""
     for part in (1.0, 0.4, 0.1):
@@ -214,7 +219,7 @@ def _lower(
         for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
-            response = answer(group, tried)
+            (response,) = mapper(functools.partial(answer, group), [tried])
         except TwinError:
             continue
         loss = tuning.loss(group.residual - response)
@@ -235,6 +240,8 @@ def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
 
 def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
     """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides."""
+    if not fit.about.nuisances:
+        return fit.about
     tuning, own = fit.about, {s.axis for s in fit.settings}
     also = [s.from_axis for s in fit.settings if s.from_axis]
 

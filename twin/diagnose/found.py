@@ -61,7 +61,7 @@ class Candidate:
 
 @dataclass
 class Found:
-    """Result for one group: the final fit, every candidate of the first round, and what is left."""
+    """Result for one group: the final fit, the candidates of each round, and what is left."""
 
     group: Group  # about the machine with its normal imperfections
     rigid: Group  # about the machine as its file says
@@ -72,7 +72,7 @@ class Found:
     unknown: bool = False  # is something left that no effect explains?
     accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
     rounds: list[list[Candidate]] = field(default_factory=list)
-    screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)
+    screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)  # in the first round
     answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
         default_factory=dict, repr=False
     )  # simulated answers of starts, for later rounds
@@ -98,11 +98,6 @@ class Found:
         self.retuned = no_effect(self.group, self.tuning)
 
 
-def expected_loss(group: Group) -> float:
-    """Half the squares that noise alone, and what the twin is doubted by, make."""
-    return 0.5 * float(group.expected.sum())
-
-
 def excess_of(group: Group, fit: Fit) -> float:
     """Half the squares above noise that a fit leaves; where an axis was stuck they count as little as for evidence."""
     return 0.5 * float(group.credit @ (fit.left(group) ** 2 - group.expected))
@@ -117,7 +112,7 @@ def closed(found: Found) -> float:
 
 def closed_share(found: Found, gain: float) -> float:
     """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
-    noise = expected_loss(found.group)
+    noise = found.group.expected_loss
     return float(np.clip(gain / max(found.fit.loss - noise, NEAR_NOISE * noise), 0.0, 1.0))
 
 
@@ -196,4 +191,4 @@ def is_quiet(found: Found) -> bool:
 def inflation(group: Group, fit: Fit) -> float:
     """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
     left = fit.left(group)
-    return max(1.0, 0.5 * float(left @ left) / expected_loss(group))
+    return max(1.0, 0.5 * float(left @ left) / group.expected_loss)

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.report import write_recording_of, write_report
+from twin.diagnose.recording import write_recording_of
+from twin.diagnose.report import write_report
 from twin.machine import write_machine
 from twin.trace import write_trace
 

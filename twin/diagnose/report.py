@@ -9,14 +9,13 @@ import jinja2
 
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, retuning_share, run_levels, stretches, waterfall
-from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times
 from twin.effects import EFFECTS
 from twin.errors import InputError
 from twin.units import ARCSEC
 
-__all__ = ["report_page", "verdict_sentence", "write_recording_of", "write_report"]
+__all__ = ["report_page", "verdict_sentence", "write_report"]
 
 CANDIDATES_SHOWN = 12
 STRETCHES_SHOWN = 3

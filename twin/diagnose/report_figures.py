@@ -159,7 +159,8 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
         panels.append(("motor − scale", "windup"))
     elif measured.has(axis.name, axis.effort):
         panels.append((axis.effort, axis.effort))
-    return panels or [("position", "motor_position" if measured.has(axis.name, "motor_position") else "setpoint")]
+    signal = _gap_signal(measured, axis, block)
+    return panels or [(signal.replace("_", " "), signal)]
 
 
 def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:

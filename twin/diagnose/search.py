@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, expected_loss, inflation, is_cut, is_quiet, unexplained
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_quiet, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
@@ -71,9 +71,9 @@ def search(
     retuned = no_effect(group, tuning)
     found = Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
     # what little is left may be of the normal imperfections, which were found one after another
-    looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > LITTLE * expected_loss(group)
+    looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > LITTLE * group.expected_loss
     while True:
-        if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * expected_loss(found.group):
+        if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss:
             _look_again(found, machine, mapper)
             looked = True
         if len(found.fit.settings) == MOST_EFFECTS or (quick and is_quiet(found)):
@@ -107,7 +107,10 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     fit = fit_effects(found.group, machine, found.tuning, fit.settings, mapper, REFIT_STEPS) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
-    group, tuning = on_imperfect_machine(found.rigid, tuning, left)
+    try:
+        group, tuning = on_imperfect_machine(found.rigid, tuning, left)
+    except TwinError:
+        group = found.group
     again = fit_effects(group, machine, tuning, fit.settings, mapper, REFIT_STEPS) if group is not found.group else None
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
@@ -124,14 +127,20 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
     """
     before, group = found.fit.loss, found.group
     for _ in range(LOOKS):
-        tuning = tuning_beside(found.group, found.fit, machine, mapper)
+        try:
+            tuning = tuning_beside(found.group, found.fit, machine, mapper)
+        except TwinError:  # next to unstable: nothing is told by what is further off
+            break
         again = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, REFIT_STEPS)
         if again is None or again.loss > found.fit.loss:
             break
         gain = found.fit.loss - again.loss
         found.fit = again
         found.tuned_about(tuning)
-        nearer, tuning = moved_to(found.rigid, tuning, again.tuning)
+        try:
+            nearer, tuning = moved_to(found.rigid, tuning, again.tuning)
+        except TwinError:
+            break
         moved = fit_effects(nearer, machine, tuning, again.settings, mapper, REFIT_STEPS) if nearer is not found.rigid else None
         if moved is not None and moved.loss < again.loss + EVIDENCE:
             gain += again.loss - moved.loss
@@ -153,12 +162,12 @@ def evidence_needed(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> f
     Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
     """
     least = EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE
-    return least + (IMPERFECT if is_cut(found.group, fit.settings[-1]) else IMPERFECT_UNCUT) * expected_loss(found.group)
+    return least + (IMPERFECT if is_cut(found.group, fit.settings[-1]) else IMPERFECT_UNCUT) * found.group.expected_loss
 
 
 def _closes_enough(found: Found, fit: Fit) -> bool:
     left = unexplained(found)
-    return left < NEAR_NOISE * expected_loss(found.group) or found.fit.loss - fit.loss > LEAST_SHARE * left
+    return left < NEAR_NOISE * found.group.expected_loss or found.fit.loss - fit.loss > LEAST_SHARE * left
 
 
 def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from twin.diagnose.fit import SLOPE, fit_effects
 from twin.diagnose.found import Found, inflation
+from twin.diagnose.plausible import is_plausible
 from twin.machine import Machine
 
 ROUNDS, STEPS = 2, 3
@@ -33,4 +34,16 @@ def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: i
         found.fit = fit
         found.accepted[-1] = fit
     found.inflation = inflation(found.group, found.fit)
+    drop_implausible(found, machine, mapper)
     return found
+
+
+def drop_implausible(found: Found, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
+    """Take out effects that, seen better than when they were accepted, have no size that is found on machines."""
+    rest = [s for s in found.fit.settings if is_plausible(s, machine)]
+    if len(rest) < len(found.fit.settings):
+        fit = fit_effects(found.group, machine, found.tuning, rest, mapper, STEPS)
+        if fit is not None:
+            found.fit = fit
+            found.accepted = [*found.accepted[: len(rest)][:-1], fit] if rest else []
+            found.inflation = inflation(found.group, fit)

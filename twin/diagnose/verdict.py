@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, expected_loss, is_systematic, settled_channels
+from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, is_systematic, settled_channels
 from twin.diagnose.left_out import EVIDENCE
-from twin.diagnose.plausible import is_plausible
 from twin.effects import Setting
-from twin.machine import Machine
 
 TEMPERATURE = 3.0
 """Divides the evidence before it becomes a probability: models are never quite right."""
@@ -38,7 +36,7 @@ def probabilities_of(candidates: Sequence[Candidate]) -> list[float]:
     return (CONFIDENCE * odds / odds.sum())[:-1].tolist()
 
 
-def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found, float]]:
+def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
@@ -49,8 +47,7 @@ def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found
                 for candidate, p in zip(candidates, probabilities_of(candidates)):
                     if candidate.key == setting.key:
                         probability = p
-            if is_plausible(setting, machine):
-                out.append((setting, f, probability * trust))
+            out.append((setting, f, probability * trust))
     strength = {id(f): closed(f) for f in found}
     return sorted(out, key=lambda item: -strength[id(item[1])])
 
@@ -58,7 +55,7 @@ def named(found: Sequence[Found], machine: Machine) -> list[tuple[Setting, Found
 def is_unknown(f: Found) -> bool:
     """Is something left of a group of axes that no effect found explains, or is what was found one thing in one run and another in the next?"""
     excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
-    there = excess > NOTICED_EXCESS * expected_loss(f.group) or _localised(f)
+    there = excess > NOTICED_EXCESS * f.group.expected_loss or _localised(f)
     return (there and excess > REMAINING * max(excess_before, 1e-9)) or is_systematic(f) or differs_between_runs(f)
 
 

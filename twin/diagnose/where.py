@@ -14,6 +14,7 @@ from twin.diagnose.left_out import retuned_within
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
+from twin.machine import Machine
 
 NOTICED = 1.6
 """Mean square of a block's residual over noise from which a block is a place of the gap."""
@@ -21,12 +22,15 @@ NOTICED = 1.6
 NEXT_TO_NONE = 0.01
 """Share of the largest squared gap of an axis up to which the gap of others is next to none."""
 
+STRETCH_S = 0.5
+"""Length of the most telling stretch [s]."""
+
 MOST_RUNS = 0.8
 """The runs named are those that together hold this share of a place's excess."""
 
 
 def places(
-    found: Sequence[Found], settings: Sequence[Setting], tolerance: float, weights: Mapping[str, float], threads: int
+    found: Sequence[Found], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
 
@@ -42,7 +46,7 @@ def places(
             group = f.group
             if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
                 continue
-            healthy = tuned(f.tuning.nuisances, retuned_within(f, tolerance).tuning * f.tuning.spread)
+            healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread)
             residuals = block_residuals(group, healthy, pool.map)
             for axis, block in sorted({(b.axis, b.block) for b in residuals}):
                 parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
@@ -51,7 +55,7 @@ def places(
                 if level > NOTICED:
                     listed.append(_place(group, axis, block, parts, excess, level))
     for setting in settings:
-        _lead(listed, setting)
+        _lead(listed, setting, machine)
     # an axis weighs what its gap weighs; its blocks share that by their excess
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -64,19 +68,21 @@ def places(
     return sorted(listed, key=lambda p: -p["share"])
 
 
-def _lead(listed: list[dict[str, Any]], setting: Setting) -> None:
+def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
     """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
 
     Current loop and mechanics share the force balance, transmission and measurement the windup, and what the recorded
     signals cannot cut is seen in the next block: the effect's own block tells them apart.
     """
     block, axis = setting.effect.block, setting.axis
+    # of two P controllers one law is recorded
+    both_controllers = () if machine.axis(axis).has_speed_integral else ("position controller",)
     same = {
         "current loop": ("mechanics", "speed controller"),
         "mechanics": ("mechanics", "speed controller"),
         "measurement": ("transmission", "mechanics"),
         "transmission": ("transmission", "mechanics"),
-        "speed controller": ("speed controller", "mechanics"),
+        "speed controller": ("speed controller", *both_controllers, "mechanics"),
         "position controller": ("position controller", "speed controller"),
     }[block]
     mine = [p for p in listed if p["axis"] == axis]
@@ -85,10 +91,10 @@ def _lead(listed: list[dict[str, Any]], setting: Setting) -> None:
             if place["block"] == name and "effect" not in place:
                 place["block"] = block
                 place["effect"] = setting.effect.name
-                place["_excess"] += sum(p["_excess"] for p in mine if p is not place)
-                for other in mine:
-                    if other is not place:
-                        other["_excess"] *= 0.05
+                others = [p for p in mine if p is not place and "effect" not in p]
+                place["_excess"] += sum(p["_excess"] for p in others)
+                for other in others:
+                    other["_excess"] *= 0.05
                 return
     listed.append(
         {
@@ -114,7 +120,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], exce
             break
     top = runs[0]
     view = group.views[top.run]
-    start, stop = _stretch(top)
+    start, stop = _stretch(top, view.trace.period)
     return {
         "axis": axis,
         "block": block,
@@ -167,10 +173,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     return best
 
 
-def _stretch(part: BlockResidual) -> tuple[int, int]:
+def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:
     """Samples of the most telling stretch: the 0.5 s (at most a third of the run) with the most excess."""
     n = len(part.residual)
-    width = max(10, min(n // 3, 500))
+    step = float(np.median(np.diff(part.index))) * period if n > 1 else period
+    width = max(10, min(n // 3, round(STRETCH_S / step)))
     # what changes tells more than what is merely off by a constant
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width

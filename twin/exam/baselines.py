@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.found import Found, expected_loss
+from twin.diagnose.found import Found
 from twin.diagnose.observe import Group
 
 NOTICED = 0.12
@@ -34,12 +34,12 @@ def baselines_of(found: Sequence[Found]) -> dict[str, dict[str, Any]]:
 
 
 def _retuning(found: Sequence[Found]) -> dict[str, Any]:
-    left = any(f.retuned.loss > (1.0 + NOTICED) * expected_loss(f.group) for f in found)
+    left = any(f.retuned.loss > (1.0 + NOTICED) * f.group.expected_loss for f in found)
     return {**NOTHING, "verdict": "unknown" if left else "none"}
 
 
 def _shows(f: Found) -> bool:
-    return 0.5 * float(f.rigid.residual @ f.rigid.residual) > (1.0 + NOTICED) * expected_loss(f.rigid)
+    return 0.5 * float(f.rigid.residual @ f.rigid.residual) > (1.0 + NOTICED) * f.rigid.expected_loss
 
 
 def _nearest(found: Sequence[Found]) -> dict[str, Any]:

@@ -1,0 +1,98 @@
+"""Records and machines off the beaten track: a clock that fits no cycle, one signal only, no tolerance; the diagnosis still answers."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from examples.diagnose import short_runs
+from tests.recovery.test_diagnosis import campaign_of, group_of, observed, searched, travel
+from twin.cli import main
+from twin.diagnose.observe import observe
+from twin.diagnose.search import search
+from twin.diagnose.sizes import drop_implausible
+from twin.diagnose.verdict import named
+from twin.diagnose.view import view_of
+from twin.diagnose.where import _lead
+from twin.effects import EFFECTS, Setting
+from twin.machine import load_machine
+from twin.run import simulate
+from twin.setpoints import recorded_setpoints
+
+FOLDS = [[0], [1], [2]]
+
+
+@pytest.mark.parametrize(("period", "begin"), [(1e-3, 86400.123), (0.9e-3, 0.0), (1.0 / 1024.0, 17.0)])
+def test_a_clock_that_fits_no_cycle_is_no_fault(tmp_path, period, begin):
+    """The twin is compared at the times of the record; the controllers' own samples are not looked for where they are not recorded."""
+    campaign, _ = campaign_of(tmp_path, "healthy", None, "X", [*short_runs("X"), travel("X")])
+    machine, runs = load_machine(), []
+    for run in campaign.runs:
+        setpoints = recorded_setpoints(run.trace, machine)
+        fine = simulate(machine.with_feedforward(run.feedforward), setpoints, sample_period=machine.base_tick, noise_seed=99).trace
+        times = np.arange(0.0, fine.time[-1], period)
+        signals = {key: np.interp(times, fine.time, values) for key, values in fine.signals.items() if key[0] == "X"}
+        signals["X", "setpoint"] = setpoints.at(times)[:, 0]
+        runs.append(replace(run, trace=replace(run.trace, time=begin + times, signals=signals)))
+    group = group_of(replace(campaign, runs=runs), "X")
+    levels = {c.name: float(np.mean((c.residual / c.sigma) ** 2)) for c in group.channels}
+    assert ("controller" in levels) == (period == 1e-3)
+    assert max(levels.values()) < 1.5
+    assert searched(group).fit.settings == ()
+
+
+def test_a_speed_alone_is_diagnosed_and_drawn(tmp_path):
+    campaign_of(tmp_path, "single", "backlash", "X", short_runs("X"))
+    for file in tmp_path.glob("*.parquet"):
+        table = pq.read_table(file)
+        pq.write_table(table.select([c for c in table.column_names if c.split()[0] in ("time", "X.setpoint", "X.velocity")]), file)
+    assert main(["diagnose", str(tmp_path), "--out", str(tmp_path / "out"), "--quick"]) == 0
+    assert (
+        "<svg" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        or (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    )
+
+
+def test_a_machine_without_tolerance_is_searched(tmp_path):
+    campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
+    machine = replace(load_machine(), parameter_tolerance=0.0)
+    group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
+    found = search(group, machine, FOLDS, lambda f, items: list(map(f, items)), lambda _: None)
+    assert found.fit.settings[0].effect.name == "backlash"
+
+
+def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp_path):
+    """What is not named does not stand in the corrected machine."""
+    group, _ = observed(tmp_path, "single", "coulomb_friction", "X")
+    found = searched(group)
+    assert len(named([found])) == 1
+    small = replace(found.fit.settings[0], parameters={"factor": 1.001})
+    found.fit = replace(found.fit, settings=(small,))
+    drop_implausible(found, load_machine(), map)
+    assert found.fit.settings == () == tuple(named([found]))
+
+
+def test_each_of_two_effects_keeps_its_own_place():
+    """The larger block stays the larger one; what is left over goes to the first."""
+    listed = [
+        {"axis": "X", "block": b, "_excess": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))
+    ]
+    for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
+        _lead(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
+    assert {p["block"]: p["_excess"] for p in listed} == pytest.approx(
+        {"transmission": 130.0, "mechanics": 1.05, "speed controller": 0.05}, rel=1
+    )
+    by_block = {p["block"]: p for p in listed}
+    assert by_block["transmission"]["effect"] == "backlash"
+    assert by_block["mechanics"]["effect"] == "coulomb_friction"
+    assert by_block["transmission"]["_excess"] > by_block["mechanics"]["_excess"]
+
+
+def test_a_gain_is_placed_where_two_p_controllers_show_it():
+    machine = load_machine()
+    p_only = machine.with_axis("X", speed_integral_time_s=math.inf)
+    listed = [{"axis": "X", "block": "position controller", "_excess": 100.0}]
+    _lead(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only)
+    assert [p["block"] for p in listed] == ["speed controller"]
