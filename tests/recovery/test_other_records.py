@@ -49,10 +49,7 @@ def test_a_speed_alone_is_diagnosed_and_drawn(tmp_path):
         table = pq.read_table(file)
         pq.write_table(table.select([c for c in table.column_names if c.split()[0] in ("time", "X.setpoint", "X.velocity")]), file)
     assert main(["diagnose", str(tmp_path), "--out", str(tmp_path / "out"), "--quick"]) == 0
-    assert (
-        "<svg" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        or (tmp_path / "out" / "report.html").stat().st_size > 10_000
-    )
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
 
 
 def test_a_machine_without_tolerance_is_searched(tmp_path):
