@@ -14,10 +14,11 @@ import pytest
 from twin.cli import main
 from twin.errors import InputError
 from twin.exam.effects import LIBRARY
-from twin.exam.mark import mark_answer
+from twin.exam.mark import NOT_DIAGNOSED, mark_answer
 from twin.exam.questions import STRATA, questions_of
+from twin.exam.report import sections_of
 from twin.exam.score import calibration, confusion, macro_f1, score, wilson
-from twin.exam.sitting import seal, unseal
+from twin.exam.sitting import same_examination, seal, unseal
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
 PLANT = ("control", "draw", "effects", "friction", "measurement", "mechanics", "outside", "parameters", "paths", "plant", "programme",
@@ -71,6 +72,13 @@ def test_a_seal_holds(tmp_path: Path) -> None:
     assert (tmp_path / "truths.json").read_text(encoding="utf-8") == "the truth\n"
 
 
+def test_an_examination_does_not_go_on_with_other_options(tmp_path: Path) -> None:
+    same_examination(tmp_path, {"seed": 1, "richness": "off"})
+    same_examination(tmp_path, {"seed": 1, "richness": "off"})
+    with pytest.raises(InputError, match="begun with another richness"):
+        same_examination(tmp_path, {"seed": 1, "richness": "small"})
+
+
 def truth(*effects: tuple[str, str], outside: tuple[str, str, str] | None = None, **parameters: float) -> dict:
     return {
         "effect": [{"name": n, "axis": a, **parameters} for n, a in effects],
@@ -122,6 +130,32 @@ def test_a_rival_counts_only_where_it_was_told_instead_of_the_first() -> None:
     assert not mark_answer(there, other)["first_or_ambiguous"]
 
 
+def test_a_rival_beside_a_false_effect_or_of_another_axis_is_no_excuse() -> None:
+    there = truth(("stribeck", "X"))
+    rival = (("stribeck", "X", "coulomb_friction"),)
+    two = answer("effect", ("coulomb_friction", "X"), ("backlash", "Y"), ambiguous=rival)
+    assert not mark_answer(there, two)["first_or_ambiguous"]
+    assert not mark_answer(there, answer("unknown", ("coulomb_friction", "X"), ambiguous=rival))["first_or_ambiguous"]
+    elsewhere = answer("effect", ("coulomb_friction", "X"), ambiguous=rival)
+    elsewhere["ambiguous_with"][0]["instead_of_axis"] = "Y"
+    assert not mark_answer(there, elsewhere)["first_or_ambiguous"]
+
+
+def test_a_coupling_comes_from_its_axis_and_is_named_once() -> None:
+    there = truth(("cross_axis_coupling", "X"), from_axis="Y")
+
+    def said(*sources: str) -> dict:
+        document = answer("effect", *[("cross_axis_coupling", "X")] * len(sources))
+        for effect, source in zip(document["effects"], sources):
+            effect["from_axis"] = source
+        return document
+
+    assert mark_answer(there, said("Y"))["exact"]
+    assert not mark_answer(there, said("Z"))["first"]
+    twice = mark_answer(there, said("Y", "Z"))
+    assert (twice["first"], twice["exact"]) == (True, False)
+
+
 def test_errors_of_factors_are_against_their_deviation_and_angles_go_round() -> None:
     said = answer("effect", ("coulomb_friction", "X"), parameters={"factor": {"value": 1.42, "low": 1.3, "high": 1.41}})
     (row,) = mark_answer(truth(("coulomb_friction", "X"), factor=1.4), said)["parameters"]
@@ -151,9 +185,15 @@ def test_scores_of_a_small_table() -> None:
         marked("usual", truth(("stribeck", "Y")), answer("effect", ("stribeck", "Y"))),
         marked("healthy", truth(), answer("none")),
     ]
-    s = score([*marks, {"case": "9", "stratum": "usual", "failed": "no memory"}])
+    lost = {**NOT_DIAGNOSED, "case": "9", "stratum": "usual", "failed": "no memory", "true": [["inertia", "X"]], "outside": []}
+    s = score([*marks, {**lost, "gap": {"before": 9.0, "floor": 1.0, "size": 2.0}}])
     usual = next(t for t in s["targets"] if t["what"].startswith("exactly right, usual"))
-    assert (usual["right"], usual["of"], usual["met"]) == (2, 4, False)  # what could not be diagnosed is wrong
+    assert (usual["right"], usual["of"], usual["met"]) == (2, 4, False)  # what could not be diagnosed is wrong, everywhere
+    assert s["macro_f1"] == pytest.approx((2 / 3 + 2 / 3 + 1 + 0) / 4)
+    assert s["confusion"]["inertia"] == {"not diagnosed": 1}
+    assert s["detection"]["inertia"]["right"] == 0
+    ratio = next(t for t in s["targets"] if t["what"].startswith("gap after"))
+    assert (ratio["value"], ratio["of"]) == (1.2, 4)  # of 1.2, 1.2, 1.2 and no shrinking at all
     # backlash: 2 / (2 + 1), stribeck: 2 / (2 + 1), none: 1
     assert macro_f1(marks) == pytest.approx((2 / 3 + 2 / 3 + 1) / 3)
     assert confusion(marks)["backlash"] == {"backlash": 1, "stribeck": 1}
@@ -162,6 +202,18 @@ def test_scores_of_a_small_table() -> None:
     assert (row["value"], row["of"]) == (0.5, 2)
     brier = next(t for t in s["targets"] if t["what"] == "Brier score")
     assert brier["value"] == pytest.approx((2 * 0.1**2 + 0.9**2) / 3)
+
+
+def test_pairs_alone_and_lost_cases_make_a_report() -> None:
+    pair = truth(("backlash", "X"), ("stribeck", "Z"))
+    marks = [
+        marked("two", pair, answer("effect", ("backlash", "X"))),
+        {**marked("two", pair, answer("none")), **NOT_DIAGNOSED, "failed": "?"},
+    ]
+    document = {"score": score(marks), "marks": [{"case": "0", **m} for m in marks], "not_drawn": {}, "not_answered": 3}
+    titles = [s.title for s in sections_of({**document, "seed": 1, "richness": "off", "seal": "0"})]
+    assert "What was taken for what" not in titles
+    assert "How far the gap shrinks" in titles
 
 
 def test_wilson_interval_against_the_printed_one() -> None:

@@ -247,6 +247,7 @@ def test_a_machine_at_rest_stays_at_rest():
         {"name": "notch_filter", "axis": "Z", "frequency_hz": 120.0, "width": 1.0},
         {"name": "two_stage_lost_motion", "axis": "C", "width": 1e-4, "share": 0.05, "stiffness": 5e6, "damping": 700.0},
         {"name": "magnetic_saturation", "axis": "Z", "saturation_a": 12.0},
+        {"name": "inverter_dead_time", "axis": "Z", "voltage_v": 14.0},
     ]
     s = nominal(*effects)
     points = np.tile([0.1, 0.0, 0.05, -0.7, 0.3], (200, 1))

@@ -208,7 +208,9 @@ class Diagnosis:
                             {
                                 "effect": rival.setting.effect.name,
                                 "axis": rival.setting.axis,
+                                **({"from_axis": rival.setting.from_axis} if rival.setting.from_axis else {}),
                                 "instead_of": setting.effect.name,
+                                "instead_of_axis": setting.axis,
                                 "evidence_behind": best.evidence - rival.evidence,
                             }
                         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 from pathlib import Path
 import tomllib
@@ -48,7 +49,7 @@ def exam_command(args: argparse.Namespace) -> int:
     from .questions import STRATA, questions_of
     from .report import write_exam_report
     from .score import score
-    from .sitting import TRUTHS, draw, each, is_answered, processes, seal, sit, truths_text, unseal
+    from .sitting import TRUTHS, draw, each, is_answered, processes, same_examination, seal, sit, sources, truths_text, unseal
 
     if not 1 <= args.cases <= 100_000:
         raise InputError(f"--cases {args.cases}: give 1 or more")
@@ -64,9 +65,12 @@ def exam_command(args: argparse.Namespace) -> int:
         raise InputError(
             f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
         )
-    out = Path(args.out)
+    out = Path(args.out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     questions = questions_of(args.seed, args.cases, args.short, args.only)
+    asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")}
+    model = (Path(machine_file).read_bytes(), machine.model_path.read_bytes())
+    same_examination(out, {**asked_for, "machine": hashlib.sha256(b"\0".join(model)).hexdigest()[:16], "code": sources()})
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
         with Progress("drawing cases", total=len(questions)) as bar:
@@ -87,11 +91,8 @@ def exam_command(args: argparse.Namespace) -> int:
             marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
     document = {
         "twin": twin.__version__,
-        "seed": args.seed,
-        "richness": args.richness,
-        "quick": args.quick,
-        "short": args.short,
-        "only": args.only,
+        **asked_for,
+        "code": sources(),
         "machine": tomllib.loads(Path(machine_file).read_text(encoding="utf-8")).get("name", Path(machine_file).stem),
         "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
         "not_drawn": impossible,
@@ -101,8 +102,8 @@ def exam_command(args: argparse.Namespace) -> int:
         "marks": list(marks.values()),
     }
     (out / "exam.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    write_exam_report(document, out / "report.html")
     print(summary(document))
+    write_exam_report(document, out / "report.html")
     print(f"written to {out}: exam.json, report.html, truths.json")
     return 0
 
@@ -110,6 +111,8 @@ def exam_command(args: argparse.Namespace) -> int:
 def summary(document: dict) -> str:  # type: ignore[type-arg]
     """The score as a table for the terminal."""
     from twin.summary import table
+
+    from .report import counted
 
     s = document["score"]
     rows = []
@@ -126,7 +129,15 @@ def summary(document: dict) -> str:  # type: ignore[type-arg]
     ]
     names = next((list(r["baselines"]) for r in s["strata"].values() if r["baselines"]), [])
     lines.append(table(["stratum", "cases", "first", "exact", "axis and block", *names], strata, left=1))
-    lines.append(f"macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed; {len(document['not_drawn'])} could not be drawn")
+    lines.append(f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed")
+    gap, same = s["gap"], s["same_parameters"]
+    if gap["before"] is not None:
+        lines.append(
+            "gap over noise on exam runs, medians: "
+            + ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
+        )
+    if same["level"] is not None:
+        lines.append(f"twin against plant with the same parameters and effects: {same['level']:.3g} times noise ({same['cases']} cases)")
     return "\n\n".join(lines)
 
 

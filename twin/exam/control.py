@@ -1,4 +1,4 @@
-"""The sampled cascade of one axis, written from the control law of design.md and nothing else.
+"""The sampled cascade of one axis, written from the control law of docs/theory.md and nothing else.
 
     every position cycle Tp:  w* = (Kv (s_d - x) + a_v (s_f - s_f1) / Tp) / r
                               T_ff = a_t J_ff (s_f - 2 s_f1 + s_f2) / Tp^2 / r
@@ -134,11 +134,11 @@ def current_cycle(c: Control, state: np.ndarray, k: int, speed: float, current: 
     return voltage
 
 
-def control_at_rest(c: Control, set_point: np.ndarray, current: np.ndarray, resistance: np.ndarray) -> np.ndarray:
-    """State of a control that holds still with `current` [A]: the integrators carry what the load needs."""
+def control_at_rest(c: Control, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+    """State of a control that holds still with `current` [A] at `voltage` [V]: the integrators carry what the load needs."""
     state = np.zeros((len(set_point), CONTROL_STATES))
     state[:, I_SPEED] = c.kt * current
-    state[:, I_CURRENT] = resistance * current
+    state[:, I_CURRENT] = voltage
     state[:, LAG_S] = state[:, S_F1] = state[:, S_F2] = set_point
     state[:, LAG_I] = current
     # a notch at rest passes constants: its memory holds the constant torque

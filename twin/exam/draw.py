@@ -33,7 +33,6 @@ from .richness import apply_richness
 KINDS = ("single", "pair", "triple", "healthy", "outside")
 EFFECTS = LIBRARY | OUTSIDE
 SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
-OUTSIDE_SINGLES = tuple((name, axis) for name, effect in OUTSIDE.items() for axis in effect.axes)
 RICH = Richness()
 # run set -> kinds or names of the runs in it
 RUN_SETS = {

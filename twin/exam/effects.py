@@ -62,7 +62,7 @@ class DrawContext(NamedTuple):
 class Effect(NamedTuple):
     block: str
     axes: tuple[str, ...]
-    parameters: tuple[str, ...]  # those that are scored
+    parameters: tuple[str, ...]  # as they are drawn and sealed
     draw: Callable[[DrawContext], dict]
     apply: Callable[[Settings, int, dict], Any]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import contextlib
 from dataclasses import replace
 import json
 import math
@@ -15,13 +16,26 @@ import numpy as np
 from twin.campaign import MeasuredRun, read_campaign
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
-from twin.gap import SignalGap, gap_of, predict_campaign
+from twin.errors import TwinError
+from twin.gap import Prediction, SignalGap, gap_of, predict_campaign
 from twin.machine import Machine, load_machine
+from twin.trace import Trace
 
 from .draw import Case, truth_of, write_campaign
 from .questions import Question
 
 REALISATIONS = 2
+
+NOT_DIAGNOSED: dict[str, Any] = {
+    "verdict": "not diagnosed",
+    "named": [],
+    "ambiguous": [],
+    **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place"), False),
+    "probabilities": [],
+    "parameters": [],
+    "baselines": {},
+}
+"""The mark of a case that could not be diagnosed: wrong in everything."""
 
 Gaps = dict[str, dict[str, dict[str, SignalGap]]]
 
@@ -42,7 +56,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     }
     failure = place / "answer" / "failed.txt"
     if failure.exists():
-        result["failed"] = failure.read_text(encoding="utf-8").strip()
+        result |= {**NOT_DIAGNOSED, "failed": failure.read_text(encoding="utf-8").strip()}
     else:
         answer = json.loads((place / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
         result |= mark_answer(truth, answer)
@@ -50,35 +64,44 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
             name: _marked_baseline(truth, said)
             for name, said in json.loads((place / "answer" / "baselines.json").read_text(encoding="utf-8")).items()
         }
-        result["gap"] = _exam_gap(case, truth, place, machine_file)
-    kept.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    result["gap"] = _exam_gap(case, truth, place, machine_file)
+    write_whole(kept, json.dumps(result, indent=1) + "\n")
     return result
 
 
 def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     """What a `diagnosis.json` says against a truth."""
-    true = {(e["name"], e["axis"]) for e in truth["effect"]}
-    named = [(e["effect"], e["axis"]) for e in answer["effects"]]
+    true = [_what(e) for e in truth["effect"]]
+    named = [_what(e) for e in answer["effects"]]
     if truth["outside"]:
         right = answer["verdict"] == "unknown"
         places = {(e["axis"], e["block"]) for e in truth["outside"]}
     else:
-        right = answer["verdict"] == ("effect" if true else "none") and set(named) == true
+        right = answer["verdict"] == ("effect" if true else "none") and sorted(named) == sorted(true)
         places = {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
-    rivals = {(r["effect"], r["axis"]) for r in answer["ambiguous_with"] if named and r["instead_of"] == named[0][0]}
+    rivals = [
+        _what(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
+    ]
+    # one effect was named, and the true one told to be what this could be as well
+    rightly_ambiguous = answer["verdict"] == "effect" and len(named) == 1 and any(r in true for r in rivals)
     located = [(e["axis"], e["block"]) for e in answer["effects"]] or [(w["axis"], w["block"]) for w in answer["where"][:1]]
     return {
         "verdict": answer["verdict"],
-        "named": [list(n) for n in named],
-        "ambiguous": sorted(list(r) for r in rivals),
+        "named": [list(n[:2]) for n in named],
+        "ambiguous": sorted(list(r[:2]) for r in rivals),
         "first": bool(named and named[0] in true) if true else right,
-        "first_or_ambiguous": bool((named and named[0] in true) or rivals & true) if true else right,
+        "first_or_ambiguous": bool(right or rightly_ambiguous) if true else right,
         "exact": bool(right),
         "place": bool(located and located[0] in places) if places else right,
-        "probabilities": [[e["probability"], (e["effect"], e["axis"]) in true] for e in answer["effects"]],
+        "probabilities": [[e["probability"], _what(e) in true] for e in answer["effects"]],
         "parameters": _parameters(truth, answer),
         "retuning_share": answer["gap"].get("retuning_share"),
     }
+
+
+def _what(e: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Effect, axis, and the axis that it comes from ('' where it is its own)."""
+    return e.get("effect") or e["name"], e["axis"], e.get("from_axis", "")
 
 
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -86,7 +109,7 @@ def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dic
     rows = []
     for said in answer["effects"]:
         for e in truth["effect"]:
-            if (e["name"], e["axis"]) != (said["effect"], said["axis"]):
+            if _what(e) != _what(said):
                 continue
             for parameter in EFFECTS[e["name"]].parameters:
                 if parameter.shape or parameter.name not in e or parameter.name not in said["parameters"]:
@@ -122,24 +145,31 @@ def _marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[
 
 
 def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: str) -> dict[str, Any]:
-    """Gap on the exam's own runs, in multiples of what noise makes: nominal, corrected, and with the truth in the twin (the floor).
+    """Gap on the exam's own runs, in multiples of what noise makes of the nominal twin's prediction: `before` and `after` correction.
 
-    `size` is what the effects alone change of the twin, in the same unit: how far they stand out of the noise."""
+    `floor` is what two records of this very machine differ by (over sqrt 2: one of them), `true_effects` what is left with the true
+    parameters and effects in the twin, `size` what the effects alone change of the twin. Where the corrected machine cannot be
+    simulated there is no `after`.
+    """
     machine = load_machine(machine_file)
-    folder = place / "exam runs"
-    if not (folder / "campaign.toml").exists():
-        write_campaign(case, folder, tomllib.loads(Path(machine_file).read_text(encoding="utf-8")), runs="exam")
-    runs = read_campaign(folder, machine).runs
-    corrected = load_machine(place / "answer" / "machine.toml")
-    exact = true_machine(machine, truth)
+    runs, again = (
+        _recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (_again(case), "exam runs again"))
+    )
     before = predict_campaign(machine, runs, realisations=REALISATIONS)
-    out: dict[str, Any] = {"before": _level(_gaps(machine, runs, before)), "noise": 1.0}
-    out["after"] = _level(_gaps(machine, runs, predict_campaign(corrected, runs, realisations=REALISATIONS)))
-    true_gaps = _gaps(machine, runs, predict_campaign(exact, runs, realisations=REALISATIONS))
+    scatter = {name: prediction.scatter for name, prediction in before.items()}
+
+    def level_of(traces: Mapping[str, Trace]) -> float:
+        return _level(_gaps(machine, runs, {name: Prediction(trace, scatter[name]) for name, trace in traces.items()}))
+
+    out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
+    answer = place / "answer" / "machine.toml"
+    if answer.exists():
+        with contextlib.suppress(TwinError):
+            out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
     if not truth["outside"]:
-        out["floor"] = _level(true_gaps)
-    if not truth["outside"] and not truth["effect"]:
-        out["same_parameters"] = _position_um(true_gaps)
+        exact = predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)
+        out["true_effects"] = level_of(_traces(exact))
+        out["true_effects_position"] = _position_um(_gaps(machine, runs, exact))
     if truth["effect"]:
         with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
@@ -149,7 +179,29 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     return out
 
 
-def _gaps(machine: Machine, runs: tuple[MeasuredRun, ...], predictions: Mapping[str, Any]) -> Gaps:
+def _again(case: Case) -> Case:
+    """The same machine with other noise."""
+    return replace(case, noise_seed=case.seed + 1)
+
+
+def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> tuple[MeasuredRun, ...]:
+    if not (folder / "campaign.toml").exists():
+        write_campaign(case, folder, tomllib.loads(Path(machine_file).read_text(encoding="utf-8")), runs="exam")
+    return read_campaign(folder, machine).runs
+
+
+def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
+    return {name: prediction.trace for name, prediction in predictions.items()}
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that is there as a whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+def _gaps(machine: Machine, runs: tuple[MeasuredRun, ...], predictions: Mapping[str, Prediction]) -> Gaps:
     return {run.name: gap_of(machine, run, predictions[run.name]) for run in runs}
 
 

@@ -25,6 +25,7 @@ from .tilting_pair import pair_terms
 QM, VM, Q, V, CURRENT, F, FD = range(7)
 STATES = 7
 A, C = 3, 4
+DEAD_TIME_A = 0.2  # current at which an inverter's dead time has taken most of its voltage
 
 
 # Rows of the table of numbers `m` [row, axis], SI at the axis, electrics at the motor. One array, because a compiled call
@@ -143,7 +144,7 @@ def slopes(
         current = y[CURRENT, k]
         u = voltage[k] - m[RESISTANCE, k] * current - m[KE, k] * w
         if m[DEAD_TIME, k] != 0.0:
-            u -= m[DEAD_TIME, k] * math.tanh(current / 0.2)
+            u -= m[DEAD_TIME, k] * math.tanh(current / DEAD_TIME_A)
         dy[CURRENT, k] = u / m[INDUCTANCE, k]
         v = y[V, k]
         if m[ELASTIC, k] != 0.0:

@@ -4,7 +4,7 @@ Order of axes everywhere: X Y Z A C.  Units at the axis: m, N, kg or rad, Nm, kg
 radian (lead / 2 pi, or 1 / gear ratio).  A motor-side number becomes an axis-side one by
     mass, inertia: J / r^2      friction: T / r      viscous: b / r^2      force: Kt i / r
 The control keeps the nominal torque constant and the nominal inertia J_ff whatever motor and load really are
-(design.md, "The control law").
+(docs/theory.md).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 
 AXES = ("X", "Y", "Z", "A", "C")
 LINEAR = ("X", "Y", "Z")
-ROTARY = ("A", "C")
 SPREAD_KEYS = ("torque_constant", "resistance", "inductance", "rotor_inertia", "coulomb_friction", "viscous_friction")
 BODIES = ("cradle", "table", "workpiece")
 FREE = 1e30  # "no limit" for clips; finite, so that products with it stay numbers
@@ -42,7 +41,7 @@ class Richness:
 
     @classmethod
     def small(cls) -> Richness:
-        """About a fifth of the default: near the measuring noise, far below any effect at a fifth of its usual size."""
+        """About a fifth of the default: near the measuring noise, far below the usual size of any effect; where an axis sticks it is some ten times the noise."""
         return cls((400.0, 600.0), (0.05e-6, 0.2e-6), (0.0005, 0.002), (0.001, 0.005))
 
     @classmethod
@@ -125,6 +124,10 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     def pick(tables: list[dict], key: str) -> np.ndarray:
         return np.array([t[key] for t in tables], dtype=float)
 
+    def told(key: str, nominal: np.ndarray) -> np.ndarray:
+        """What the control was commissioned with, where the file says so."""
+        return np.array([a.get("commissioned", {}).get(key, n) for a, n in zip(axis, nominal)])
+
     def spread(key: str) -> np.ndarray:
         return np.array([factors[a].get(key, 1.0) for a in AXES])
 
@@ -143,14 +146,14 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.kpi, s.tni = pick(loops, "current_gain_v_per_a"), pick(loops, "current_integral_time_s")
     s.velocity_weight, s.torque_weight = pick(loops, "velocity_feedforward"), pick(loops, "torque_feedforward")
     s.position_delay, s.feedforward_delay = pick(loops, "position_delay_s"), pick(loops, "feedforward_delay_s")
-    s.kt_control, s.bus = pick(motor, "torque_constant_nm_per_a"), pick(motor, "bus_limit_v")
+    s.kt_control, s.bus = told("torque_constant_nm_per_a", pick(motor, "torque_constant_nm_per_a")), pick(motor, "bus_limit_v")
     s.current_limit = pick(motor, "peak_current_a")
     nominal = pair_of(machine, unit_factors())
     at_zero = np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(nominal)])
-    s.inertia_control = rotor_nominal + (mass_nominal + at_zero) * s.ratio**2
+    s.inertia_control = told("inertia_kg_m2", rotor_nominal + (mass_nominal + at_zero) * s.ratio**2)
 
     # Motor and load: nominal numbers times this machine's factors
-    s.kt = s.kt_control * spread("torque_constant")
+    s.kt = pick(motor, "torque_constant_nm_per_a") * spread("torque_constant")
     s.ke = pick(motor, "back_emf_v_s_per_rad")
     s.resistance = pick(motor, "resistance_ohm") * spread("resistance")
     s.inductance = pick(motor, "inductance_h") * spread("inductance")
@@ -160,7 +163,6 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.viscous = pick(axis, "viscous_friction_nm_s_per_rad") * spread("viscous_friction") / s.ratio**2
     s.gravity = machine["gravity_m_per_s2"]
     s.clamped = []
-    s.spring_is_rich = np.zeros(len(AXES), dtype=bool)
     s.machine, s.factors = machine, factors
 
     # What a nominal machine has not: neutral values

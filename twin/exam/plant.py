@@ -21,6 +21,7 @@ from .control import W_SET, Control, control_at_rest, control_of, current_cycle,
 from .measurement import Sensors, sensors_of
 from .mechanics import (
     CURRENT,
+    DEAD_TIME_A,
     ELASTIC,
     HALF_GAP,
     HARDENING,
@@ -67,7 +68,6 @@ class Trace:
 
 def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
     """(table [row, axis], sums of the pair) from settings after effects and richness; fills the default contact of backlash."""
-    len(AXES)
     pair = pair_of(s.machine, s.factors, s.clamped)
     load_mass = s.load_mass + s.added_mass
     inertia = load_of(s)
@@ -77,7 +77,7 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
         contact = s.contact_stiffness[k] or (2 * math.pi * CONTACT_HZ) ** 2 * reduced
         contact_damping = s.contact_damping[k] or 2 * CONTACT_DAMPING_RATIO * math.sqrt(contact * reduced)
         # a gap and a spring on one axis lie in series
-        in_series = stiffness[k] > 0.0 and not s.spring_is_rich[k]
+        in_series = stiffness[k] > 0.0
         stiffness[k] = 1 / (1 / contact + 1 / stiffness[k]) if in_series else contact
         damping[k] = min(damping[k], contact_damping) if in_series else contact_damping
     stiffness = np.where((s.soft_gap > 0) & (stiffness == 0), (2 * math.pi * 200.0) ** 2 * inertia, stiffness)
@@ -251,7 +251,8 @@ def run(
     y[QM] = q0 + [_deflection(m, k, hold[k]) for k in range(5)]
     torque = hold * s.ratio / s.kt
     y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
-    state = control_at_rest(c, s_points[0], y[CURRENT], s.resistance)
+    voltage = s.resistance * y[CURRENT] + s.dead_time_v * np.tanh(y[CURRENT] / DEAD_TIME_A)
+    state = control_at_rest(c, s_points[0], y[CURRENT], voltage)
     out = np.zeros((7, samples, 5))
     status = _simulate(
         c,

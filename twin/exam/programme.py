@@ -38,7 +38,6 @@ def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     lim = limits_of(machine)
     jerk, acc = MARGIN * lim.jerk, np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
     home = np.array([0.0, 0.0, 0.0, _vary(rng, -35.0, 0.12) * DEG, 0.0])
-    np.zeros(5)
 
     # Constant speeds from barely moving to rapid, there and back: friction against speed
     ladder = [np.array([5.0, 15.0, 40.0, 100.0, 250.0]) * 1e-3] * 3 + [np.array([0.3, 1.0, 4.0, 20.0, 50.0]) * DEG] * 2

@@ -11,7 +11,7 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 
-from .score import label_of
+from .score import label_of, singles
 
 Document = Mapping[str, Any]
 
@@ -20,15 +20,16 @@ def write_exam_report(document: Document, path: Path) -> None:
     """Write the page."""
     s = document["score"]
     usual = next((t for t in s["targets"] if t["what"].startswith("first named right") and "value" in t), None)
-    lead = f"{s['cases']} machines with sealed faults, drawn on a second plant and diagnosed by a process that saw only their traces. " + (
-        f"The effect and its axis were named first in {usual['right']} of {usual['of']} cases of usual size." if usual else ""
+    lead = (
+        f"{counted(document)}: machines with sealed faults, drawn on a second plant and diagnosed by a process that saw only their traces. "
+        + (f"The effect and its axis were named first in {usual['right']} of {usual['of']} cases of usual size." if usual else "")
     )
     write_page(path, "Examination of the diagnosis", lead, sections_of(document))
 
 
 def sections_of(document: Document) -> list[Section]:
     """Every section that has something to show."""
-    s, marks = document["score"], [m for m in document["marks"] if "failed" not in m]
+    s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
     sections = [
         Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])]),
@@ -38,9 +39,10 @@ def sections_of(document: Document) -> list[Section]:
              "re-tuning; sparse regression sees forces alone."],
             figures=[_baselines(s["strata"])],
         ),
-        Section("What was taken for what", figures=[_confusion(s["confusion"])]),
     ]  # fmt: skip
-    if any(len(m["true"]) == 1 for m in marks):
+    if s["confusion"]:
+        sections.append(Section("What was taken for what", figures=[_confusion(s["confusion"])]))
+    if singles(marks):
         sections.append(
             Section(
                 "How small an effect is found",
@@ -58,7 +60,9 @@ def sections_of(document: Document) -> list[Section]:
         Section("Cases that are not exactly right", tables=[_wrong(wrong)] if wrong else [], paragraphs=[] if wrong else ["None."])
     )
     level = (
-        "" if same["level"] is None else f" With the same parameters twin and plant differ by {same['level']:.2f} times the noise (RMS): "
+        ""
+        if same["level"] is None
+        else f" With the same parameters and effects twin and plant differ by {same['level']:.2f} times the noise (RMS): "
     )
     level += ", ".join(f"{axis} {value:.3g}" for axis, value in same["position_rms"].items()) + (" um or arcsec." if level else "")
     sections.append(
@@ -71,6 +75,14 @@ def sections_of(document: Document) -> list[Section]:
         )
     )
     return sections
+
+
+def counted(document: Document) -> str:
+    """How many of the sealed cases are scored, and what of the others."""
+    s, lost = document["score"], document["not_answered"]
+    rest = [f"{lost} not answered when it was opened"] if lost else []
+    rest += [f"{len(document['not_drawn'])} could not be drawn"] if document["not_drawn"] else []
+    return f"{s['cases']} of {s['cases'] + lost} sealed cases scored" + (f" ({', '.join(rest)})" if rest else "")
 
 
 def _asked(targets: Sequence[Document]) -> list[Document]:
@@ -146,7 +158,7 @@ def _confusion(table: Document) -> Figure:
 
 
 def _detection(marks: Sequence[Document]) -> Figure:
-    single = [m for m in marks if len(m["true"]) == 1]
+    single = singles(marks)
     names = sorted({label_of(m) for m in single}, reverse=True)
     figure, panels = new_figure(1, 1, height=0.22 * len(names) + 1.0)
     ax = panels[0, 0]
@@ -165,16 +177,24 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     rows = sorted((m["gap"] for m in marks if m["true"]), key=lambda g: g["before"])
     figure, panels = new_figure(1, 1, height=2.8)
     ax = panels[0, 0]
-    for key, colour, marker in (("before", RED, "o"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
+    for key, colour, marker in (("before", RED, "o"), ("true_effects", AMBER, "_"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
         ax.plot(
-            [i for i, g in enumerate(rows) if key in g], [g[key] for g in rows if key in g], marker, color=colour, markersize=5, label=key
+            [i for i, g in enumerate(rows) if key in g],
+            [g[key] for g in rows if key in g],
+            marker,
+            color=colour,
+            markersize=5,
+            label=key.replace("_", " "),
         )
     ax.set_yscale("log")
     ax.axhline(1.0, color="#1c2430", linewidth=1)
     ax.set_xlabel("cases with effects, by the gap of the nominal machine")
     ax.set_ylabel("gap over noise")
     ax.legend(ncols=3, loc="upper left")
-    text = "Gap on runs that only the examination knows. Before: machine file. After: corrected machine. Floor: the true parameters and effects in the twin."
+    text = (
+        "Gap on runs that only the examination knows. Before: machine file. True effects: the true parameters and effects in the twin, without the little of everything that the plant has beside them. "
+        "After: corrected machine. Floor: two records of the same machine."
+    )
     return Figure(figure_svg(figure), text)
 
 

@@ -34,7 +34,7 @@ def apply_richness(s: Settings, richness: Richness, rng: np.random.Generator) ->
         stiffness = (2.0 * math.pi * span(richness.compliance_hz, draw["compliance"][0])) ** 2 * load
         damping = 2.0 * span((0.04, 0.08), draw["compliance"][1]) * np.sqrt(stiffness * load)
         free = (s.stiffness == 0.0) & (s.gap == 0.0)
-        s.stiffness[free], s.damping[free], s.spring_is_rich[:] = stiffness[free], damping[free], free
+        s.stiffness[free], s.damping[free] = stiffness[free], damping[free]
     if richness.cogging:
         s.cogging += span(richness.cogging, draw["cogging"][0]) * s.coulomb * s.ratio
         s.cogging_n[:] = np.floor(span((6, 15), draw["cogging"][1]))

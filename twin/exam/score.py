@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import itertools
 import math
 from typing import Any
@@ -28,6 +28,9 @@ TARGETS = (
     ("Brier score", -0.08),
 )
 
+FULL = ("usual", "a fifth")
+"""Strata of single effects whose campaigns hold all signals and runs."""
+
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 
 
@@ -42,19 +45,16 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 def score(marks: Sequence[Mark]) -> dict[str, Any]:
     """Everything that `exam.json` says beside the marks themselves."""
-    told = [m for m in marks if "failed" not in m]
-    of = {name: [m for m in told if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
-    lost = {name: sum(m["stratum"] == name and "failed" in m for m in marks) for name in of}
+    of = {name: [m for m in marks if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
 
     def share(stratum: str, key: str) -> dict[str, Any] | None:
-        """A case that could not be diagnosed counts as wrong."""
         rows = of.get(stratum, [])
-        n = len(rows) + lost.get(stratum, 0)
-        return _share(sum(m[key] for m in rows), n) if n else None
+        return _share(sum(m[key] for m in rows), len(rows)) if rows else None
 
-    parameters = [p for m in told for p in m["parameters"]]
-    ratios = [m["gap"]["after"] / m["gap"]["floor"] for m in told if m["true"] and "floor" in m["gap"]]
-    probabilities = [(p, right) for m in told for p, right in m["probabilities"]]
+    parameters = [p for m in marks for p in m["parameters"]]
+    # where nothing could be diagnosed, or what was said cannot be simulated, nothing shrinks
+    ratios = [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
+    probabilities = [(p, right) for m in marks for p, right in m["probabilities"]]
     values: dict[str, Any] = {
         "first named right, usual size": share("usual", "first"),
         "exactly right, usual size": share("usual", "exact"),
@@ -75,26 +75,30 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
     }
     return {
         "cases": len(marks),
-        "failed": len(marks) - len(told),
+        "failed": sum("failed" in m for m in marks),
         "targets": [
             {"what": what, "target": target, **(values[what] or {}), "met": _met(values[what], target)} for what, target in TARGETS
         ],
         "strata": {
             name: {
-                "cases": len(rows) + lost[name],
+                "cases": len(rows),
                 **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")},
-                "baselines": {b: sum(m["baselines"][b]["first"] for m in rows) for b in (rows[0]["baselines"] if rows else ())},
+                "baselines": {b: sum(m["baselines"][b]["first"] for m in rows if m["baselines"]) for b in _baselines(rows)},
             }
             for name, rows in of.items()
         },
-        "macro_f1": macro_f1(told),
-        "confusion": confusion(told),
+        "macro_f1": macro_f1(marks),
+        "confusion": confusion(marks),
         "calibration": calibration(probabilities),
-        "by_size": by_size(told),
-        "detection": detection(told),
-        "gap": _gaps(told),
-        "same_parameters": _same_parameters(told),
+        "by_size": by_size(marks),
+        "detection": detection(marks),
+        "gap": _gaps(marks),
+        "same_parameters": _same_parameters(marks),
     }
+
+
+def _baselines(marks: Sequence[Mark]) -> list[str]:
+    return next((list(m["baselines"]) for m in marks if m["baselines"]), [])
 
 
 def _share(successes: int, trials: int) -> dict[str, Any]:
@@ -118,10 +122,8 @@ def label_of(m: Mark) -> str:
 
 def answer_of(m: Mark) -> str:
     """What was said, in a word: on another axis it is no right answer."""
-    if m["verdict"] == "none":
-        return "none"
-    if not m["named"] or (m["outside"] and m["verdict"] == "unknown"):
-        return "outside the library" if m["verdict"] == "unknown" else "none"
+    if m["verdict"] != "effect" or not m["named"]:
+        return {"unknown": "outside the library", "effect": "none"}.get(m["verdict"], str(m["verdict"]))
     name, axis = m["named"][0]
     same = any(t[0] == name for t in m["true"])
     return name if [name, axis] in m["true"] or not same else f"{name}, other axis"
@@ -129,6 +131,11 @@ def answer_of(m: Mark) -> str:
 
 def _one_each(marks: Iterable[Mark]) -> list[Mark]:
     return [m for m in marks if len(m["true"]) <= 1]
+
+
+def singles(marks: Iterable[Mark]) -> list[Mark]:
+    """Cases with one effect and all signals and runs: what was measured is what `size` is told against."""
+    return [m for m in marks if len(m["true"]) == 1 and m["stratum"] in FULL]
 
 
 def macro_f1(marks: Sequence[Mark]) -> float:
@@ -163,12 +170,11 @@ def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, A
 
 
 def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
-    """Share exactly right of single effects over how far they stand out of the noise."""
+    """Share exactly right of single effects, with all signals and runs, over how far they stand out of the noise."""
     rows = []
     edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
-    single = [m for m in marks if len(m["true"]) == 1]
     for low, high in itertools.pairwise(edges):
-        inside = [m for m in single if low <= m["gap"]["size"] < high]
+        inside = [m for m in singles(marks) if low <= m["gap"]["size"] < high]
         if inside:
             rows.append({"from": low, "to": high if math.isfinite(high) else None, **_share(sum(m["exact"] for m in inside), len(inside))})
     return rows
@@ -177,38 +183,36 @@ def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
 def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
     """Of each effect: the smallest size over noise that was exactly right, and the largest that was not."""
     out: dict[str, dict[str, Any]] = {}
-    for m in marks:
-        if len(m["true"]) == 1:
-            row = out.setdefault(m["true"][0][0], {"cases": 0, "right": 0, "smallest_right": None, "largest_missed": None})
-            size = m["gap"]["size"]
-            row["cases"] += 1
-            row["right"] += m["exact"]
-            key, better = ("smallest_right", min) if m["exact"] else ("largest_missed", max)
-            row[key] = size if row[key] is None else better(row[key], size)
+    for m in singles(marks):
+        row = out.setdefault(m["true"][0][0], {"cases": 0, "right": 0, "smallest_right": None, "largest_missed": None})
+        size = m["gap"]["size"]
+        row["cases"] += 1
+        row["right"] += m["exact"]
+        key, better = ("smallest_right", min) if m["exact"] else ("largest_missed", max)
+        row[key] = size if row[key] is None else better(row[key], size)
     return dict(sorted(out.items()))
 
 
 def _gaps(marks: Sequence[Mark]) -> dict[str, Any]:
-    with_effect = [m["gap"] for m in marks if m["true"] and "floor" in m["gap"]]
-
-    def median(pick: Callable[[Mapping[str, float]], float]) -> float | None:
-        return float(np.median([pick(g) for g in with_effect])) if with_effect else None
-
+    rows = [m["gap"] for m in marks if m["true"]]
     return {
         "unit": "multiples of what noise alone makes, on the exam's own runs; medians over cases with effects",
-        "before": median(lambda g: g["before"]),
-        "after": median(lambda g: g["after"]),
-        "floor": median(lambda g: g["floor"]),
+        **{key: _median(g.get(key) for g in rows) for key in ("before", "after", "floor", "true_effects")},
     }
 
 
+def _median(values: Iterable[float | None]) -> float | None:
+    there = [v for v in values if v is not None]
+    return float(np.median(there)) if there else None
+
+
 def _same_parameters(marks: Sequence[Mark]) -> dict[str, Any]:
-    """Twin against plant with the same parameters: what the two models differ by."""
-    healthy = [m["gap"] for m in marks if "same_parameters" in m["gap"]]
-    axes = sorted({a for g in healthy for a in g["same_parameters"]})
+    """Twin against plant with the same parameters and effects: what the two models, and richness, differ by."""
+    rows = [m["gap"] for m in marks if "true_effects" in m["gap"]]
+    axes = sorted({a for g in rows for a in g["true_effects_position"]})
     return {
-        "cases": len(healthy),
-        "level": float(np.median([g["floor"] for g in healthy])) if healthy else None,
-        "position_rms": {a: float(np.median([g["same_parameters"][a] for g in healthy])) for a in axes},
+        "cases": len(rows),
+        "level": _median(g["true_effects"] for g in rows),
+        "position_rms": {a: _median(g["true_effects_position"].get(a) for g in rows) for a in axes},
         "unit": "level in multiples of noise; position RMS in um (X, Y, Z) and arcsec (A, C)",
     }

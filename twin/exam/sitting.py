@@ -24,10 +24,11 @@ from typing import Any
 from twin.errors import InputError
 
 from .draw import Case, draw_case, truth_of, write_campaign
+from .mark import write_whole
 from .plant import PlantError
 from .questions import RICHNESS, Question
 
-SEAL, TRUTHS = "seal.sha256", "truths.json"
+SEAL, TRUTHS, ASKED = "seal.sha256", "truths.json", "asked.json"
 
 
 def draw(question: Question, machine_file: str, richness: str) -> Case | str:
@@ -49,12 +50,31 @@ def truths_text(cases: dict[str, Case]) -> str:
     return json.dumps({name: truth_of(case) for name, case in sorted(cases.items())}, indent=1, sort_keys=True) + "\n"
 
 
+def same_examination(out: Path, asked: dict[str, Any]) -> None:
+    """An examination goes on with what it was begun with: the options, the machine and the code of the twin."""
+    file = out / ASKED
+    text = json.dumps(asked, indent=1) + "\n"
+    if file.exists():
+        before = json.loads(file.read_text(encoding="utf-8"))
+        other = sorted(key for key in asked if before.get(key) != asked[key])
+        if other:
+            raise InputError(f"{out}: this examination was begun with another {', '.join(other)}; give the same again, or another --out")
+    write_whole(file, text)
+
+
+def sources() -> str:
+    """Digest of the twin's own files: what diagnoses, and what is diagnosed."""
+    home = Path(__file__).resolve().parents[1]
+    files = sorted(home.rglob("*.py"))
+    return hashlib.sha256(b"\0".join(f.relative_to(home).as_posix().encode() + f.read_bytes() for f in files)).hexdigest()[:16]
+
+
 def seal(text: str, out: Path) -> str:
     """Hash of the truths, written before anything is diagnosed; an examination that goes on must have the same."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     file = out / SEAL
     if file.exists() and file.read_text(encoding="utf-8").strip() != digest:
-        raise InputError(f"{file}: another examination was sealed here (seed, cases, machine or version differ); give another --out")
+        raise InputError(f"{file}: another examination was sealed here (its machines are others); give another --out")
     file.write_text(digest + "\n", encoding="utf-8")
     return digest
 
@@ -78,15 +98,20 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
     campaign, answer = place / "campaign", place / "answer"
     if not is_answered(folder):
         machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
-        if not (campaign / "campaign.toml").exists():  # written last
-            write_campaign(case, campaign, machine, runs=question.stratum.runs, signals=question.stratum.signals)
+        try:
+            if not (campaign / "campaign.toml").exists():  # written last
+                write_campaign(case, campaign, machine, runs=question.stratum.runs, signals=question.stratum.signals)
+        except PlantError as error:
+            raise InputError(f"{folder}: the plant cannot run this campaign ({error}); draw with another --seed") from None
         command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), machine_file, str(answer), *(["--quick"] if quick else [])]
         started = time.perf_counter()
         done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        if done.returncode < 0:  # killed from outside: no answer, to be asked again
+            raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); call it again to go on")
         if done.returncode:
             answer.mkdir(parents=True, exist_ok=True)
-            reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            (answer / "failed.txt").write_text(reason + "\n", encoding="utf-8")
+            write_whole(answer / "failed.txt", reason + "\n")
             return time.perf_counter() - started
         (answer / "seconds.txt").write_text(f"{time.perf_counter() - started:.1f}\n", encoding="utf-8")
     seconds = answer / "seconds.txt"
@@ -104,7 +129,11 @@ def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
     else:
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers or os.cpu_count() or 1, mp_context=spawn) as pool:
-            yield pool
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # what is in hand ends, nothing more begins
+                raise
 
 
 def each(
