@@ -69,21 +69,20 @@ def held_out_gaps(
     campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool, threads: int
 ) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
-    realisations = 2 if quick else REALISATIONS
+    of_nominal, of_corrected = (1, 2) if quick else (REALISATIONS, REALISATIONS)
     runs = list(campaign.runs)
-    jobs = [(machine, run, realisations) for run in runs]
+    jobs = [(machine, run, of_nominal) for run in runs]
     for fold in folds:
         variant = _fitted_without(machine, found, fold if len(folds) > 1 else ())
-        jobs += [(variant, runs[i], 1 if quick else realisations) for i in fold]
+        jobs += [(variant, runs[i], of_corrected) for i in fold]
     simulated = predict_each(jobs, threads=threads)
     predictions = {
         which: {run.name: prediction for (_, run, _), prediction in zip(jobs[part], simulated[part])}
         for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
     }
     if quick:  # one realisation has no scatter of its own
-        predictions["after"] = {
-            name: replace(prediction, scatter=predictions["before"][name].scatter) for name, prediction in predictions["after"].items()
-        }
+        scatter = {name: prediction.scatter for name, prediction in predictions["after"].items()}
+        predictions["before"] = {name: replace(p, scatter=scatter[name]) for name, p in predictions["before"].items()}
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in predictions.items()}
     return gaps, predictions
 

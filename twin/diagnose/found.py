@@ -37,8 +37,8 @@ SHOWS_IN = {"position controller": "controller", "transmission": "windup", "meas
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
 
-QUIET = 1.2
-"""Mean square over noise up to which a quick look leaves a channel alone."""
+QUIET = 0.25
+"""Mean square above noise up to which a quick look leaves a channel alone."""
 
 
 @dataclass
@@ -181,11 +181,16 @@ def unexplained(found: Found) -> float:
 
 
 def is_quiet(found: Found) -> bool:
-    """Does re-tuning alone leave nothing but noise in every channel?"""
+    """Does re-tuning alone leave nothing but noise in every channel? Where an axis was stuck counts as little as for evidence."""
     group = found.group
     left = found.fit.left(group) / group.weights
-    channels = [replace(c, residual=left[c.rows]) for c in group.channels]
-    return all(c.is_clean if c.name == "controller" else float(np.mean((c.residual / c.sigma) ** 2)) < QUIET for c in channels)
+    for c in group.channels:
+        if c.name == "controller":
+            if not replace(c, residual=left[c.rows]).is_clean:
+                return False
+        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.sigma) - 1.0))) > QUIET:
+            return False
+    return True
 
 
 def inflation(group: Group, fit: Fit) -> float:
