@@ -15,6 +15,7 @@ import pytest
 from examples.diagnose import record, short_runs
 from twin.campaign import read_campaign
 from twin.diagnose import diagnose
+from twin.diagnose.found import settled_channels
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.sizes import sized
@@ -156,6 +157,14 @@ def test_large_effect_casts_no_shadow(tmp_path, effect, axis):
     found, _ = found_on(tmp_path, "single", effect, axis, Richness.small())
     assert [(s.effect.name, s.axis) for s in found.fit.settings] == [(effect, axis)]
     assert not is_unknown(found)
+
+
+def test_a_position_gain_leaves_nothing_of_its_law(tmp_path):
+    """Its controller is fed with the measured position: where an axis came to rest by chance is no part of it."""
+    found, hidden = found_on(tmp_path, "single", "position_gain", "Z", Richness.small())
+    levels = [float(np.mean(u**2)) for channel, u in settled_channels(found) if channel.name == "controller"]
+    assert max(levels) < 1.6  # 1.4; fed with the simulated position 2.0
+    assert found.fit.settings[0].parameters["factor"] == pytest.approx(hidden["factor"], rel=1e-4)
 
 
 def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):

@@ -33,8 +33,12 @@ def closed_on(trace: Trace, axis: Axis) -> str:
     return "motor_position" if axis.encoder == "motor" and trace.has(axis.name, "motor_position") else "position"
 
 
-def law_error(trace: Trace, view: RunView, axis: Axis) -> np.ndarray | None:
-    """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it."""
+def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.ndarray | None:
+    """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it.
+
+    `gain` is the factor by which the position gain of a simulated trace is off. That one is fed with the measured position, as the
+    block is cut: where an axis came to rest by chance, e is that of where it really was.
+    """
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
     if not measured.has(name, signal) or not view.on_cycles:
@@ -44,7 +48,8 @@ def law_error(trace: Trace, view: RunView, axis: Axis) -> np.ndarray | None:
     wanted = command + axis.loops.position_gain_per_s * (delayed - position)
     if measured.has(name, "velocity_setpoint"):
         every = max(1, round(view.machine.position_cycle / measured.period))
-        return (trace.get(name, "velocity_setpoint") - wanted)[::every]
+        fed = (gain - 1.0) * axis.loops.position_gain_per_s * (position - measured.get(name, signal))
+        return (trace.get(name, "velocity_setpoint") - wanted + fed)[::every]
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)

@@ -15,7 +15,7 @@ Axes that the mass matrix does not couple are looked at apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 
@@ -84,6 +84,7 @@ class Group:
         """
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
+        gains = {s.axis: s.parameters["factor"] for s in settings if s.effect.name == "position_gain"}
         simulated: dict[int, dict[tuple[str, str], np.ndarray]] = {}
         for channel in self.channels:
             if channel.axis not in axes:
@@ -93,7 +94,7 @@ class Group:
                 moving = tuple(a for a in axes if view.moves(a))
                 noise = noise_seed(self.seed, channel.run) if shaken else None
                 trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise, record_noise=False)
-                simulated[channel.run] = channels_of(trace, view, moving)
+                simulated[channel.run] = channels_of(trace, view, moving, gains)
             key = (channel.axis, channel.name)
             out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
@@ -173,13 +174,15 @@ def simulate_group(
     return at_times(simulated, view.trace.time)
 
 
-def channels_of(trace: Trace, view: RunView, axes: Sequence[str]) -> dict[tuple[str, str], np.ndarray]:
-    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,)."""
+def channels_of(
+    trace: Trace, view: RunView, axes: Sequence[str], gains: Mapping[str, float] | None = None
+) -> dict[tuple[str, str], np.ndarray]:
+    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,); `gains` are those of `law_error`, by axis."""
     out = {}
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace
-        error = law_error(trace, view, axis)
+        error = law_error(trace, view, axis, (gains or {}).get(name, 1.0))
         if error is not None:
             out[name, "controller"] = error
         moving = view.reference(name)[2]
