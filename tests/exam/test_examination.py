@@ -260,6 +260,9 @@ def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
     # no simpler method does as well
     for baseline in ("re-tuning", "nearest signature", "sparse regression"):
         assert sum(m["baselines"][baseline]["first"] for m in marks) < sum(m["first"] for m in marks)
+    # and they are no straw men
+    assert sum(m["baselines"]["nearest signature"]["first"] for m in marks) > 0
+    assert sum(m["baselines"]["sparse regression"]["first"] for m in marks) > 0
     # the plant is not the twin: with the same parameters they are close, and not the same
     same = document["score"]["same_parameters"]
     assert 0.5 < same["level"] < 2.0

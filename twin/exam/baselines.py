@@ -11,16 +11,19 @@ Each answers {"verdict": ..., "effect": ..., "axis": ...}.
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Sequence
 import math
 from typing import Any
 
 import numpy as np
 
+from twin.diagnose.candidates import starts_of
 from twin.diagnose.channel import Channel
+from twin.diagnose.fit import answer
 from twin.diagnose.found import Found
 from twin.diagnose.observe import Group
+from twin.errors import TwinError
+from twin.machine import Machine
 
 NOTICED = 0.12
 """Excess of the mean square over noise from which these methods say that something is there."""
@@ -28,32 +31,41 @@ NOTICED = 0.12
 NOTHING: dict[str, Any] = {"verdict": "none", "effect": None, "axis": None}
 
 
-def baselines_of(found: Sequence[Found]) -> dict[str, dict[str, Any]]:
+def baselines_of(found: Sequence[Found], machine: Machine) -> dict[str, dict[str, Any]]:
     """Answer of each method by its name."""
-    return {"re-tuning": _retuning(found), "nearest signature": _nearest(found), "sparse regression": _sparse(found)}
+    return {"re-tuning": _retuning(found), "nearest signature": _nearest(found, machine), "sparse regression": _sparse(found)}
+
+
+def _above_noise(group: Group, rows: np.ndarray) -> bool:
+    """Do weighted rows (row,) hold more than noise? What the diagnosis doubts is not known to these methods."""
+    rows = group.in_noise(rows)
+    return float(rows @ rows) > (1.0 + NOTICED) * sum(len(c.residual) / c.correlation for c in group.channels)
 
 
 def _retuning(found: Sequence[Found]) -> dict[str, Any]:
-    left = any(f.retuned.loss > (1.0 + NOTICED) * f.group.expected_loss for f in found)
+    left = any(_above_noise(f.group, f.retuned.left(f.group)) for f in found)
     return {**NOTHING, "verdict": "unknown" if left else "none"}
 
 
 def _shows(f: Found) -> bool:
-    return 0.5 * float(f.rigid.residual @ f.rigid.residual) > (1.0 + NOTICED) * f.rigid.expected_loss
+    return _above_noise(f.rigid, f.rigid.residual)
 
 
-def _nearest(found: Sequence[Found]) -> dict[str, Any]:
+def _nearest(found: Sequence[Found], machine: Machine) -> dict[str, Any]:
     best, said = 0.0, NOTHING
     for f in found:
         if not _shows(f):
             continue
-        residual = f.rigid.residual
-        for key, (answer, _) in f.answers.items():
-            square = float(answer @ answer)
-            explained = float(answer @ residual) ** 2 / square if square > 1e-9 else 0.0
+        residual = f.rigid.in_noise(f.rigid.residual)
+        for start in starts_of(f.rigid, machine, f.rigid.residual):
+            try:
+                signature = f.rigid.in_noise(answer(f.rigid, [start.settings[0]]))
+            except TwinError:
+                continue
+            square = float(signature @ signature)
+            explained = float(signature @ residual) ** 2 / square if square > 1e-9 else 0.0
             if explained > best:
-                start = ast.literal_eval(key)
-                best, said = explained, {"verdict": "effect", "effect": start["name"], "axis": start["axis"]}
+                best, said = explained, {"verdict": "effect", "effect": start.effect.name, "axis": start.axis}
     return said
 
 

@@ -35,7 +35,8 @@ def main() -> int:
         return 2
     given.out.mkdir(parents=True, exist_ok=True)
     write_machine(diagnosis.corrected, given.out / "machine.toml")
-    (given.out / "baselines.json").write_text(json.dumps(baselines_of(diagnosis.found), indent=1) + "\n", encoding="utf-8")
+    said = baselines_of(diagnosis.found, machine)
+    (given.out / "baselines.json").write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
     (given.out / "diagnosis.json").write_text(json.dumps(diagnosis.document(), indent=1) + "\n", encoding="utf-8")
     return 0
 

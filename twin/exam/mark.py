@@ -61,7 +61,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         answer = json.loads((place / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
         result |= mark_answer(truth, answer)
         result["baselines"] = {
-            name: _marked_baseline(truth, said)
+            name: marked_baseline(truth, said)
             for name, said in json.loads((place / "answer" / "baselines.json").read_text(encoding="utf-8")).items()
         }
     result["gap"] = _exam_gap(case, truth, place, machine_file)
@@ -137,7 +137,8 @@ def _apart(a: float, b: float, periodic: bool) -> float:
     return (a - b + math.pi) % (2.0 * math.pi) - math.pi if periodic else a - b
 
 
-def _marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
+def marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
+    """The answer of a simpler method with its mark."""
     true = {(e["name"], e["axis"]) for e in truth["effect"]}
     named = (said["effect"], said["axis"])
     first = named in true if true else said["verdict"] == ("unknown" if truth["outside"] else "none")
