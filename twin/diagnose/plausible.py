@@ -46,6 +46,10 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
         return low / LARGEST <= value <= high / SMALLEST
     if low < neutral < high:
         return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
+    if setting.effect.name == "table_unbalance":  # what gravity tells is mass times radius; how it is shared out, little
+        radius = setting.effect.parameter("radius_m")
+        inner, outer = radius.usual_range(machine, axis)
+        value, low, high = value * setting.parameters[radius.name], low * inner, high * outer
     if setting.effect.name == "inertia":
         return _share_of_inertia(setting, machine) > BEYOND_TOLERANCE["inertia"] * machine.parameter_tolerance
     return SMALLEST * low < abs(value) < LARGEST * high

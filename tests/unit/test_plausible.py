@@ -1,0 +1,26 @@
+"""Which sizes are believed: what is found on machines, and more than their normal spread."""
+
+import pytest
+
+from twin.diagnose.plausible import is_plausible
+from twin.effects import EFFECTS, Setting
+from twin.machine import load_machine
+
+MACHINE = load_machine()
+
+
+@pytest.mark.parametrize(
+    ("effect", "axis", "parameters", "believed"),
+    [
+        # 6.2 kg at 0.1 m, found with another share of mass and radius: the moment is that of a machine
+        ("table_unbalance", "A", {"mass_kg": 2.3, "radius_m": 0.27, "angle_rad": 5.5}, True),
+        ("table_unbalance", "A", {"mass_kg": 2.3, "radius_m": 0.05, "angle_rad": 5.5}, False),
+        ("table_unbalance", "A", {"mass_kg": 400.0, "radius_m": 0.5, "angle_rad": 5.5}, False),
+        ("torque_constant", "X", {"factor": 0.97}, True),
+        ("torque_constant", "X", {"factor": 0.985}, False),  # within twice the tolerance
+        ("backlash", "X", {"clearance": 8e-6}, True),
+        ("backlash", "X", {"clearance": 1e-8}, False),
+    ],
+)
+def test_sizes_believed(effect, axis, parameters, believed):
+    assert is_plausible(Setting(EFFECTS[effect], axis, parameters), MACHINE) == believed
