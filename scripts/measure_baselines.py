@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from twin.campaign import read_campaign
 from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import axis_groups, observe
-from twin.diagnose.tuning import tuning_of
+from twin.diagnose.tuning import tuning_of, with_imperfections
 from twin.diagnose.view import view_of
 from twin.exam.baselines import baselines_of
 from twin.exam.mark import marked_baseline
@@ -30,7 +30,8 @@ def answers(campaign_folder: Path, machine: Machine) -> dict[str, dict]:
     for axes in axis_groups(machine, sorted({axis for run in campaign.runs for axis in run.trace.axes})):
         group = observe(views, axes)
         if group.size:
-            found.append(SimpleNamespace(rigid=group, group=group, retuned=no_effect(group, tuning_of(group, machine, map))))
+            tuning = with_imperfections(tuning_of(group, machine, map), group, machine, group.residual, map)
+            found.append(SimpleNamespace(rigid=group, group=group, retuned=no_effect(group, tuning)))
     return baselines_of(found, machine)  # type: ignore[arg-type]
 
 
