@@ -18,6 +18,9 @@ MACHINE = load_machine()
         ("table_unbalance", "A", {"mass_kg": 400.0, "radius_m": 0.5, "angle_rad": 5.5}, False),
         ("torque_constant", "X", {"factor": 0.97}, True),
         ("torque_constant", "X", {"factor": 0.985}, False),  # within twice the tolerance
+        ("constant_force", "Z", {"force": -86.0}, False),  # 2.5 % of its weight
+        ("constant_force", "Z", {"force": -150.0}, True),
+        ("constant_force", "X", {"force": -86.0}, True),
         ("backlash", "X", {"clearance": 8e-6}, True),
         ("backlash", "X", {"clearance": 1e-8}, False),
     ],

@@ -10,13 +10,15 @@ from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
 from twin.effects.change import load_inertia
-from twin.machine import Machine
+from twin.effects.mechanics import upward
+from twin.machine import Axis, Machine
 
 SMALLEST, LARGEST = 0.12, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
 
-BEYOND_TOLERANCE = {"torque_constant": 2.0, "inertia": 2.0, "coulomb_friction": 3.0, "viscous_friction": 4.0}
-"""Multiples of the tolerance from which a deviation is an effect: friction is what slip, lubrication and load change first."""
+BEYOND_TOLERANCE = {"torque_constant": 2.0, "inertia": 2.0, "constant_force": 3.0, "coulomb_friction": 3.0, "viscous_friction": 4.0}
+"""Multiples of the tolerance from which a deviation is an effect: friction is what slip, lubrication and load change first; a constant force
+is held against the weight that its axis carries."""
 
 IMITATED = 5.0
 """Multiple of the tolerance up to which inertia is not believed on an axis whose drive train gives a little."""
@@ -45,7 +47,10 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
             return True
         return low / LARGEST <= value <= high / SMALLEST
     if low < neutral < high:
-        return abs(value - neutral) > SMALLEST * 0.3 * min(neutral - low, high - neutral)
+        normal = BEYOND_TOLERANCE["constant_force"] * machine.parameter_tolerance * weight_of(machine, axis)
+        return abs(value - neutral) > max(
+            SMALLEST * 0.3 * min(neutral - low, high - neutral), normal * (setting.effect.name == "constant_force")
+        )
     if setting.effect.name == "table_unbalance":  # what gravity tells is mass times radius; how it is shared out, little
         radius = setting.effect.parameter("radius_m")
         inner, outer = radius.usual_range(machine, axis)
@@ -65,6 +70,8 @@ def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> f
     whole = setting.parameters[parameter.name]
     if setting.effect.name == "inertia":
         whole /= max(_share_of_inertia(setting, machine), 1e-12)
+    if setting.effect.name == "constant_force":
+        whole = weight_of(machine, machine.axis(setting.axis))
     return machine.parameter_tolerance * float(UNIFORM) * abs(whole)
 
 
@@ -72,6 +79,11 @@ def is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
     """A little inertia on an axis whose drive train gives: mass on the load side and a softer spring look alike."""
     gives = any(n.owner == setting.axis and NORMAL.get(n.quantity) == "transmission_compliance" for n in found.tuning.nuisances)
     return setting.effect.name == "inertia" and gives and _share_of_inertia(setting, machine) < IMITATED * machine.parameter_tolerance
+
+
+def weight_of(machine: Machine, axis: Axis) -> float:
+    """Weight that a linear axis holds [N]: what its mass differs by is a constant force of that share."""
+    return (axis.moving_mass_kg or 0.0) * machine.gravity * abs(upward(machine, axis)) if axis.kind == "linear" else 0.0
 
 
 def _share_of_inertia(setting: Setting, machine: Machine) -> float:

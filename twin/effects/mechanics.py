@@ -56,7 +56,7 @@ def inertia(change: Change, axis: Axis, added: float) -> None:
             f"give more than {-load:.4g}"
         )
     change.add_inertia(axis, added)
-    up = _vertical(change.machine, axis)
+    up = upward(change.machine, axis)
     if axis.kind == "linear" and up:
         change.add_force(axis, -added * change.machine.gravity * up)
 
@@ -166,8 +166,8 @@ def periodic_disturbance(change: Change, axis: Axis, frequency_hz: float, force:
     change.add_term(swinging_force, FORCE, axis, [2.0 * math.pi * frequency_hz, force])
 
 
-def _vertical(machine: Machine, axis: Axis) -> float:
-    """Component of a linear axis along +z of the machine frame."""
+def upward(machine: Machine, axis: Axis) -> float:
+    """Component of a linear axis along +z of the machine frame, 0 where it is level."""
     model = frames_of_model(machine)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
