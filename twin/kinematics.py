@@ -14,14 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from twin.errors import InputError
 from twin.machine import Machine
-from twin.plant import frames_of_model
+
+if TYPE_CHECKING:
+    import mujoco
 
 SINGULAR_SINE = 1e-9
 """A tool axis closer than this (as a sine) to the turning axis leaves C free: C then keeps its angle."""
@@ -151,6 +152,10 @@ def kinematics_of(machine: Machine) -> Kinematics:
 
 def _frames(machine: Machine) -> Mapping[str, Any]:
     """Read the frames with all axes at zero."""
+    import mujoco  # only here: usage and what moves need no engine
+
+    from twin.plant import frames_of_model
+
     model_path = machine.model_path
     model = frames_of_model(machine)
     data = mujoco.MjData(model)

@@ -164,7 +164,7 @@ def test_a_position_gain_leaves_nothing_of_its_law(tmp_path):
     found, hidden = found_on(tmp_path, "single", "position_gain", "Z", Richness.small())
     levels = [float(np.mean(u**2)) for channel, u in settled_channels(found) if channel.name == "controller"]
     assert max(levels) < 1.6  # 1.4; fed with the simulated position 2.0
-    assert found.fit.settings[0].parameters["factor"] == pytest.approx(hidden["factor"], rel=1e-4)
+    assert abs(found.fit.settings[0].parameters["factor"] - hidden["factor"]) < 0.02 * abs(hidden["factor"] - 1.0)
 
 
 def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
