@@ -7,9 +7,10 @@ import pytest
 
 from twin.machine import load_machine
 from twin.replay.curves import axis_curves, not_recorded, torque_parts
-from twin.replay.decimate import SAME_LINE, decimate, keep_shape, thinned
+from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
 from twin.replay.paths import error_scale, kept_points
+from twin.simplify import keep_shape
 from twin.toolpath import contour_of
 from twin.trace import Trace
 

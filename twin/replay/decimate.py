@@ -2,7 +2,7 @@
 
 A bin keeps the samples of its minimum and maximum at their own times, so no peak is lost and none moves. Of these, points on
 a line between their neighbours go too, within SAME_LINE of the curve's range. Where all curves together are still above
-their budget, the fullest ones get longer bins. Paths in space keep the points that hold their shape.
+their budget, the fullest ones get longer bins.
 """
 
 from __future__ import annotations
@@ -90,41 +90,3 @@ def mark_corners(time, values, tolerance, keep):  # type: ignore[no-untyped-def]
         if keep[i]:
             last = i
             low, high = -np.inf, np.inf
-
-
-@njit(cache=True, nogil=True)
-def keep_shape(points, tolerance, keep):  # type: ignore[no-untyped-def]
-    """Mark in `keep` (n,) the points of a path (n, 3) that hold its shape within a tolerance (Douglas and Peucker).
-
-    Points already marked stay and split the work.
-    """
-    stack = [(0, 0)]
-    stack.pop()
-    n = len(points)
-    keep[0] = True
-    keep[n - 1] = True
-    before = 0
-    for i in range(1, n):
-        if keep[i]:
-            stack.append((before, i))
-            before = i
-    while len(stack) > 0:
-        first, last = stack.pop()
-        ax, ay, az = points[first, 0], points[first, 1], points[first, 2]
-        bx, by, bz = points[last, 0] - ax, points[last, 1] - ay, points[last, 2] - az
-        length = bx * bx + by * by + bz * bz
-        worst = tolerance * tolerance
-        at = -1
-        for i in range(first + 1, last):
-            x, y, z = points[i, 0] - ax, points[i, 1] - ay, points[i, 2] - az
-            part = 0.0
-            if length > 0.0:
-                part = min(1.0, max(0.0, (x * bx + y * by + z * bz) / length))
-            square = (x - part * bx) ** 2 + (y - part * by) ** 2 + (z - part * bz) ** 2
-            if square > worst:
-                worst = square
-                at = i
-        if at >= 0:
-            keep[at] = True
-            stack.append((first, at))
-            stack.append((at, last))

@@ -15,9 +15,9 @@ import rerun as rr
 
 from twin.colours import ERROR_BANDS, Colour
 from twin.poses import IDENTITY, Pose, body_poses, site_pose
-from twin.replay.decimate import keep_shape
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene
+from twin.simplify import keep_shape
 
 MAGNIFICATIONS = (1, 100, 1000)
 PATH_TOLERANCE = 2e-6

@@ -22,6 +22,8 @@ LONGEST_STEP = 1.5e-3
 """Longer steps are divided, so that culling stays tight [m]."""
 GAP_LENGTH = 0.05
 """A jump of the tip between two samples above this is a gap in the recording, not a motion [m]."""
+LONGEST_PIECE = 512
+"""Poses among which the one furthest off is searched for at most."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,11 @@ def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
 
 def kept_poses(path: ToolPath, reach: float, tolerance: float = STEP_TOLERANCE) -> np.ndarray:
     """Indices of the poses that hold the motion within a tolerance, of the tip and of the point `reach` above it."""
-    from twin.surface.simplify import keep_motion
+    from twin.simplify import keep_shape
 
     keep = np.zeros(len(path.tip), bool)
-    keep_motion(np.ascontiguousarray(np.hstack([path.tip, path.tip + reach * path.axis])), tolerance, keep)
+    keep[::LONGEST_PIECE] = True
+    keep_shape(np.hstack([path.tip, path.tip + reach * path.axis]), tolerance, keep)
     return np.flatnonzero(keep)
 
 

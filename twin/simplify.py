@@ -1,0 +1,48 @@
+"""Fewer points that hold the shape: Douglas and Peucker, compiled, for a path and for points that move together."""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def keep_shape(points, tolerance, keep):  # type: ignore[no-untyped-def]
+    """Mark in `keep` (n,) the rows of `points` (n, 3 k) that hold the paths of k points within a tolerance.
+
+    A row may be left out if one and the same part of the straight move between the kept rows beside it brings all of its k points
+    within the tolerance. Rows already marked stay and split the work, which bounds the search for the worst row.
+    """
+    n, columns = points.shape
+    keep[0] = True
+    keep[n - 1] = True
+    stack = [(0, 0)]
+    stack.pop()
+    before = 0
+    for i in range(1, n):
+        if keep[i]:
+            stack.append((before, i))
+            before = i
+    while len(stack) > 0:
+        first, last = stack.pop()
+        length = 0.0
+        for c in range(columns):
+            length += (points[last, c] - points[first, c]) ** 2
+        worst = tolerance * tolerance
+        at = -1
+        for i in range(first + 1, last):
+            part = 0.0
+            if length > 0.0:
+                for c in range(columns):
+                    part += (points[i, c] - points[first, c]) * (points[last, c] - points[first, c])
+                part = min(1.0, max(0.0, part / length))
+            for start in range(0, columns, 3):
+                square = 0.0
+                for c in range(start, start + 3):
+                    square += (points[i, c] - points[first, c] - part * (points[last, c] - points[first, c])) ** 2
+                if square > worst:
+                    worst = square
+                    at = i
+        if at >= 0:
+            keep[at] = True
+            stack.append((first, at))
+            stack.append((at, last))
