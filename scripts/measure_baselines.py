@@ -9,10 +9,10 @@ import argparse
 from collections import Counter
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 from twin.campaign import read_campaign
 from twin.diagnose.fit import no_effect
+from twin.diagnose.found import Found
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.tuning import tuning_of, with_imperfections
 from twin.diagnose.view import view_of
@@ -31,8 +31,9 @@ def answers(campaign_folder: Path, machine: Machine) -> dict[str, dict]:
         group = observe(views, axes)
         if group.size:
             tuning = with_imperfections(tuning_of(group, machine, map), group, machine, group.residual, map)
-            found.append(SimpleNamespace(rigid=group, group=group, retuned=no_effect(group, tuning)))
-    return baselines_of(found, machine)  # type: ignore[arg-type]
+            retuned = no_effect(group, tuning)
+            found.append(Found(group, group, tuning, retuned, retuned, 1.0))
+    return baselines_of(found, machine)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "twin"
 
 # a module may import from its own layer and from those above it here; packages count as one
 LAYERS = (
-    ("errors", "colours", "compiled", "progress", "simplify"),
+    ("errors", "colours", "compiled", "files", "progress", "simplify"),
     ("units", "moves", "native"),
     ("machine_keys", "machine_sinumerik"),
     ("machine_axis", "model_file"),

@@ -28,10 +28,11 @@ from twin.run import commissioned_inertia
 from twin.setpoints import command_of
 from twin.trace import Trace
 
+MOTION = ("velocity", "motor_position", "position")
+"""Signals any of which tells the motion of an axis."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 REVERSAL_S = 0.06
 SMOOTH_S = 0.025
-_MOTION = ("velocity", "motor_position", "position")
 DRIFT_S = 0.2
 
 
@@ -87,7 +88,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
     for name in moving:
         axis = view.machine.axis(name)
         for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
-            if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in _MOTION):
+            if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
                 continue
             if block == "speed controller" and not (
                 view.on_cycles and all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint"))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from twin.campaign import MeasuredRun
+from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
@@ -25,7 +26,6 @@ from twin.diagnose.where import STRETCH_S
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
 
-MOTION = ("velocity", "motor_position", "position")
 BLOCKS_NEED = {
     "position controller": (("position", "motor_position"), ("velocity_setpoint",)),
     "speed controller": (("velocity",), ("velocity_setpoint",), ("current",)),

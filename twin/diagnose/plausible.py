@@ -47,10 +47,10 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
             return True
         return low / LARGEST <= value <= high / SMALLEST
     if low < neutral < high:
-        normal = BEYOND_TOLERANCE["constant_force"] * machine.parameter_tolerance * weight_of(machine, axis)
-        return abs(value - neutral) > max(
-            SMALLEST * 0.3 * min(neutral - low, high - neutral), normal * (setting.effect.name == "constant_force")
-        )
+        least = SMALLEST * 0.3 * min(neutral - low, high - neutral)
+        if setting.effect.name == "constant_force":
+            least = max(least, BEYOND_TOLERANCE["constant_force"] * machine.parameter_tolerance * weight_of(machine, axis))
+        return abs(value - neutral) > least
     if setting.effect.name == "table_unbalance":  # what gravity tells is mass times radius; how it is shared out, little
         radius = setting.effect.parameter("radius_m")
         inner, outer = radius.usual_range(machine, axis)

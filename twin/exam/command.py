@@ -68,9 +68,9 @@ def exam_command(args: argparse.Namespace) -> int:
     out = Path(args.out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     questions = questions_of(args.seed, args.cases, args.short, args.only)
-    asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")}
+    asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
     model = (Path(machine_file).read_bytes(), machine.model_path.read_bytes())
-    same_examination(out, {**asked_for, "machine": hashlib.sha256(b"\0".join(model)).hexdigest()[:16], "code": sources()})
+    same_examination(out, {**asked_for, "machine": hashlib.sha256(b"\0".join(model)).hexdigest()[:16]})
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
         with Progress("drawing cases", total=len(questions)) as bar:
@@ -92,7 +92,6 @@ def exam_command(args: argparse.Namespace) -> int:
     document = {
         "twin": twin.__version__,
         **asked_for,
-        "code": sources(),
         "machine": tomllib.loads(Path(machine_file).read_text(encoding="utf-8")).get("name", Path(machine_file).stem),
         "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
         "not_drawn": impossible,

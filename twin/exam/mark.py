@@ -17,6 +17,7 @@ from twin.campaign import MeasuredRun, read_campaign
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
 from twin.errors import TwinError
+from twin.files import write_whole
 from twin.gap import Prediction, SignalGap, gap_of, predict_campaign
 from twin.machine import Machine, load_machine
 from twin.trace import Trace
@@ -159,8 +160,11 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     before = predict_campaign(machine, runs, realisations=REALISATIONS)
     scatter = {name: prediction.scatter for name, prediction in before.items()}
 
+    def gaps_of(traces: Mapping[str, Trace]) -> Gaps:
+        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in runs}
+
     def level_of(traces: Mapping[str, Trace]) -> float:
-        return _level(_gaps(machine, runs, {name: Prediction(trace, scatter[name]) for name, trace in traces.items()}))
+        return _level(gaps_of(traces))
 
     out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
     answer = place / "answer" / "machine.toml"
@@ -168,9 +172,8 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
         with contextlib.suppress(TwinError):
             out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
     if not truth["outside"]:
-        exact = predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)
-        out["true_effects"] = level_of(_traces(exact))
-        out["true_effects_position"] = _position_um(_gaps(machine, runs, exact))
+        exact = gaps_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
+        out |= {"true_effects": _level(exact), "true_effects_position": _position_um(exact)}
     if truth["effect"]:
         with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
@@ -193,17 +196,6 @@ def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> 
 
 def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
     return {name: prediction.trace for name, prediction in predictions.items()}
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file that is there as a whole or not at all."""
-    partial = path.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-
-
-def _gaps(machine: Machine, runs: tuple[MeasuredRun, ...], predictions: Mapping[str, Prediction]) -> Gaps:
-    return {run.name: gap_of(machine, run, predictions[run.name]) for run in runs}
 
 
 def _level(gaps: Gaps) -> float:

@@ -41,7 +41,10 @@ class Richness:
 
     @classmethod
     def small(cls) -> Richness:
-        """About a fifth of the default: near the measuring noise, far below the usual size of any effect; where an axis sticks it is some ten times the noise."""
+        """About a fifth of the default: near the measuring noise, far below the usual size of any effect.
+
+        Where an axis sticks it is some ten times the noise.
+        """
         return cls((400.0, 600.0), (0.05e-6, 0.2e-6), (0.0005, 0.002), (0.001, 0.005))
 
     @classmethod

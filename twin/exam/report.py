@@ -192,7 +192,8 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     ax.set_ylabel("gap over noise")
     ax.legend(ncols=3, loc="upper left")
     text = (
-        "Gap on runs that only the examination knows. Before: machine file. True effects: the true parameters and effects in the twin, without the little of everything that the plant has beside them. "
+        "Gap on runs that only the examination knows. Before: machine file. True effects: the true parameters and effects in the twin, "
+        "without the little of everything that the plant has beside them. "
         "After: corrected machine. Floor: two records of the same machine."
     )
     return Figure(figure_svg(figure), text)

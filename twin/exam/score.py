@@ -173,8 +173,9 @@ def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
     """Share exactly right of single effects, with all signals and runs, over how far they stand out of the noise."""
     rows = []
     edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
+    asked = singles(marks)
     for low, high in itertools.pairwise(edges):
-        inside = [m for m in singles(marks) if low <= m["gap"]["size"] < high]
+        inside = [m for m in asked if low <= m["gap"]["size"] < high]
         if inside:
             rows.append({"from": low, "to": high if math.isfinite(high) else None, **_share(sum(m["exact"] for m in inside), len(inside))})
     return rows

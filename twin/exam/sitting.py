@@ -22,9 +22,9 @@ import tomllib
 from typing import Any
 
 from twin.errors import InputError
+from twin.files import write_whole
 
 from .draw import Case, draw_case, truth_of, write_campaign
-from .mark import write_whole
 from .plant import PlantError
 from .questions import RICHNESS, Question
 

@@ -16,14 +16,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
 
-import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.effects.mechanics import upward
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
 from twin.machine import Axis, Machine
-from twin.plant import build_plant
 
 FLOOR = 2e-4
 """Relative deviation below which no product is believed: laws hold no better."""
@@ -168,13 +167,8 @@ def _pair_part(machine: Machine, body: str) -> np.ndarray:
 
 def is_vertical(machine: Machine, name: str) -> bool:
     """Does the weight of a linear axis hang on its drive?"""
-    if machine.axis(name).kind != "linear":
-        return False
-    plant = build_plant(machine)
-    plant.data.qpos[:] = 0.0
-    mujoco.mj_forward(plant.model, plant.data)
-    held = plant.data.qfrc_bias[plant.load_dof[machine.axis_names.index(name)]]
-    return bool(abs(held) > 0.5 * (machine.axis(name).moving_mass_kg or 0.0) * machine.gravity)
+    axis = machine.axis(name)
+    return axis.kind == "linear" and abs(upward(machine, axis)) > 0.5
 
 
 def _most_probable(

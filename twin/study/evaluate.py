@@ -25,6 +25,7 @@ import numpy as np
 import twin
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError, TwinError
+from twin.files import write_whole
 from twin.kinematics import kinematics_of
 from twin.machine import Machine
 from twin.program.read import PROGRAM_ENDINGS
@@ -262,7 +263,5 @@ def _kept(model: str, name: str) -> Path:
     """The MJCF in a folder of this process."""
     path = Path(_folder(hashlib.sha256(model.encode()).hexdigest()).name) / name
     if not path.is_file():
-        partial = path.with_suffix(f".{id(model)}")
-        partial.write_text(model, encoding="utf-8")
-        partial.replace(path)
+        write_whole(path, model)
     return path
