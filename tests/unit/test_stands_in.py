@@ -14,7 +14,7 @@ SAMPLES, RUNS = 400, 3
 SETTING = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
 
 
-def found_with(left, slope, credit=None):
+def found_with(left, slope):
     """A search's result of which the rows of each run are given: what is left and the slope over the factor (run, sample)."""
     channels = [Channel(k, "X", "velocity", np.asarray(rows), np.ones(SAMPLES), 1.0) for k, rows in enumerate(left)]
     for k, channel in enumerate(channels):
@@ -25,9 +25,9 @@ def found_with(left, slope, credit=None):
     return SimpleNamespace(
         group=SimpleNamespace(
             channels=channels,
+            size=rows.size,
             views=[None] * RUNS,
             weights=np.ones(rows.size),
-            credit=np.ones(rows.size),
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
@@ -47,6 +47,16 @@ def test_an_effect_has_one_size(steps, differs):
     """A step of 1 is 0.05 of a factor that is 0.5 from neutral, a tenth of the size."""
     slope = np.full((RUNS, SAMPLES), 2.0)
     assert differs_between_runs(found_with(noise(1) + np.array(steps)[:, None] * slope, slope)) is differs
+
+
+def test_a_size_that_differs_where_an_axis_was_stuck_is_one_size():
+    """Each break-away is another; twenty samples of one outweigh nothing."""
+    slope, stuck = np.full((RUNS, SAMPLES), 2.0), np.arange(SAMPLES) < 20
+    found = found_with(noise(1) + np.array((40.0, 0.0, -40.0))[:, None] * slope * stuck, slope)
+    assert differs_between_runs(found)
+    for channel in found.group.channels:
+        channel.settled = lambda view: ~stuck
+    assert not differs_between_runs(found)
 
 
 def test_sizes_that_are_chance_do_not_differ():

@@ -141,19 +141,22 @@ def differs_between_runs(found: Found) -> bool:
 
     With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
     1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Not asked where the block was not
-    cut: there all that is imperfect in the loop bends the size.
+    cut: there all that is imperfect in the loop bends the size. Nor where an axis was stuck: a break-away is another one in each run.
     """
     group = found.group
-    left = group.credit * found.fit.left(group)
+    left = found.fit.left(group)
+    settled = np.zeros(group.size, bool)
+    for c in group.channels:
+        settled[c.rows] = c.settled(group.views[c.run])
     for i, free in enumerate(found.fit.free):
         setting = found.fit.settings[free.setting]
         if free.parameter is not size_parameter(setting.effect) or not is_cut(group, setting):
             continue
         steps = []
         for run in range(len(group.views)):
-            rows = group.run_rows(run)
+            rows = group.run_rows(run) & settled
             slope = found.fit.columns[rows, i]
-            known = float(slope @ (group.credit[rows] * slope))
+            known = float(slope @ slope)
             if known > 0.0:
                 step = float(slope @ left[rows]) / known
                 if abs(step) * math.sqrt(known) > BEYOND_CHANCE:

@@ -53,7 +53,10 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
 
 
 def is_unknown(f: Found) -> bool:
-    """Is something left of a group of axes that no effect found explains, or is what was found one thing in one run and another in the next?"""
+    """Is something left of a group of axes that no effect found explains?
+
+    Or is what was found one thing in one run and another in the next?
+    """
     excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
     there = excess > NOTICED_EXCESS * f.group.expected_loss or _localised(f)
     return (there and excess > REMAINING * max(excess_before, 1e-9)) or is_systematic(f) or differs_between_runs(f)
