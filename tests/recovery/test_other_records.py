@@ -17,6 +17,7 @@ from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
 from twin.diagnose.where import _lead
 from twin.effects import EFFECTS, Setting
+from twin.exam.questions import RICHNESS
 from twin.machine import load_machine
 from twin.run import simulate
 from twin.setpoints import recorded_setpoints
@@ -93,3 +94,17 @@ def test_a_gain_is_placed_where_two_p_controllers_show_it():
     listed = [{"axis": "X", "block": "position controller", "_excess": 100.0}]
     _lead(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only)
     assert [p["block"] for p in listed] == ["speed controller"]
+
+
+def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_path):
+    """Noise in the loop winds it up; the cycle of the control, which winds it up too, is no noise of a sensor."""
+    found = searched(observed(tmp_path, "healthy", None, "C", RICHNESS["small"])[0])
+    assert any(n.quantity == "elasticity" and n.owner == "C" for n in found.tuning.nuisances)
+    levels = [float(np.mean((left / c.spread) ** 2)) for c, left in windups(found)]
+    assert min(levels) > 0.9
+    assert max(levels) < 1.15
+
+
+def windups(found):
+    left = found.fit.left(found.group) / found.group.weights
+    return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "windup")]

@@ -34,7 +34,8 @@ class Channel:
     """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
 
     `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
-    the twin may be wrong about the effects that it has found, a fault that is the same in many samples.
+    the twin may be wrong about the effects that it has found, a fault that is the same in many samples. `scatter` (realisation, sample)
+    is the noise that sigma was taken from.
     """
 
     run: int
@@ -45,6 +46,7 @@ class Channel:
     correlation: float
     rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
+    scatter: np.ndarray | None = field(default=None, repr=False)
 
     @functools.cached_property
     def is_clean(self) -> bool:

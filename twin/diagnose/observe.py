@@ -260,7 +260,8 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             if key[1] == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
                 axis = view.machine.axis(key[0])
                 sigma = np.hypot(sigma, np.where(rests(view, key[0]), RESTING * NORMAL_SLIP[axis.kind], 0.0))
-            channels.append(Channel(r, key[0], key[1], residual, sigma, _correlation(deviations / sigma)))
+            scatter = deviations if key[1] == "windup" else None
+            channels.append(Channel(r, *key, residual, sigma, _correlation(deviations / sigma), scatter=scatter))
     return Group(axes, views, channels, nominal, shaken, seed)
 
 
@@ -287,9 +288,32 @@ def rebased(group: Group, machine_of: Variant) -> Group:
         shaken.append(channels_of(noisy, view, present))
     channels = []
     for c in group.channels:
-        shift = 0.0 if c.name == "controller" else shaken[c.run][c.axis, c.name] - group.shaken[c.run][c.axis, c.name]
+        key = (c.axis, c.name)
+        if c.name == "windup":  # moves with the motion, and trembles with each draw of noise
+            shift = nominal[c.run][key] - group.nominal[c.run][key]
+        else:
+            shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
         channels.append(replace(c, residual=c.residual - shift))
     return Group(group.axes, views, channels, nominal, shaken, group.seed)
+
+
+def with_trembling(rigid: Group, group: Group) -> tuple[Group, Group]:
+    """Both with the noise of `windup` as it is about the machine of `group`, whose drive trains give.
+
+    Noise in the loop winds a drive train up, which a rigid one does not show; and what each cycle of the control winds up is motion, and no
+    longer looks like a noisy sensor.
+    """
+    seen = []
+    for c in group.channels:
+        if c.scatter is not None:
+            key = (c.axis, c.name)
+            scatter = c.scatter + (group.shaken[c.run][key] - group.nominal[c.run][key])
+            machine = group.views[c.run].machine
+            sigma = np.maximum(_sigma(scatter, np.zeros(len(c.residual)), c.residual), _least(machine, machine.axis(c.axis), c.name))
+            c = replace(c, sigma=sigma, correlation=_correlation(scatter / sigma))
+        seen.append(c)
+    plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
+    return replace(rigid, channels=plain), replace(group, channels=seen)
 
 
 def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_
 from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
 from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_quiet, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Group, with_trembling
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_of, with_imperfections
@@ -68,6 +68,10 @@ def search(
     rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     group, tuning = on_imperfect_machine(group, tuning, group.residual)
+    if group is not rigid:
+        weights = group.weights
+        rigid, group = with_trembling(rigid, group)
+        tuning = tuning.reweighed(group.weights / weights)
     retuned = no_effect(group, tuning)
     found = Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
     # what little is left may be of the normal imperfections, which were found one after another
