@@ -31,6 +31,10 @@ SLOW_ENOUGH = 0.1
 """Share of the motion that must be slow enough for a wave along the travel to be looked for: a short lead turns fast."""
 
 
+_SAMPLED = {"set_point_filter": "position_cycle", "current_filter": "current_cycle"}
+"""First-order lags, and the cycle c at which they are sampled: they delay by c / (exp(c / T) - 1), next to nothing below half a cycle."""
+
+
 @dataclass(frozen=True)
 class Start:
     """Settings to simulate, and how to read them: one setting, or a sine and a cosine of the same effect."""
@@ -71,6 +75,11 @@ def deviation_of(parameter: Parameter, value: float) -> float:
 def is_scaled(parameter: Parameter) -> bool:
     """True where the answer is in proportion to the deviation from neutral (springs and limits are not)."""
     return parameter.neutral is not None and math.isfinite(parameter.neutral)
+
+
+def is_lag(effect: Effect) -> bool:
+    """True where the size is the time constant of a sampled lag: what it delays may be far less."""
+    return effect.name in _SAMPLED
 
 
 def is_spring(effect: Effect) -> bool:
@@ -296,8 +305,11 @@ def softened(start: Start, machine: Machine, share: float) -> Setting:
     return _start(start.effect, machine, machine.axis(first.axis), first.from_axis, values).settings[0]
 
 
-def combine(start: Start, sizes: Sequence[float]) -> Setting:
-    """The setting that a linear combination of the start's answers stands for: `sizes` multiply the deviation from neutral."""
+def combine(start: Start, sizes: Sequence[float], machine: Machine) -> Setting:
+    """The setting that a linear combination of the start's answers stands for: `sizes` multiply the deviation from neutral.
+
+    Of a lag they multiply what it delays.
+    """
     first = start.settings[0]
     size = size_parameter(start.effect)
     neutral = size.neutral or 0.0
@@ -307,6 +319,10 @@ def combine(start: Start, sizes: Sequence[float]) -> Setting:
         # c1 sin(x) + c2 sin(x + pi/2) = amplitude sin(x + phase)
         amplitude, angle = math.hypot(*sizes), math.atan2(sizes[1], sizes[0])
         values = {size.name: neutral + amplitude * deviation, phase.name: angle % (2 * math.pi)}
+    elif is_lag(start.effect):
+        cycle = getattr(machine, _SAMPLED[start.effect.name])
+        delay = sizes[0] * cycle / math.expm1(cycle / deviation)
+        values = {size.name: cycle / math.log1p(cycle / delay)}
     else:
         values = {size.name: neutral + sizes[0] * deviation}
     return Setting(start.effect, first.axis, {**first.parameters, **values}, first.from_axis)

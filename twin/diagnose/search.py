@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, combine, is_scaled, is_spring, size_parameter, softened, starts_of
+from twin.diagnose.candidates import Start, combine, is_lag, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
 from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_quiet, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
@@ -48,6 +48,9 @@ IMPERFECT_UNCUT = 8e-3
 
 PRICE = 2.0
 """Log likelihood that each further free parameter costs."""
+
+LEAST_DELAY = 1e-5
+"""Share of what a lag delays at its start to which screening may go down."""
 
 SOFTENED = (0.05, 2.0)
 """How much less or more than its start a spring may give in screening."""
@@ -246,8 +249,8 @@ def _screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
         sizes = np.clip(sizes, max(min(low, high), -4.0), min(max(low, high), 4.0))
         if size.low >= neutral and size.name != "factor":
-            sizes = np.maximum(sizes, 0.02)
-    scaled = combine(start, sizes.tolist())
+            sizes = np.maximum(sizes, LEAST_DELAY if is_lag(start.effect) else 0.02)
+    scaled = combine(start, sizes.tolist(), found.group.views[0].machine)
     return float(sizes @ with_target - 0.5 * sizes @ inner @ sizes), scaled
 
 
