@@ -40,7 +40,7 @@ LEAST_SHARE = 0.3
 """Share that an effect must close of what the ones before left above noise: where much is left that no effect closes, small gains
 are of a model that is not right, and stand for nothing."""
 
-IMPERFECT = 2e-3
+IMPERFECT = 1.2e-3
 """Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate."""
 
 IMPERFECT_UNCUT = 8e-3
