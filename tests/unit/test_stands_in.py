@@ -1,4 +1,4 @@
-"""When what was found only stands in for another law: one size in one run and another in the next, or too much left in most runs."""
+"""What a fit leaves: one size in one run and another in the next, too much in most runs, or more than noise on an axis."""
 
 from types import SimpleNamespace
 
@@ -7,7 +7,7 @@ import pytest
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free
-from twin.diagnose.found import differs_between_runs, is_systematic
+from twin.diagnose.found import differs_between_runs, is_systematic, loud_axes
 from twin.effects import EFFECTS, Setting
 
 SAMPLES, RUNS = 400, 3
@@ -68,3 +68,13 @@ def test_sizes_that_are_chance_do_not_differ():
 def test_what_is_left_in_most_runs_is_another_law(levels, systematic):
     """Root mean squares over noise: one run with much is chance, most runs with two and a half times the noise are not."""
     assert is_systematic(found_with(noise(3) * np.array(levels)[:, None], np.ones((RUNS, SAMPLES)))) is systematic
+
+
+def test_only_axes_above_their_noise_are_loud():
+    found = found_with(noise(4) * np.array((1.0, 1.5, 1.0))[:, None], np.ones((RUNS, SAMPLES)))
+    for channel, axis in zip(found.group.channels, "XYZ"):
+        channel.axis = axis
+    found.group.credit = np.ones(found.group.size)
+    assert loud_axes(found) == {"Y"}
+    found.group.credit[found.group.channels[1].rows] = 0.03  # the axis was stuck
+    assert loud_axes(found) == set()

@@ -183,17 +183,18 @@ def unexplained(found: Found) -> float:
     return max(excess_of(found.group, found.fit), standing_out)
 
 
-def is_quiet(found: Found) -> bool:
-    """Does re-tuning alone leave nothing but noise in every channel? Where an axis was stuck counts as little as for evidence."""
+def loud_axes(found: Found) -> set[str]:
+    """Axes of which the fit leaves more than noise in some channel. Where an axis was stuck counts as little as for evidence."""
     group = found.group
     left = found.fit.left(group) / group.weights
+    loud = set()
     for c in group.channels:
         if c.name == "controller":
             if not replace(c, residual=left[c.rows]).is_clean:
-                return False
+                loud.add(c.axis)
         elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.sigma) - 1.0))) > QUIET:
-            return False
-    return True
+            loud.add(c.axis)
+    return loud
 
 
 def inflation(group: Group, fit: Fit) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_lag, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_quiet, unexplained
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, loud_axes, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group, with_trembling
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
@@ -83,7 +83,7 @@ def search(
         if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss:
             _look_again(found, machine, mapper)
             looked = True
-        if len(found.fit.settings) == MOST_EFFECTS or (quick and is_quiet(found)):
+        if len(found.fit.settings) == MOST_EFFECTS or (quick and not loud_axes(found)):
             break
         candidates = _round(found, machine, folds, mapper, progress, quick)
         best = next((c for c in candidates if c.plausible), None)
@@ -183,7 +183,8 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     residual = group.residual - found.fit.response
     left = residual - tuning.jacobian @ tuning.solve(residual)
     taken = {s.key for s in accepted}
-    starts = [s for s in starts_of(group, machine, left) if s.key not in taken and not is_ruled_out(group, s)]
+    asked = loud_axes(found) if quick else set(group.axes)  # an effect shows on its own axis
+    starts = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken and not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)
     gains = list(mapper(lambda s: _screen(found, s, target), starts))
