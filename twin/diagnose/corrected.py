@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from twin.campaign import Campaign
+from twin.campaign import Campaign, MeasuredRun
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out, retuned_within
 from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
+from twin.errors import SimulationError
 from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_each
 from twin.machine import Machine
 
@@ -65,17 +66,41 @@ def retuned_share(found: Sequence[Found], tolerance: float) -> float:
     return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
 
 
+@dataclass(frozen=True)
+class HeldOut:
+    """Gaps and what was simulated for them, `before` and `after` correction, by run; the runs that took no part in their own fit."""
+
+    gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]
+    predictions: dict[str, dict[str, Prediction]]
+    runs: list[str]
+
+
 def held_out_gaps(
     campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool, threads: int
-) -> tuple[dict[str, dict[str, dict[str, dict[str, SignalGap]]]], dict[str, dict[str, Prediction]]]:
-    """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo; and what was simulated for it."""
+) -> HeldOut:
+    """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo.
+
+    Where the machine fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one
+    fitted to all.
+    """
     of_nominal, of_corrected = (1, 2) if quick else (REALISATIONS, REALISATIONS)
     runs = list(campaign.runs)
-    jobs = [(machine, run, of_nominal) for run in runs]
-    for fold in folds:
-        variant = _fitted_without(machine, found, fold if len(folds) > 1 else ())
-        jobs += [(variant, runs[i], of_corrected) for i in fold]
-    simulated = predict_each(jobs, threads=threads)
+    left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
+    nominal = [(machine, run, of_nominal) for run in runs]
+
+    def corrected() -> list[tuple[Machine, MeasuredRun, int]]:
+        variants = [_fitted_without(machine, found, without) for without in left_out]
+        return [(variant, runs[i], of_corrected) for variant, fold in zip(variants, folds) for i in fold]
+
+    jobs = nominal + corrected()
+    try:
+        simulated = predict_each(jobs, threads=threads)
+    except SimulationError:
+        left_out = [
+            without if _can_run(_fitted_without(machine, found, without), runs, fold) else [] for without, fold in zip(left_out, folds)
+        ]
+        jobs = nominal + corrected()
+        simulated = predict_each(jobs, threads=threads)
     predictions = {
         which: {run.name: prediction for (_, run, _), prediction in zip(jobs[part], simulated[part])}
         for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
@@ -84,7 +109,15 @@ def held_out_gaps(
         scatter = {name: prediction.scatter for name, prediction in predictions["after"].items()}
         predictions["before"] = {name: replace(p, scatter=scatter[name]) for name, p in predictions["before"].items()}
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in predictions.items()}
-    return gaps, predictions
+    return HeldOut(gaps, predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
+
+
+def _can_run(machine: Machine, runs: Sequence[MeasuredRun], fold: Sequence[int]) -> bool:
+    try:
+        predict_each([(machine, runs[i], 1) for i in fold])
+    except SimulationError:
+        return False
+    return True
 
 
 def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:

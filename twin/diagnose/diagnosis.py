@@ -264,7 +264,8 @@ def diagnose(
     settings = named(found)
     corrected = corrected_machine(machine, found)
     say("simulating the runs left out")
-    gaps, predictions = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
+    held_out = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
+    unstable = [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]
     verdict = verdict_of(found, settings)
     diagnosis = Diagnosis(
         campaign=campaign,
@@ -274,12 +275,17 @@ def diagnose(
         found=found,
         settings=settings,
         where=[],
-        gaps=gaps,
-        held_out=[run.name for run in campaign.runs] if len(folds) > 1 else [],
+        gaps=held_out.gaps,
+        held_out=held_out.runs,
         proposal=propose(machine, found, verdict),
         retuned_share=retuned_share(found, machine.parameter_tolerance),
-        notes=notes_of(campaign, machine),
-        predictions=predictions,
+        notes=notes_of(campaign, machine)
+        + (
+            [f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs"]
+            if unstable
+            else []
+        ),
+        predictions=held_out.predictions,
     )
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}

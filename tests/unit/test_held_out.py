@@ -1,0 +1,49 @@
+"""Gaps on runs left out, where what a fold leaves open is a machine that cannot be simulated."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from twin.diagnose import corrected
+from twin.errors import SimulationError
+
+RUNS = [SimpleNamespace(name=name) for name in ("first", "second", "third")]
+FOLDS = [[0], [1], [2]]
+
+
+@pytest.fixture
+def machines(monkeypatch):
+    """Machines are words; `unstable` holds those that diverge."""
+    unstable = set()
+
+    def predict_each(jobs, threads=None):
+        if any(machine in unstable for machine, _, _ in jobs):
+            raise SimulationError("simulation diverges")
+        return [f"{machine} on {run.name}" for machine, run, _ in jobs]
+
+    monkeypatch.setattr(corrected, "_fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
+    monkeypatch.setattr(corrected, "predict_each", predict_each)
+    monkeypatch.setattr(corrected, "gap_of", lambda machine, run, prediction: prediction)
+    return unstable
+
+
+def after(folds=FOLDS):
+    held_out = corrected.held_out_gaps(SimpleNamespace(runs=RUNS), "nominal", [], folds, False, 1)
+    assert held_out.gaps["before"]["second"] == "nominal on second"
+    return [held_out.gaps["after"][run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.runs
+
+
+def test_each_run_is_predicted_by_the_others(machines):
+    assert after() == (["without [0]", "without [1]", "without [2]"], ["first", "second", "third"])
+    assert after([[0, 1, 2]]) == (["fitted to all"] * 3, [])
+
+
+def test_an_unstable_machine_gives_way_to_the_one_fitted_to_all(machines):
+    machines.add("without [1]")
+    assert after() == (["without [0]", "fitted to all", "without [2]"], ["first", "third"])
+
+
+def test_a_corrected_machine_that_diverges_is_said(machines):
+    machines.update({"without [1]", "fitted to all"})
+    with pytest.raises(SimulationError):
+        after()
