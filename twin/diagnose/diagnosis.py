@@ -265,7 +265,9 @@ def diagnose(
     corrected = corrected_machine(machine, found)
     say("simulating the runs left out")
     held_out = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
-    unstable = [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]
+    notes = notes_of(campaign, machine)
+    if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
+        notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
     verdict = verdict_of(found, settings)
     diagnosis = Diagnosis(
         campaign=campaign,
@@ -279,12 +281,7 @@ def diagnose(
         held_out=held_out.runs,
         proposal=propose(machine, found, verdict),
         retuned_share=retuned_share(found, machine.parameter_tolerance),
-        notes=notes_of(campaign, machine)
-        + (
-            [f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs"]
-            if unstable
-            else []
-        ),
+        notes=notes,
         predictions=held_out.predictions,
     )
     if verdict != "none":
