@@ -124,6 +124,16 @@ def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
         yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
 
 
+def is_localised(found: Found) -> bool:
+    """Is something left in one channel of one run, although the whole looks like noise?"""
+    for channel, u in settled_channels(found):
+        if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
+            return True
+        if channel.name == "controller" and float(np.mean(u**2)) > 4.0:
+            return True
+    return False
+
+
 def is_systematic(found: Found) -> bool:
     """Does a channel of an axis keep more than noise and doubt in most of its runs? The law found is then a relative of the true one.
 

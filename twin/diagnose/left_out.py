@@ -9,8 +9,9 @@ import numpy as np
 import scipy.linalg
 
 from twin.diagnose.fit import Fit
-from twin.diagnose.found import Found
+from twin.diagnose.found import Found, excess_of
 from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST
 from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside
 
 FOLDS = 3
@@ -41,14 +42,18 @@ def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: 
     """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
-    bound = tolerance / tuning.spread
+    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), weight)
+
+
+def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
+    """The same inside +-bound (nuisance,) spreads."""
     slope = tuning.jacobian.T @ residual
     normal = tuning.normal + (weight - PRIOR_WEIGHT) * np.eye(len(start))
     theta = np.clip(start, -bound, bound)
     for _ in range(DESCENTS):
         for i in range(len(theta)):
             step = (slope[i] - normal[i] @ theta) / normal[i, i]
-            theta[i] = min(max(theta[i] + step, -bound), bound)
+            theta[i] = min(max(theta[i] + step, -bound[i]), bound[i])
     return theta
 
 
@@ -58,6 +63,21 @@ def loss_within(found: Found, fit: Fit, tolerance: float) -> float:
     theta = bounded(fit.about, residual, fit.tuning, tolerance, weight=1.0)
     left = residual - fit.about.jacobian @ theta
     return 0.5 * float(found.group.credit @ left**2)
+
+
+def beyond_tolerance(found: Found) -> float:
+    """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind.
+
+    Normal imperfections are as free as they were found.
+    """
+    tuning, group = found.fit.about, found.group
+    if not tuning.nuisances:
+        return excess_of(group, found.fit)
+    far = WIDEST / float(UNIFORM)
+    bound = np.where([n.quantity in NORMAL for n in tuning.nuisances], np.inf, far)
+    residual = group.residual - found.fit.response
+    left = residual - tuning.jacobian @ _inside(tuning, residual, found.fit.tuning, bound, 1.0)
+    return 0.5 * float(group.credit @ (left**2 - group.expected))
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:

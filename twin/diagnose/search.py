@@ -9,11 +9,11 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_lag, is_scaled, is_spring, size_parameter, softened, starts_of
 from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, loud_axes, unexplained
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_localised, loud_axes, unexplained
 from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
 from twin.diagnose.observe import Group, with_trembling
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tolerance import NORMAL, WIDEST
 from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_of, with_imperfections
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -80,7 +80,7 @@ def search(
     # what little is left may be of the normal imperfections, which were found one after another
     looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > LITTLE * group.expected_loss
     while True:
-        if not looked and found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss:
+        if not looked and (found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss or is_localised(found)):
             _look_again(found, machine, mapper)
             looked = True
         if len(found.fit.settings) == MOST_EFFECTS or (quick and not loud_axes(found)):
@@ -205,7 +205,9 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     steps = 3 if quick else STEPS
     with ThreadPoolExecutor(max(len(chosen), 1)) as fitting:  # they wait for the workers' simulations
         fits = list(fitting.map(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], mapper, steps), chosen))
-    base, healthy = held_out_loss(found, found.fit, folds), loss_within(found, found.fit, machine.parameter_tolerance)
+    healthy = loss_within(found, found.fit, machine.parameter_tolerance)
+    # where no machine near the tolerance is like this one, parameters far off it are no rival of an effect
+    base = max(held_out_loss(found, found.fit, folds), loss_within(found, found.fit, WIDEST * machine.parameter_tolerance))
     candidates = []
     for fit in fits:
         if fit is None:

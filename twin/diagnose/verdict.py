@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, is_systematic, settled_channels
-from twin.diagnose.left_out import EVIDENCE
+from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, is_localised, is_systematic
+from twin.diagnose.left_out import EVIDENCE, beyond_tolerance
 from twin.effects import Setting
 
 TEMPERATURE = 3.0
@@ -55,11 +55,14 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
 def is_unknown(f: Found) -> bool:
     """Is something left of a group of axes that no effect found explains?
 
-    Or is what was found one thing in one run and another in the next?
+    Or is what was found one thing in one run and another in the next, or explained by parameters that no machine near the tolerance has?
     """
     excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
-    there = excess > NOTICED_EXCESS * f.group.expected_loss or _localised(f)
-    return (there and excess > REMAINING * max(excess_before, 1e-9)) or is_systematic(f) or differs_between_runs(f)
+    noticed = NOTICED_EXCESS * f.group.expected_loss
+    there = excess > noticed or is_localised(f)
+    if there and excess > REMAINING * max(excess_before, 1e-9):
+        return True
+    return is_systematic(f) or differs_between_runs(f) or beyond_tolerance(f) - max(excess, 0.0) > noticed
 
 
 def verdict_of(found: Sequence[Found], settings: Sequence[Any]) -> str:
@@ -67,13 +70,3 @@ def verdict_of(found: Sequence[Found], settings: Sequence[Any]) -> str:
     if any(f.unknown for f in found):
         return "unknown"
     return "effect" if settings else "none"
-
-
-def _localised(f: Found) -> bool:
-    """Is something left in one channel of one run, although the whole looks like noise?"""
-    for channel, u in settled_channels(f):
-        if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
-            return True
-        if channel.name == "controller" and float(np.mean(u**2)) > 4.0:
-            return True
-    return False
