@@ -1,8 +1,13 @@
 """One more nuisance beside a tuning: what is foreseen for it is what the tuning that has it gives."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from twin.diagnose.fit import no_effect
+from twin.diagnose.found import excess_of
+from twin.diagnose.left_out import beyond_tolerance
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import trial_of, tuning_from
 
@@ -34,3 +39,14 @@ def test_what_the_tuning_explains_gains_nothing(drawn):
     tuning, _, residual = drawn
     trial = trial_of(tuning, tuning.jacobian @ np.array([1.0, 2.0]), residual)
     assert trial.gain < 0.05 * trial_of(tuning, residual, residual).gain
+
+
+def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
+    """Nobody re-tunes a torque constant by a tenth where machines differ by a hundredth."""
+    tuning = drawn[0]
+    for deviations, explained in (((2.0, -1.0), True), ((2.0, 15.0), False)):
+        rows = tuning.jacobian @ np.array(deviations)
+        group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS)
+        found = SimpleNamespace(group=group, fit=no_effect(group, tuning))
+        assert excess_of(group, found.fit) < 0.0  # re-tuned without bounds it is gone
+        assert (beyond_tolerance(found) < 0.0) is explained
