@@ -13,8 +13,9 @@ from pathlib import Path
 from twin.campaign import read_campaign
 from twin.diagnose.fit import no_effect
 from twin.diagnose.found import Found
+from twin.diagnose.imperfections import with_imperfections
 from twin.diagnose.observe import axis_groups, observe
-from twin.diagnose.tuning import tuning_of, with_imperfections
+from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.exam.baselines import baselines_of
 from twin.exam.mark import marked_baseline

@@ -8,7 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from examples.diagnose import short_runs
-from tests.recovery.test_diagnosis import campaign_of, group_of, observed, searched, travel
+from tests.recovery.test_diagnosis import campaign_of, group_of, observed, run_of, searched, travel
+from twin.campaign import read_campaign
 from twin.cli import main
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
@@ -108,3 +109,24 @@ def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_p
 def windups(found):
     left = found.fit.left(found.group) / found.group.weights
     return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "windup")]
+
+
+def test_noise_is_that_of_a_machine_that_rings(tmp_path):
+    """Steps of the set point ring on a drive train near 450 Hz: beside a rigid twin each sensor looks two or three times as noisy as it is."""
+    group = observed(tmp_path, "healthy", None, "Y", replace(RICHNESS["small"], compliance_hz=(450.0, 450.5)))[0]
+    found = searched(group)
+    for about, quiet in ((found.group, True), (group, False)):
+        sigma = {c.name: float(np.median(c.sigma)) for c in about.channels if c.run == 2}
+        assert (sigma["current"] < 0.07) is quiet  # 0.05 A
+        assert (sigma["velocity"] < 2.9e-5) is quiet  # 0.02 mm/s
+
+
+def test_effects_that_would_not_show_are_told(tmp_path):
+    """A move one way at one speed, no reversal: nothing is said of a backlash."""
+    campaign_of(tmp_path, "healthy", None, "Y", [run_of("one way", {"Y": ([0.05, 0.05], 0.03)})])
+    group = group_of(read_campaign(tmp_path, load_machine()), "Y")
+    found = searched(group)
+    unseen = {effect: sizes for (effect, _, _), sizes in found.unseen.items()}
+    print(unseen)
+    assert unseen["thermal_drift"] > 1.0
+    assert "viscous_friction" not in unseen

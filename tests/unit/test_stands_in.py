@@ -7,7 +7,8 @@ import pytest
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free
-from twin.diagnose.found import differs_between_runs, is_systematic, loud_axes
+from twin.diagnose.found import is_systematic, loud_axes
+from twin.diagnose.verdict import differs_between_runs
 from twin.effects import EFFECTS, Setting
 
 SAMPLES, RUNS = 400, 3
@@ -26,6 +27,7 @@ def found_with(left, slope):
         group=SimpleNamespace(
             channels=channels,
             size=rows.size,
+            expected_loss=0.5 * rows.size,
             views=[None] * RUNS,
             weights=np.ones(rows.size),
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,

@@ -29,13 +29,22 @@ BY_CHANCE = 1.5
 """Mean square over noise of so short a stretch that noise alone makes."""
 
 
+@dataclass(frozen=True)
+class Scatter:
+    """What noise makes of a channel in some realisations: their `deviations` (realisation, sample) from the expectation, sensors and loop,
+    and the variance `jitter` (sample,) of what noise in the loop alone makes."""
+
+    deviations: np.ndarray
+    jitter: np.ndarray
+
+
 @dataclass
 class Channel:
     """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
 
     `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
-    the twin may be wrong about the effects that it has found, a fault that is the same in many samples. `scatter` (realisation, sample)
-    is the noise that sigma was taken from.
+    the twin may be wrong about the effects that it has found, a fault that is the same in many samples. `scatter` is what sigma was
+    taken from.
     """
 
     run: int
@@ -46,7 +55,7 @@ class Channel:
     correlation: float
     rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
-    scatter: np.ndarray | None = field(default=None, repr=False)
+    scatter: Scatter | None = field(default=None, repr=False)
 
     @functools.cached_property
     def is_clean(self) -> bool:

@@ -76,6 +76,7 @@ class Diagnosis:
             },
             "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
             "ambiguous_with": self._ambiguous(),
+            "not_visible": self._not_visible(),
             "next_measurement": self.proposal.text,
             "notes": self.notes,
         }
@@ -193,6 +194,22 @@ class Diagnosis:
             "explained": explained,
             "parameters": self._parameters(setting, found),
         }
+
+    def _not_visible(self) -> list[dict[str, Any]]:
+        """Effects that these runs and signals would not show if the machine had them: by how much they would have to be larger than usual.
+
+        `usual_sizes` None: whatever their size.
+        """
+        return [
+            {
+                "effect": effect,
+                "axis": axis,
+                **({"from_axis": source} if source else {}),
+                "usual_sizes": sizes if math.isfinite(sizes) else None,
+            }
+            for found in self.found
+            for (effect, axis, source), sizes in sorted(found.unseen.items(), key=lambda item: str(item[0]))
+        ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
         """Rivals that this campaign cannot tell from what was found."""

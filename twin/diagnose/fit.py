@@ -10,7 +10,7 @@ what re-tuning cannot explain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -238,8 +238,11 @@ def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
     return group.response(None, settings, [a for a in group.axes if a in own], also)
 
 
-def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
-    """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides."""
+def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable, only: Collection[str] = ()) -> Tuning:  # type: ignore[type-arg]
+    """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides.
+
+    Or that of these quantities `only`.
+    """
     if not fit.about.nuisances:
         return fit.about
     tuning, own = fit.about, {s.axis for s in fit.settings}
@@ -247,7 +250,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable) ->
 
     def column(i: int) -> np.ndarray:
         nuisance = tuning.nuisances[i]
-        if nuisance.quantity == "slip":  # what creeps shows in shaken simulations alone
+        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # what creeps shows in shaken simulations alone
             return tuning.jacobian[:, i]
         step = max(NEARBY, tuning.spread)
         if nuisance.quantity in NORMAL:

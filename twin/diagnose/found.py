@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-import math
 
 import numpy as np
 
-from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, no_effect
 from twin.diagnose.observe import ENOUGH, Group
@@ -24,12 +22,6 @@ STANDS_OUT = 1.3
 SYSTEMATIC = 5.0
 """Mean square over noise and doubt from which what is left in most runs is of another law. A true law keeps up to 3.3 (a current limit
 clips noise too, which the twin's expectation has none of), next of kin that no other rule tells keep 60 and more."""
-
-BEYOND_CHANCE = 4.0
-"""Standard deviations from which a run alone asks for another size."""
-
-ONE_SIZE = 0.12
-"""Share of its size by which an effect may seem to differ between runs."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
 """The cut channel in which every effect of a block shows."""
@@ -73,6 +65,9 @@ class Found:
     accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
     rounds: list[list[Candidate]] = field(default_factory=list)
     screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)  # in the first round
+    unseen: dict[tuple[str, str, str | None], float] = field(
+        default_factory=dict
+    )  # effects that would not show: usual sizes from which they would
     answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
         default_factory=dict, repr=False
     )  # simulated answers of starts, for later rounds
@@ -144,37 +139,6 @@ def is_systematic(found: Found) -> bool:
         if len(u) > ENOUGH:
             levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
     return any(len(runs) > 1 and float(np.median(runs)) > SYSTEMATIC for runs in levels.values())
-
-
-def differs_between_runs(found: Found) -> bool:
-    """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
-
-    With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
-    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Not asked where the block was not
-    cut: there all that is imperfect in the loop bends the size. Nor where an axis was stuck: a break-away is another one in each run.
-    """
-    group = found.group
-    left = found.fit.left(group)
-    settled = np.zeros(group.size, bool)
-    for c in group.channels:
-        settled[c.rows] = c.settled(group.views[c.run])
-    for i, free in enumerate(found.fit.free):
-        setting = found.fit.settings[free.setting]
-        if free.parameter is not size_parameter(setting.effect) or not is_cut(group, setting):
-            continue
-        steps = []
-        for run in range(len(group.views)):
-            rows = group.run_rows(run) & settled
-            slope = found.fit.columns[rows, i]
-            known = float(slope @ slope)
-            if known > 0.0:
-                step = float(slope @ left[rows]) / known
-                if abs(step) * math.sqrt(known) > BEYOND_CHANCE:
-                    steps.append(step)
-        relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
-        if len(steps) > 1 and (max(steps) - min(steps)) * relative > ONE_SIZE:
-            return True
-    return False
 
 
 def is_cut(group: Group, setting: Setting) -> bool:

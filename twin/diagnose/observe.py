@@ -22,7 +22,7 @@ import functools
 import mujoco
 import numpy as np
 
-from twin.diagnose.channel import Channel
+from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.diagnose.view import RunView, rests
@@ -255,13 +255,8 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
                 sigma = np.full(len(values), law_sigma(view, axis))
                 channels.append(Channel(r, *key, residual, sigma, 1.0))
                 continue
-            jitter = np.var([c[key] for c in clean], axis=0, ddof=1)
-            sigma = np.maximum(_sigma(deviations, jitter, residual), _least(view.machine, view.machine.axis(key[0]), key[1]))
-            if key[1] == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
-                axis = view.machine.axis(key[0])
-                sigma = np.hypot(sigma, np.where(rests(view, key[0]), RESTING * NORMAL_SLIP[axis.kind], 0.0))
-            scatter = deviations if key[1] == "windup" else None
-            channels.append(Channel(r, *key, residual, sigma, _correlation(deviations / sigma), scatter=scatter))
+            seen_as = Scatter(deviations, np.var([c[key] for c in clean], axis=0, ddof=1))
+            channels.append(_with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0), seen_as, residual, view))
     return Group(axes, views, channels, nominal, shaken, seed)
 
 
@@ -297,23 +292,36 @@ def rebased(group: Group, machine_of: Variant) -> Group:
     return Group(group.axes, views, channels, nominal, shaken, group.seed)
 
 
-def with_trembling(rigid: Group, group: Group) -> tuple[Group, Group]:
-    """Both with the noise of `windup` as it is about the machine of `group`, whose drive trains give.
+def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Group, Group]:
+    """Both with the noise of each channel as it is about the machine of `group`, whose drive trains give; `left` (row,) is what its
+    tuning leaves, weighted.
 
-    Noise in the loop winds a drive train up, which a rigid one does not show; and what each cycle of the control winds up is motion, and no
-    longer looks like a noisy sensor.
+    A drive train rings with the noise in the loop, which a rigid one does not; and what it rings with at each change of the set point is
+    motion that the twin knows now, where beside a rigid one it looked like a noisy sensor. Where an axis is, it tells as before: that is
+    slow, and where it creeps to is chance about any machine.
     """
     seen = []
     for c in group.channels:
         if c.scatter is not None:
             key = (c.axis, c.name)
-            scatter = c.scatter + (group.shaken[c.run][key] - group.nominal[c.run][key])
-            machine = group.views[c.run].machine
-            sigma = np.maximum(_sigma(scatter, np.zeros(len(c.residual)), c.residual), _least(machine, machine.axis(c.axis), c.name))
-            c = replace(c, sigma=sigma, correlation=_correlation(scatter / sigma))
+            rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
+            scatter = {
+                "position": c.scatter,
+                "windup": Scatter(c.scatter.deviations + rings, np.zeros(len(rings))),  # of a rigid one, sensors alone
+            }.get(c.name, Scatter(c.scatter.deviations + rings, c.scatter.jitter))
+            c = _with_noise(c, scatter, left[c.rows] / c.weight, group.views[c.run])
         seen.append(c)
     plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
     return replace(rigid, channels=plain), replace(group, channels=seen)
+
+
+def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
+    """The channel with the noise that realisations tell, and `rough` (sample,), its own record beside a twin."""
+    axis = view.machine.axis(channel.axis)
+    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough), _least(view.machine, axis, channel.name))
+    if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
+        sigma = np.hypot(sigma, np.where(rests(view, channel.axis), RESTING * NORMAL_SLIP[axis.kind], 0.0))
+    return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma), scatter=scatter)
 
 
 def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:

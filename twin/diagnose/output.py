@@ -10,6 +10,7 @@ from typing import Any
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
+from twin.diagnose.wording import unseen_text
 from twin.machine import write_machine
 from twin.trace import write_trace
 
@@ -48,6 +49,8 @@ def summary_text(document: dict[str, Any]) -> str:
     )
     for rival in document["ambiguous_with"]:
         lines.append(f"  not told apart here: {rival['effect']} on {rival['axis']} instead of {rival['instead_of']}")
+    if document["not_visible"]:
+        lines.append(f"  would not show here, at usual size: {unseen_text(document)}")
     lines += [f"  note: {note}" for note in document["notes"]]
     lines.append(f"  next measurement: {document['next_measurement']}")
     return "\n".join(lines)

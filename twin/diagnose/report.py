@@ -10,7 +10,7 @@ import jinja2
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, retuning_share, run_levels, stretches, waterfall
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
-from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times
+from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times, unseen_text
 from twin.effects import EFFECTS
 from twin.errors import InputError
 from twin.units import ARCSEC
@@ -48,6 +48,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         machine=diagnosis.machine,
         seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
         verdict=verdict_sentence(document),
+        unseen=unseen_text(document),
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+import contextlib
+import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, combine, is_lag, is_scaled, is_spring, size_parameter, softened, starts_of
-from twin.diagnose.fit import STEPS, Fit, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_cut, is_localised, loud_axes, unexplained
-from twin.diagnose.left_out import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, loss_within
-from twin.diagnose.observe import Group, with_trembling
+from twin.diagnose.candidates import is_scaled, size_parameter, starts_of
+from twin.diagnose.fit import STEPS, Fit, fit_effects, no_effect, tuning_beside
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_localised, loud_axes, unexplained
+from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
+from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, loss_within
+from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
+from twin.diagnose.screen import Screened, screen
 from twin.diagnose.tolerance import NORMAL, WIDEST
-from twin.diagnose.tuning import moved_to, on_imperfect_machine, tuning_of, with_imperfections
+from twin.diagnose.tuning import tuning_of
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
@@ -40,20 +44,8 @@ LEAST_SHARE = 0.3
 """Share that an effect must close of what the ones before left above noise: where much is left that no effect closes, small gains
 are of a model that is not right, and stand for nothing."""
 
-IMPERFECT = 1.2e-3
-"""Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate (46 healthy machines: 0.5e-3)."""
-
-IMPERFECT_UNCUT = 8e-3
-"""The same for a block that the recorded signals do not cut out of the loop."""
-
 PRICE = 2.0
 """Log likelihood that each further free parameter costs."""
-
-LEAST_DELAY = 1e-5
-"""Share of what a lag delays at its start to which screening may go down."""
-
-SOFTENED = (0.05, 2.0)
-"""How much less or more than its start a spring may give in screening."""
 
 
 def search(
@@ -73,8 +65,10 @@ def search(
     group, tuning = on_imperfect_machine(group, tuning, group.residual)
     if group is not rigid:
         weights = group.weights
-        rigid, group = with_trembling(rigid, group)
+        rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).left(group))
         tuning = tuning.reweighed(group.weights / weights)
+        with contextlib.suppress(TwinError):  # next to unstable: as it answers as a whole
+            tuning = tuning_beside(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
     retuned = no_effect(group, tuning)
     found = Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
     # what little is left may be of the normal imperfections, which were found one after another
@@ -87,7 +81,7 @@ def search(
             break
         candidates = _round(found, machine, folds, mapper, progress, quick)
         best = next((c for c in candidates if c.plausible), None)
-        earned = best is not None and best.evidence >= evidence_needed(found, best.fit, folds) and _closes_enough(found, best.fit)
+        earned = best is not None and best.evidence >= evidence_needed(found, best.setting, len(folds)) and _closes_enough(found, best.fit)
         if earned and not looked:
             looked = True
             if _look_again(found, machine, mapper):
@@ -98,7 +92,7 @@ def search(
         first = not found.fit.settings
         _accept(found, best.fit, machine, mapper)
         looked = False
-        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, found.fit, folds):
+        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, best.setting, len(folds)):
             found.doubt(np.zeros(found.group.size))
             found.accepted.clear()
             found.fit = found.retuned  # what is normal, seen better, explains it as well
@@ -163,15 +157,6 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
     return before - found.fit.loss > EVIDENCE
 
 
-def evidence_needed(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
-    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate.
-
-    Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
-    """
-    least = EVIDENCE if len(folds) > 1 else EVIDENCE_IN_SAMPLE
-    return least + (IMPERFECT if is_cut(found.group, fit.settings[-1]) else IMPERFECT_UNCUT) * found.group.expected_loss
-
-
 def _closes_enough(found: Found, fit: Fit) -> bool:
     left = unexplained(found)
     return left < NEAR_NOISE * found.group.expected_loss or found.fit.loss - fit.loss > LEAST_SHARE * left
@@ -187,14 +172,15 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     starts = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken and not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)
-    gains = list(mapper(lambda s: _screen(found, s, target), starts))
+    screened = [s for s in mapper(lambda s: screen(found, s, target), starts) if s is not None]
     best: dict[tuple[str, str, str | None], tuple[float, Setting]] = {}
-    for start, screened in zip(starts, gains):
-        if screened is not None and screened[0] > best.get(start.key, (0.0,))[0]:
-            best[start.key] = screened
+    for s in screened:
+        if s.gain > best.get(s.setting.key, (0.0,))[0]:
+            best[s.setting.key] = s.gain, s.setting
     order = sorted(best.items(), key=lambda item: -item[1][0])
     if not found.rounds:
         found.screened = [(key, gain, setting, closed_share(found, gain)) for key, (gain, setting) in order]
+        found.unseen = _unseen(found, screened, folds)
     if not order or order[0][1][0] < EVIDENCE * 0.5:
         order = order[:1]
     most = 3 if quick else MOST_FITTED
@@ -222,46 +208,21 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
 
 
+def _unseen(found: Found, screened: Sequence[Screened], folds: Sequence[Sequence[int]]) -> dict[tuple[str, str, str | None], float]:
+    """Effects that would not bring the evidence needed if they were there in a usual size: multiple of that size from which they would.
+
+    What an effect changes grows with its size, its evidence with the square.
+    """
+    shows: dict[tuple[str, str, str | None], float] = {}
+    for s in screened:
+        share = s.shows / evidence_needed(found, s.setting, len(folds))
+        shows[s.setting.key] = max(share, shows.get(s.setting.key, 0.0))
+    return {key: math.inf if share < 1e-9 else 1.0 / math.sqrt(share) for key, share in shows.items() if share < 1.0}
+
+
 def _is_linear(setting: Setting) -> bool:
     size = size_parameter(setting.effect)
     return is_scaled(size) and setting.effect.name != "backlash"
-
-
-def _screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -> tuple[float, Setting] | None:
-    """Gain of a start (half the drop of the squares) with its size scaled linearly, and the setting it stands for."""
-    tuning = found.tuning
-    try:
-        columns = [_remembered_answer(found, s) for s in start.settings]
-    except TwinError:
-        return None
-    setting = start.settings[0]
-    size = size_parameter(start.effect)
-    inner = np.array([[tuning.product(a, b) for b in columns] for a in columns])
-    with_target = np.array([tuning.product(c, target) for c in columns])
-    if not np.all(np.isfinite(inner)) or not np.all(np.diag(inner) > 1e-9):
-        return None
-    if is_spring(start.effect):
-        share = float(np.clip(with_target[0] / inner[0, 0], *SOFTENED))
-        return share * float(with_target[0] - 0.5 * share * inner[0, 0]), softened(start, found.group.views[0].machine, share)
-    if not is_scaled(size):
-        return float(with_target[0] - 0.5 * inner[0, 0]), setting
-    sizes = np.linalg.solve(inner + 1e-12 * np.eye(len(inner)), with_target)
-    if len(sizes) == 1:
-        neutral = size.neutral or 0.0
-        deviation = setting.parameters[size.name] - neutral
-        low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
-        sizes = np.clip(sizes, max(min(low, high), -4.0), min(max(low, high), 4.0))
-        if size.low >= neutral and size.name != "factor":
-            sizes = np.maximum(sizes, LEAST_DELAY if is_lag(start.effect) else 0.02)
-    scaled = combine(start, sizes.tolist(), found.group.views[0].machine)
-    return float(sizes @ with_target - 0.5 * sizes @ inner @ sizes), scaled
-
-
-def _remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    key = repr(setting.table())
-    if key not in found.answers:
-        found.answers[key] = found.tuning.remembered(answer(found.group, [setting]).astype(np.float32))
-    return found.answers[key]
 
 
 def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Callable) -> None:  # type: ignore[type-arg]

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-import functools
 from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.observe import Group, rebased
-from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST, Nuisance, nuisances_of, tuned
-from twin.errors import TwinError
+from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.machine import Machine
 
 PRIOR_WEIGHT = 50.0
@@ -19,18 +17,6 @@ PRIOR_WEIGHT = 50.0
 
 NEARBY = 0.03
 """Share by which a parameter is changed to see what its spread does: beside that, a break-away a sample earlier or later is small."""
-
-SHARES = (0.05, 0.2, 0.8)
-"""Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
-
-EARNED = 14.0
-"""Log likelihood that a normal imperfection must bring to be looked at."""
-
-DAMPED = 0.3
-"""Share of what is normal by which damping is changed to see what it does."""
-
-UNCHANGED = 0.15
-"""A size that a fit moves by less than this (relative) needs no new simulation."""
 
 
 @dataclass
@@ -88,60 +74,6 @@ def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # ty
     return tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread)
 
 
-def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
-    """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
-
-    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that does not
-    follow), slip where the position does not follow.
-    """
-    if not tuning.nuisances:
-        return tuning
-    parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
-    left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
-    dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
-    cut = {c.axis for c in group.channels if c.name == "windup"}
-    wanted = [Nuisance(a, "elasticity") for a in group.axes if (a, "windup" if a in cut else "position") in dirty]
-    wanted += [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
-    current = plain
-    for nuisance in wanted:
-        trial = functools.partial(_at_share, current, group, machine, nuisance, residual)
-        best = max((t for t in mapper(trial, SHARES) if t is not None), key=lambda t: t.gain, default=None)
-        for _ in range(2):
-            if best is None or not 0.0 < best.size < 1.0 or best.gain < EARNED:
-                best = None
-                break
-            size = best.size
-            better = trial(size)
-            if better is None or better.gain < best.gain:
-                break
-            best = better
-            if abs(better.size / size - 1.0) < UNCHANGED:
-                break
-        if best is not None:
-            current = current.with_column(nuisance, best.column)
-            if nuisance.quantity == "elasticity":
-                current = _with_damping(current, group, machine, nuisance, size, residual)
-    return current
-
-
-def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> tuple[Group, Tuning]:
-    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
-
-    A force on a drive train that gives also winds it up; nothing of that is in a sum of both.
-    """
-    return moved_to(group, replace(tuning, base=np.zeros(len(tuning.nuisances))), tuning.solve(residual))
-
-
-def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
-    """Group and tuning about the machine whose normal imperfections are a tuning (nuisance,) further, from the one without any."""
-    normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
-    if not normal.any():
-        return rigid, tuning
-    base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
-    return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
-
-
 class Trial(NamedTuple):
     """One more nuisance beside a tuning: what it changes at its spread (row,), the loss that it takes away, its best size (1: the
     largest that is normal)."""
@@ -156,44 +88,6 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     new = tuning.remembered(column)
     slope, curvature = tuning.product(new, tuning.remembered(residual)), tuning.product(new, new) + PRIOR_WEIGHT
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
-
-
-def _at_share(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, share: float) -> Trial | None:
-    """A nuisance simulated at this share of what is normal; None where it cannot be simulated."""
-    try:
-        answer = group.response(
-            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
-            axes=(nuisance.owner,),
-            shaken=nuisance.quantity == "slip",
-        )
-    except TwinError:
-        return None
-    return trial_of(tuning, answer * (UNIFORM / share), residual)
-
-
-def _with_damping(tuning: Tuning, group: Group, machine: Machine, elasticity: Nuisance, share: float, residual: np.ndarray) -> Tuning:
-    """The tuning, whose last nuisance is an elasticity of this share of what is normal, with its damping where that earns its place."""
-    damping = Nuisance(elasticity.owner, "damping")
-    tolerance = machine.parameter_tolerance
-
-    def answer(damped: float) -> np.ndarray:
-        return group.response(
-            lambda m: damping.apply(elasticity.apply(m, 1.0 + share * tolerance), 1.0 + damped * tolerance), axes=(damping.owner,)
-        )
-
-    step = DAMPED
-    try:
-        plain = answer(0.0)
-        for _ in range(2):  # its answer is not in proportion: the second time about as much as there is
-            damped = trial_of(tuning, (answer(step) - plain) * (UNIFORM / step), residual)
-            if damped.gain < EARNED:
-                return tuning
-            if abs(damped.size / step - 1.0) < UNCHANGED or abs(damped.size) < DAMPED * UNCHANGED:
-                break
-            step = min(max(damped.size, -1.0), 1.0)
-    except TwinError:
-        return tuning
-    return tuning.with_column(damping, damped.column) if abs(damped.size) < WIDEST else tuning
 
 
 def beside(*blocks: np.ndarray) -> np.ndarray:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
 import numpy as np
 
-from twin.diagnose.found import Candidate, Found, closed, differs_between_runs, excess_of, is_localised, is_systematic
-from twin.diagnose.left_out import EVIDENCE, beyond_tolerance
+from twin.diagnose.candidates import deviation_of, size_parameter
+from twin.diagnose.found import Candidate, Found, closed, excess_of, is_cut, is_localised, is_systematic
+from twin.diagnose.left_out import EVIDENCE, beyond_tolerance, evidence_needed
 from twin.effects import Setting
 
 TEMPERATURE = 3.0
@@ -22,6 +24,12 @@ STANDS_IN = 0.3
 
 REMAINING = 0.1
 """Share of the excess over noise that, left after all found effects, makes the verdict 'unknown'."""
+
+BEYOND_CHANCE = 4.0
+"""Standard deviations from which a run alone asks for another size."""
+
+ONE_SIZE = 0.12
+"""Share of its size by which an effect may seem to differ between runs."""
 
 NOTICED_EXCESS = 0.12
 """Mean square of the residual above noise from which something is there at all."""
@@ -63,6 +71,39 @@ def is_unknown(f: Found) -> bool:
     if there and excess > REMAINING * max(excess_before, 1e-9):
         return True
     return is_systematic(f) or differs_between_runs(f) or beyond_tolerance(f) - max(excess, 0.0) > noticed
+
+
+def differs_between_runs(found: Found) -> bool:
+    """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
+
+    With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
+    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Not asked where the block was not
+    cut: there all that is imperfect in the loop bends the size, and only where sizes of their own would bring the evidence that an effect must. Nor where an axis was stuck: a break-away is another one in each run.
+    """
+    group = found.group
+    left = found.fit.left(group)
+    settled = np.zeros(group.size, bool)
+    for c in group.channels:
+        settled[c.rows] = c.settled(group.views[c.run])
+    for i, free in enumerate(found.fit.free):
+        setting = found.fit.settings[free.setting]
+        if free.parameter is not size_parameter(setting.effect) or not is_cut(group, setting):
+            continue
+        steps, gain = [], 0.0
+        for run in range(len(group.views)):
+            rows = group.run_rows(run) & settled
+            slope = found.fit.columns[rows, i]
+            known = float(slope @ slope)
+            if known > 0.0:
+                step = float(slope @ left[rows]) / known
+                if abs(step) * math.sqrt(known) > BEYOND_CHANCE:
+                    steps.append(step)
+                    gain += 0.5 * step**2 * known
+        relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
+        earned = len(steps) > 1 and gain > evidence_needed(found, setting, len(group.views))
+        if earned and (max(steps) - min(steps)) * relative > ONE_SIZE:
+            return True
+    return False
 
 
 def verdict_of(found: Sequence[Found], settings: Sequence[Any]) -> str:

@@ -113,3 +113,11 @@ def times(level: float) -> str:
 def listed(words: Sequence[str]) -> str:
     """'a', 'a and b', 'a, b and c'."""
     return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + (words[-1] if words else "")
+
+
+def unseen_text(document: dict[str, Any]) -> str:
+    """Effects that these runs and signals would not show, with their axes."""
+    axes: dict[str, list[str]] = {}
+    for e in document["not_visible"]:
+        axes.setdefault(e["effect"].replace("_", " "), []).append(e["axis"] + (f" from {e['from_axis']}" if "from_axis" in e else ""))
+    return "; ".join(f"{effect} on {', '.join(named)}" for effect, named in sorted(axes.items()))

@@ -1,0 +1,110 @@
+"""How much a drive train gives, and its damping, where that is normal: found by simulating it, for its answer is not in proportion.
+
+Where its first mode meets the cycle at which set points come, every step of them rings: a twentieth of the frequency, or half the damping,
+decides how much. A size scaled from another one says nothing there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from twin.diagnose.observe import Group
+from twin.diagnose.tolerance import UNIFORM, Nuisance
+from twin.diagnose.tuning import Trial, Tuning, tuning_from
+from twin.errors import TwinError
+from twin.machine import Machine
+
+EARNED = 14.0
+"""Log likelihood that a normal imperfection must bring to be looked at."""
+
+AROUND = (0.72, 0.8, 0.87, 0.94, 1.0, 1.06, 1.12, 1.19, 1.27, 1.38)
+"""Frequencies tried, as multiples of what a linear answer says; the neighbours are within the width of a mode."""
+
+DAMPED = (-0.9, -0.45, 0.45, 0.9)
+"""Damping tried beside what is assumed, as shares of what is normal (`NORMAL_DAMPING` to that power)."""
+
+ENOUGH_SHOWN = 0.6
+"""Share of what a drive train changes that the runs must hold on which it is looked for."""
+
+FINER = 0.03
+"""Step of the frequency in the last look (relative)."""
+
+
+class _Tried:
+    """Losses of a drive train on the runs of a group in which it shows most, each simulated once."""
+
+    def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float):
+        runs = _telling(group, axis, shows)
+        channels = [c for c in group.channels if c.axis == axis and c.run in runs]
+        rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
+        self.group = replace(group, channels=[replace(c) for c in channels])
+        self.tuning = tuning_from(tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread)
+        self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
+        self.losses: dict[tuple[float, float], float] = {}
+
+    def loss(self, at: tuple[float, float]) -> float:
+        """Half the squares that re-tuning leaves beside a drive train of this share of the normal elasticity, damped so."""
+        if at not in self.losses:
+            try:
+                answer = answer_of(self.group, self.axis, at, self.tolerance)
+                self.losses[at] = self.tuning.loss(self.residual - answer)
+            except TwinError:
+                self.losses[at] = math.inf
+        return self.losses[at]
+
+
+def _telling(group: Group, axis: str, shows: np.ndarray) -> set[int]:
+    """The runs that hold `ENOUGH_SHOWN` of the squares that a drive train makes, `shows` (row,)."""
+    squares: dict[int, float] = {}
+    for c in group.channels:
+        if c.axis == axis:
+            squares[c.run] = squares.get(c.run, 0.0) + float(shows[c.rows] @ shows[c.rows])
+    order = sorted(squares, key=lambda run: -squares[run])
+    parts = np.cumsum([squares[run] for run in order]) / max(sum(squares.values()), 1e-30)
+    return set(order[: int(np.searchsorted(parts, ENOUGH_SHOWN)) + 1])
+
+
+def answer_of(group: Group, axis: str, at: tuple[float, float], tolerance: float) -> np.ndarray:
+    """What a drive train of this share of the normal elasticity, damped so, changes (row,)."""
+    elasticity, damping = Nuisance(axis, "elasticity"), Nuisance(axis, "damping")
+    return group.response(lambda m: damping.apply(elasticity.apply(m, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance), axes=(axis,))
+
+
+def with_drive_train(
+    tuning: Tuning,
+    group: Group,
+    machine: Machine,
+    axis: str,
+    linear: Trial,
+    residual: np.ndarray,
+    mapper: Callable,  # type: ignore[type-arg]
+) -> Tuning:
+    """The tuning with elasticity of an axis' drive train, and its damping where that earns its place, each in proportion about its size.
+
+    `linear` is where an answer in proportion puts it. As it is where nothing about that explains `residual` (row,).
+    """
+    tolerance = machine.parameter_tolerance
+    tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
+
+    def best_of(points: list[tuple[float, float]]) -> tuple[float, float]:
+        return min(zip(mapper(tried.loss, points), points))[1]
+
+    found = best_of([(linear.size / r**2, 0.0) for r in AROUND])
+    if tried.tuning.loss(tried.residual) - tried.loss(found) < EARNED:
+        return tuning
+    found = best_of([found, *((found[0], d) for d in DAMPED)])
+    for step in (FINER, 0.5 * FINER):
+        found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
+        found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
+    share, damped = found
+    plain = answer_of(group, axis, (share, 0.0), tolerance)
+    worth = tried.loss((share, 0.0)) - tried.loss(found)
+    tuning = tuning.with_column(Nuisance(axis, "elasticity"), plain * (UNIFORM / share))
+    if damped == 0.0 or worth < EARNED:
+        return tuning
+    whole = answer_of(group, axis, found, tolerance)
+    return tuning.with_column(Nuisance(axis, "damping"), (whole - plain) * (UNIFORM / damped))

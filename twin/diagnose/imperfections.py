@@ -1,0 +1,116 @@
+"""Normal imperfections of a group of axes: a drive train that gives, a contact that gives before it slides. Found, and put into its machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import functools
+
+import numpy as np
+
+from twin.diagnose.drive_train import EARNED, with_drive_train
+from twin.diagnose.observe import Group, rebased
+from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
+from twin.diagnose.tuning import Trial, Tuning, trial_of, tuning_from
+from twin.errors import TwinError
+from twin.machine import Machine
+
+SHARES = (0.05, 0.2, 0.8)
+"""Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
+
+KINDS = {"slip": ("slip",), "drive train": ("elasticity", "damping")}
+"""Normal imperfections that come and go together."""
+
+WORSE = 0.02
+"""Share by which a machine with all imperfections may leave more than their linear answers promise."""
+
+UNCHANGED = 0.15
+"""A size that a fit moves by less than this (relative) needs no new simulation."""
+
+
+def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+    """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
+
+    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that does not
+    follow), slip where the position does not follow.
+    """
+    if not tuning.nuisances:
+        return tuning
+    parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
+    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
+    left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
+    dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
+    cut = {c.axis for c in group.channels if c.name == "windup"}
+    giving = [a for a in group.axes if dirty & ({(a, "windup")} if a in cut else {(a, "position"), (a, "current")})]
+    wanted = [Nuisance(a, "elasticity") for a in giving] + [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
+    current = plain
+    for nuisance in wanted:
+        trial = functools.partial(_at_share, current, group, machine, nuisance, residual)
+        best = max((t for t in mapper(trial, SHARES) if t is not None), key=lambda t: t.gain, default=None)
+        if best is None or not 0.0 < best.size < 1.0 or best.gain < EARNED:
+            continue
+        if nuisance.quantity == "elasticity":
+            current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper)
+        else:
+            current = _with_slip(current, nuisance, best, trial)
+    return current
+
+
+def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[float], Trial | None]) -> Tuning:
+    """The tuning with slip as it answers at its own size."""
+    for _ in range(2):
+        better = trial(best.size)
+        if better is None or better.gain < best.gain:
+            break
+        near = abs(better.size / best.size - 1.0) < UNCHANGED
+        best = better
+        if near:
+            break
+        if not 0.0 < best.size < 1.0 or best.gain < EARNED:
+            return tuning
+    return tuning.with_column(slip, best.column)
+
+
+def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> tuple[Group, Tuning]:
+    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
+
+    A force on a drive train that gives also winds it up; nothing of that is in a sum of both. Two stiff springs may ring together in the
+    twin as no machine does: then one of a kind is left out, whichever leaves less.
+    """
+    tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
+    theta, explained = tuning.solve(residual), group.residual - residual
+
+    def moved(without: str) -> tuple[float, Group, Tuning]:
+        kept = np.array([n.quantity not in KINDS.get(without, ()) for n in tuning.nuisances], bool)
+        part = tuning_from([n for n, k in zip(tuning.nuisances, kept) if k], tuning.jacobian[:, kept], tuning.spread)
+        there, about = moved_to(group, part, theta[kept])
+        return about.loss(there.residual - explained), there, about
+
+    loss, there, about = moved("")
+    if loss > (1.0 + WORSE) * tuning.loss(residual):
+        kinds = {n.quantity for n in tuning.nuisances}
+        others = [moved(kind) for kind, members in KINDS.items() if kinds & set(members)]
+        loss, there, about = min([(loss, there, about), *others], key=lambda m: m[0])
+    return there, about
+
+
+def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
+    """Group and tuning about the machine whose normal imperfections are a tuning (nuisance,) further, from the one without any."""
+    normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
+    if not normal.any():
+        return rigid, tuning
+    base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
+    return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
+
+
+def _at_share(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, share: float) -> Trial | None:
+    """A nuisance simulated at this share of what is normal; None where it cannot be simulated."""
+    try:
+        answer = group.response(
+            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
+            axes=(nuisance.owner,),
+            shaken=nuisance.quantity == "slip",
+        )
+    except TwinError:
+        return None
+    return trial_of(tuning, answer * (UNIFORM / share), residual)
