@@ -16,6 +16,7 @@ import pytest
 from examples.diagnose import record, short_runs
 from twin.campaign import read_campaign
 from twin.diagnose import diagnose
+from twin.diagnose.diagnosis import AMBIGUOUS
 from twin.diagnose.found import settled_channels
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
@@ -199,11 +200,13 @@ def test_drive_train_that_meets_the_cycle_is_found_without_motor_encoder(tmp_pat
 
 
 def test_a_lead_error_shows_without_motor_encoder(tmp_path):
-    """The speed loop feels that the motor turns otherwise; a noise taken for twice what it is hid that."""
-    group, hidden = of_scale_and_current(tmp_path, "single", "lead_error", "Z", Richness.small())
-    found = searched(group)
-    assert [s.effect.name for s in found.fit.settings] == ["lead_error"]
-    assert found.fit.settings[0].parameters["fraction"] == pytest.approx(hidden["fraction"], rel=0.1)
+    """The speed loop feels that the motor turns otherwise, beside a drive train that is known. So it does of a set point a little late."""
+    group, hidden = of_scale_and_current(tmp_path, "single", "lead_error", "Z", replace(Richness.small(), compliance_hz=(460.0, 461.0)))
+    first = searched(group).rounds[0]
+    lead = next(c for c in first if c.setting.effect.name == "lead_error")
+    assert lead.setting.parameters["fraction"] == pytest.approx(hidden["fraction"], rel=0.05)
+    assert lead.evidence > 500.0
+    assert first[0].evidence - lead.evidence < AMBIGUOUS
 
 
 def test_healthy_machine_has_none(tmp_path):

@@ -33,6 +33,9 @@ _BY_UNIT: dict[str, tuple[str, float]] = {
     "1": ("", 1.0),
 }
 _SMALL = {"rate": ("um/min", 6e7), "lead_error": ("um/m", 1e6)}
+MANY = 10
+"""Effects of one axis from which they are no longer listed one by one."""
+
 FEWEST_DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of one with a narrow interval."""
 
@@ -116,8 +119,15 @@ def listed(words: Sequence[str]) -> str:
 
 
 def unseen_text(document: dict[str, Any]) -> str:
-    """Effects that these runs and signals would not show, with their axes."""
-    axes: dict[str, list[str]] = {}
+    """Effects that these runs and signals would not show, with their axes; of an axis that hardly moves they are too many to be listed."""
+    by_axis: dict[str, set[str]] = {}
     for e in document["not_visible"]:
-        axes.setdefault(e["effect"].replace("_", " "), []).append(e["axis"] + (f" from {e['from_axis']}" if "from_axis" in e else ""))
-    return "; ".join(f"{effect} on {', '.join(named)}" for effect, named in sorted(axes.items()))
+        by_axis.setdefault(e["axis"], set()).add(e["effect"])
+    still = sorted(axis for axis, effects in by_axis.items() if len(effects) > MANY)
+    named: dict[str, list[str]] = {}
+    for e in document["not_visible"]:
+        if e["axis"] not in still:
+            place = e["axis"] + (f" from {e['from_axis']}" if "from_axis" in e else "")
+            named.setdefault(e["effect"].replace("_", " "), []).append(place)
+    parts = [f"{effect} on {', '.join(places)}" for effect, places in sorted(named.items())]
+    return "; ".join([*parts, *([f"most effects on {', '.join(still)}"] if still else [])])
