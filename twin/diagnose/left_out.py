@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from twin.diagnose.fit import Fit
-from twin.diagnose.found import Found, excess_of, is_cut
+from twin.diagnose.found import Found, is_cut
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST
 from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside
@@ -45,11 +45,11 @@ def retuned_within(found: Found, tolerance: float) -> Fit:
     return replace(found.retuned, tuning=bounded(found.retuned.about, found.group.residual, found.retuned.tuning, tolerance))
 
 
-def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float, weight: float = PRIOR_WEIGHT) -> np.ndarray:
+def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
-    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), weight)
+    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), PRIOR_WEIGHT)
 
 
 def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
@@ -64,27 +64,25 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
     return theta
 
 
-def loss_within(found: Found, fit: Fit, tolerance: float) -> float:
-    """Half the squares that a fit leaves when the nuisances cost nothing inside the tolerance and cannot leave it."""
+def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> float:
+    """Half the squares that a fit leaves when the nuisances cost nothing inside the tolerance and cannot leave it.
+
+    `normal` False: normal imperfections are as free as they were found.
+    """
+    tuning = fit.about
     residual = found.group.residual - fit.response
-    theta = bounded(fit.about, residual, fit.tuning, tolerance, weight=1.0)
-    left = residual - fit.about.jacobian @ theta
-    return 0.5 * float(found.group.credit @ left**2)
+    if tuning.nuisances:
+        bound = np.full(len(tuning.nuisances), tolerance / tuning.spread)
+        if not normal:
+            bound[[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
+        residual = residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
+    return 0.5 * float(found.group.credit @ residual**2)
 
 
 def beyond_tolerance(found: Found) -> float:
-    """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind.
-
-    Normal imperfections are as free as they were found.
-    """
-    tuning, group = found.fit.about, found.group
-    if not tuning.nuisances:
-        return excess_of(group, found.fit)
-    far = WIDEST / float(UNIFORM)
-    bound = np.where([n.quantity in NORMAL for n in tuning.nuisances], np.inf, far)
-    residual = group.residual - found.fit.response
-    left = residual - tuning.jacobian @ _inside(tuning, residual, found.fit.tuning, bound, 1.0)
-    return 0.5 * float(group.credit @ (left**2 - group.expected))
+    """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind."""
+    tolerance = found.fit.about.spread / float(UNIFORM)
+    return loss_within(found, found.fit, WIDEST * tolerance, normal=False) - 0.5 * float(found.group.credit @ found.group.expected)
 
 
 def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
