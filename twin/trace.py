@@ -60,6 +60,10 @@ class Trace:
         """Sample period [s]."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
+    def moves(self, axis: str) -> bool:
+        """Does the set point of an axis move, by more than a thousandth of a millimetre or of a milliradian?"""
+        return axis in self.axes and bool(np.ptp(self.get(axis, "setpoint")) > 1e-6)
+
     def has(self, axis: str, signal: str) -> bool:
         """Is this signal of this axis recorded?"""
         return (axis, signal) in self.signals

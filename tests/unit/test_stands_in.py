@@ -61,6 +61,15 @@ def test_a_size_that_differs_where_an_axis_was_stuck_is_one_size():
     assert not differs_between_runs(found)
 
 
+def test_sizes_differ_where_that_brings_evidence():
+    """Two steps of 2 known to 0.025 bring 6400; where 0.0012 of what noise makes is more than that, the twin may be wrong by as much."""
+    slope = np.full((RUNS, SAMPLES), 2.0)
+    found = found_with(noise(1) + np.array((2.0, 0.0, -2.0))[:, None] * slope, slope)
+    assert differs_between_runs(found)
+    found.group.expected_loss = 1e7
+    assert not differs_between_runs(found)
+
+
 def test_sizes_that_are_chance_do_not_differ():
     slope = np.full((RUNS, SAMPLES), 0.01)  # a run alone knows the step to 1 / (0.01 sqrt(400)) = 5
     assert not differs_between_runs(found_with(noise(2), slope))

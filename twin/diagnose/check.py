@@ -58,6 +58,9 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         lacking = [a for a in axes if not _recorded(machine.axis(a), signal, campaign)]
         if lacking:
             notes.append(f"no {signal} of axis {', '.join(lacking)}: {lost}")
+    still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
+    if still:
+        notes.append(f"axis {', '.join(still)} does not move: nothing is said of it")
     if len(campaign.runs) == 1:
         notes.append("a single run: nothing could be left out of the fit")
     return notes

@@ -195,11 +195,14 @@ class Diagnosis:
             "parameters": self._parameters(setting, found),
         }
 
-    def _not_visible(self) -> list[dict[str, Any]]:
+    def _not_visible(self) -> list[dict[str, Any]] | None:
         """Effects that these runs and signals would not show if the machine had them: by how much they would have to be larger than usual.
 
-        `usual_sizes` None: whatever their size.
+        `usual_sizes` None: whatever their size. None at all: not asked, in a quick look.
         """
+        if any(found.unseen is None for found in self.found):
+            return None
+        named = {setting.key for setting, _, _ in self.settings}
         return [
             {
                 "effect": effect,
@@ -208,7 +211,8 @@ class Diagnosis:
                 "usual_sizes": sizes if math.isfinite(sizes) else None,
             }
             for found in self.found
-            for (effect, axis, source), sizes in sorted(found.unseen.items(), key=lambda item: str(item[0]))
+            for (effect, axis, source), sizes in sorted((found.unseen or {}).items(), key=lambda item: str(item[0]))
+            if (effect, axis, source) not in named
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
@@ -283,6 +287,8 @@ def diagnose(
     say("simulating the runs left out")
     held_out = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
     notes = notes_of(campaign, machine)
+    if quick:
+        notes.append("a quick look: which effects these runs would not show was not asked")
     if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
         notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
     verdict = verdict_of(found, settings)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.campaign import MeasuredRun
 from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
 from twin.diagnose.diagnosis import Diagnosis
@@ -126,7 +125,7 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
 def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str], list[list[tuple[str, float, float]]]]:
     """Axes that moved, and per axis and block (state, share, level): state 'place', 'healthy' or 'unseen'."""
     placed = {(p["axis"], p["block"]): p for p in document["where"]}
-    axes = [a for a in diagnosis.machine.axis_names if any(_moves(run, a) for run in diagnosis.campaign.runs)]
+    axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for axis in axes:
         row = []
@@ -151,14 +150,10 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     if block == "position controller" or (block in CONTROLLERS and law and not own.has_speed_integral):
         return law
     return any(
-        _moves(run, axis)
+        run.trace.moves(axis)
         and all(any(run.trace.has(axis, own.effort if s == "current" else s) for s in one_of) for one_of in BLOCKS_NEED[block])
         for run in diagnosis.campaign.runs
     )
-
-
-def _moves(run: MeasuredRun, axis: str) -> bool:
-    return axis in run.trace.axes and bool(np.ptp(run.trace.get(axis, "setpoint")) > 1e-6)
 
 
 def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
@@ -182,7 +177,7 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
     for run in diagnosis.campaign.runs:
         prediction = diagnosis.predictions["before"][run.name].trace
         for axis in axes:
-            if not _moves(run, axis):
+            if not run.trace.moves(axis):
                 continue
             signal = next((s for s in COMPARED if run.trace.has(axis, s)), None)
             gap = diagnosis.gaps["before"][run.name][axis].get(signal or "")
@@ -200,13 +195,13 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
 
 def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tuple[float, float] | None]]]]:
     """Axes, and per run the gap over noise of each axis before and after; None where the axis did not move."""
-    axes = [a for a in diagnosis.machine.axis_names if any(_moves(run, a) for run in diagnosis.campaign.runs)]
+    axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for run in diagnosis.campaign.runs:
         cells: list[tuple[float, float] | None] = []
         for axis in axes:
             levels = [_level(diagnosis.gaps[which][run.name].get(axis, {})) for which in ("before", "after")]
-            cells.append((levels[0], levels[1]) if _moves(run, axis) and all(levels) else None)
+            cells.append((levels[0], levels[1]) if run.trace.moves(axis) and all(levels) else None)
         rows.append((run.name, cells))
     return axes, rows
 

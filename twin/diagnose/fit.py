@@ -20,7 +20,7 @@ import numpy as np
 
 from twin.diagnose.candidates import size_parameter
 from twin.diagnose.observe import Group
-from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tolerance import LEAST_IMPERFECTION, NORMAL
 from twin.diagnose.tuning import NEARBY, Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
@@ -35,6 +35,9 @@ RUN_S = 15.0
 
 IN_STEP = 0.1
 """A step of 1 shifts the far end of a wave by this many waves at most."""
+
+WITHIN_MODE = 0.06
+"""Share of its elasticity by which a drive train is changed to see what that does: 3 % of its frequency."""
 
 SLOPE = 1.0
 """Step over which slopes are taken: wide enough that what a break-away a sample earlier or later changes is small beside it."""
@@ -253,8 +256,10 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable, on
         if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # what creeps shows in shaken simulations alone
             return tuning.jacobian[:, i]
         step = max(NEARBY, tuning.spread)
-        if nuisance.quantity in NORMAL:
-            step = NEARBY * max(abs(float(tuning.base[i])), machine.parameter_tolerance)
+        if nuisance.quantity == "damping":
+            step = NEARBY * machine.parameter_tolerance
+        elif nuisance.quantity in NORMAL:  # a mode is as wide as its damping, and what is smaller than the least stays out of a machine
+            step = max(WITHIN_MODE * abs(float(tuning.base[i])), 1.05 * LEAST_IMPERFECTION * machine.parameter_tolerance)
         axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
         changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes, also)
         return (changed - fit.response) * (tuning.spread / step)

@@ -65,9 +65,8 @@ class Found:
     accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
     rounds: list[list[Candidate]] = field(default_factory=list)
     screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)  # in the first round
-    unseen: dict[tuple[str, str, str | None], float] = field(
-        default_factory=dict
-    )  # effects that would not show: usual sizes from which they would
+    # effects that would not show, with the usual sizes from which they would; None: not asked
+    unseen: dict[tuple[str, str, str | None], float] | None = None
     answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
         default_factory=dict, repr=False
     )  # simulated answers of starts, for later rounds

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 import functools
+import math
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from twin.machine import Machine
 SHARES = (0.05, 0.2, 0.8)
 """Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
 
-KINDS = {"slip": ("slip",), "drive train": ("elasticity", "damping")}
-"""Normal imperfections that come and go together."""
+KINDS = {"slip": ("slip",), "drive train": ("elasticity", "damping"), "any": tuple(NORMAL)}
+"""Normal imperfections that are left out together."""
 
 WORSE = 0.02
 """Share by which a machine with all imperfections may leave more than their linear answers promise."""
@@ -31,8 +32,8 @@ UNCHANGED = 0.15
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
     """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
 
-    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that does not
-    follow), slip where the position does not follow.
+    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that or the
+    current shows more than noise), slip where the position does not follow.
     """
     if not tuning.nuisances:
         return tuning
@@ -75,15 +76,19 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
 
     A force on a drive train that gives also winds it up; nothing of that is in a sum of both. Two stiff springs may ring together in the
-    twin as no machine does: then one of a kind is left out, whichever leaves less.
+    twin as no machine does: then the slips are left out, or the drive trains, or all of them, whichever leaves least.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
     theta, explained = tuning.solve(residual), group.residual - residual
 
     def moved(without: str) -> tuple[float, Group, Tuning]:
         kept = np.array([n.quantity not in KINDS.get(without, ()) for n in tuning.nuisances], bool)
-        part = tuning_from([n for n, k in zip(tuning.nuisances, kept) if k], tuning.jacobian[:, kept], tuning.spread)
-        there, about = moved_to(group, part, theta[kept])
+        nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
+        part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread)
+        try:
+            there, about = moved_to(group, part, theta[kept])
+        except TwinError:
+            return math.inf, group, part
         return about.loss(there.residual - explained), there, about
 
     loss, there, about = moved("")

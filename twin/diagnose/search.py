@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
-import math
 
 import numpy as np
 
@@ -16,9 +15,10 @@ from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imp
 from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, loss_within
 from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.screen import Screened, screen
+from twin.diagnose.screen import screen
 from twin.diagnose.tolerance import NORMAL, WIDEST
 from twin.diagnose.tuning import tuning_of
+from twin.diagnose.unseen import unseen_effects
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
@@ -169,18 +169,18 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     left = residual - tuning.jacobian @ tuning.solve(residual)
     taken = {s.key for s in accepted}
     asked = loud_axes(found) if quick else set(group.axes)  # an effect shows on its own axis
-    starts = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken and not is_ruled_out(group, s)]
+    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]
+    starts = [s for s in every if not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)
-    screened = [s for s in mapper(lambda s: screen(found, s, target), starts) if s is not None]
     best: dict[tuple[str, str, str | None], tuple[float, Setting]] = {}
-    for s in screened:
-        if s.gain > best.get(s.setting.key, (0.0,))[0]:
-            best[s.setting.key] = s.gain, s.setting
+    for start, screened in zip(starts, mapper(lambda s: screen(found, s, target), starts)):
+        if screened is not None and screened[0] > best.get(start.key, (0.0,))[0]:
+            best[start.key] = screened
     order = sorted(best.items(), key=lambda item: -item[1][0])
     if not found.rounds:
         found.screened = [(key, gain, setting, closed_share(found, gain)) for key, (gain, setting) in order]
-        found.unseen = _unseen(found, screened, folds)
+        found.unseen = None if quick else unseen_effects(found, every, machine, len(folds), mapper)
     if not order or order[0][1][0] < EVIDENCE * 0.5:
         order = order[:1]
     most = 3 if quick else MOST_FITTED
@@ -206,18 +206,6 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
         plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
         candidates.append(Candidate(fit, evidence, plausible, closed_share(found, found.fit.loss - fit.loss)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
-
-
-def _unseen(found: Found, screened: Sequence[Screened], folds: Sequence[Sequence[int]]) -> dict[tuple[str, str, str | None], float]:
-    """Effects that would not bring the evidence needed if they were there in a usual size: multiple of that size from which they would.
-
-    What an effect changes grows with its size, its evidence with the square.
-    """
-    shows: dict[tuple[str, str, str | None], float] = {}
-    for s in screened:
-        share = s.shows / evidence_needed(found, s.setting, len(folds))
-        shows[s.setting.key] = max(share, shows.get(s.setting.key, 0.0))
-    return {key: math.inf if share < 1e-9 else 1.0 / math.sqrt(share) for key, share in shows.items() if share < 1.0}
 
 
 def _is_linear(setting: Setting) -> bool:

@@ -77,8 +77,9 @@ def differs_between_runs(found: Found) -> bool:
     """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
 
     With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
-    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Not asked where the block was not
-    cut: there all that is imperfect in the loop bends the size, and only where sizes of their own would bring the evidence that an effect must. Nor where an axis was stuck: a break-away is another one in each run.
+    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Together these steps must bring the
+    evidence that an effect has to. Not asked where the block was not cut: there all that is imperfect in the loop bends the size. Nor where
+    an axis was stuck: a break-away is another one in each run.
     """
     group = found.group
     left = found.fit.left(group)

@@ -48,7 +48,7 @@ class RunView:
 
     def moves(self, name: str) -> bool:
         """Does the axis' set point move in this run?"""
-        return name in self.trace.axes and bool(np.ptp(self.trace.get(name, "setpoint")) > 1e-6)
+        return self.trace.moves(name)
 
 
 def view_of(machine: Machine, run: MeasuredRun) -> RunView:

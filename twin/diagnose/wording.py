@@ -121,13 +121,14 @@ def listed(words: Sequence[str]) -> str:
 def unseen_text(document: dict[str, Any]) -> str:
     """Effects that these runs and signals would not show, with their axes; of an axis that hardly moves they are too many to be listed."""
     by_axis: dict[str, set[str]] = {}
-    for e in document["not_visible"]:
+    listed = document["not_visible"] or []
+    for e in listed:
         by_axis.setdefault(e["axis"], set()).add(e["effect"])
     still = sorted(axis for axis, effects in by_axis.items() if len(effects) > MANY)
     named: dict[str, list[str]] = {}
-    for e in document["not_visible"]:
+    for e in listed:
         if e["axis"] not in still:
             place = e["axis"] + (f" from {e['from_axis']}" if "from_axis" in e else "")
             named.setdefault(e["effect"].replace("_", " "), []).append(place)
     parts = [f"{effect} on {', '.join(places)}" for effect, places in sorted(named.items())]
-    return "; ".join([*parts, *([f"most effects on {', '.join(still)}"] if still else [])])
+    return "; ".join([*parts, *([f"many effects on {', '.join(still)}"] if still else [])])

@@ -1,0 +1,65 @@
+"""Effects that runs and signals would not show if the machine had them in a usual size: of these "none" says nothing.
+
+    s = 1/2 sum of credit (a - J theta)^2        a: what the effect changes, over noise; J theta: what re-tuning takes up of it
+
+is what a fit could gain. What an effect changes grows with its size and s with the square, so that it would bring the evidence that it
+needs from sqrt(needed / s) times the usual size on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from twin.diagnose.candidates import Start
+from twin.diagnose.found import Found
+from twin.diagnose.left_out import evidence_needed
+from twin.diagnose.screen import remembered_answer
+from twin.effects import Setting
+from twin.errors import TwinError
+from twin.machine import Machine
+
+NOTHING = 1e-9
+"""Share of the evidence needed below which an effect changes nothing at all."""
+
+
+def unseen_effects(
+    found: Found,
+    starts: Sequence[Start],
+    machine: Machine,
+    folds: int,
+    mapper: Callable,  # type: ignore[type-arg]
+) -> dict[tuple[str, str, str | None], float]:
+    """Multiple of the usual size from which an effect would show, of those for which it is above 1; inf where none would.
+
+    Asked with the middle one of an effect's starts, and the worse of two phases.
+    """
+    by_key: dict[tuple[str, str, str | None], list[Start]] = {}
+    for start in starts:
+        by_key.setdefault(start.key, []).append(start)
+    middle = [_usual(same[len(same) // 2], machine) for same in by_key.values()]
+    shares = mapper(lambda settings: _share(found, settings, folds), middle)
+    return {key: math.inf if share < NOTHING else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+
+
+def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
+    """Settings of usual size: limits of the current start about what was measured, and that may be far from any."""
+    first = start.settings[0]
+    if "limit_a" not in first.parameters:
+        return start.settings
+    low, high = start.effect.parameter("limit_a").usual_range(machine, machine.axis(start.axis))
+    return (replace(first, parameters={"limit_a": math.sqrt(low * high)}),)
+
+
+def _share(found: Found, settings: Sequence[Setting], folds: int) -> float:
+    """What the effect could bring over what it needs; of one that cannot be simulated enough: no machine runs with it."""
+    tuning = found.tuning
+    try:
+        answers = [remembered_answer(found, s) for s in settings]
+    except TwinError:
+        return math.inf
+    left = [column - tuning.jacobian @ (tuning.inverse @ projected) for column, projected in answers]
+    return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, settings[0], folds)
