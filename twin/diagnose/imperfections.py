@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 import functools
 import math
@@ -19,8 +19,8 @@ from twin.machine import Machine
 SHARES = (0.05, 0.2, 0.8)
 """Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
 
-KINDS = {"slip": ("slip",), "drive train": ("elasticity", "damping"), "any": tuple(NORMAL)}
-"""Normal imperfections that are left out together."""
+KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
+"""What normal imperfections belong to: those of one kind on an axis are left out together."""
 
 WORSE = 0.02
 """Share by which a machine with all imperfections may leave more than their linear answers promise."""
@@ -76,13 +76,14 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
 
     A force on a drive train that gives also winds it up; nothing of that is in a sum of both. Two stiff springs may ring together in the
-    twin as no machine does: then the slips are left out, or the drive trains, or all of them, whichever leaves least.
+    twin as no machine does, or not be simulated at all: then one of them is left out, one kind or all, whichever leaves least.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
     theta, explained = tuning.solve(residual), group.residual - residual
+    kinds = [(n.owner, KINDS.get(n.quantity, "")) for n in tuning.nuisances]
 
-    def moved(without: str) -> tuple[float, Group, Tuning]:
-        kept = np.array([n.quantity not in KINDS.get(without, ()) for n in tuning.nuisances], bool)
+    def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
+        kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
         part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread)
         try:
@@ -91,12 +92,12 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
             return math.inf, group, part
         return about.loss(there.residual - explained), there, about
 
-    loss, there, about = moved("")
-    if loss > (1.0 + WORSE) * tuning.loss(residual):
-        kinds = {n.quantity for n in tuning.nuisances}
-        others = [moved(kind) for kind, members in KINDS.items() if kinds & set(members)]
-        loss, there, about = min([(loss, there, about), *others], key=lambda m: m[0])
-    return there, about
+    best = moved(())
+    if best[0] > (1.0 + WORSE) * tuning.loss(residual):
+        normal = sorted({kind for kind in kinds if kind[1]})
+        some = [[kind] for kind in normal] + [[k for k in normal if k[1] == name] for name in sorted({k[1] for k in normal})] + [normal]
+        best = min([best, *(moved(left_out) for left_out in some)], key=lambda m: m[0])
+    return best[1:]
 
 
 def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:

@@ -108,10 +108,7 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:
     fit = fit_effects(found.group, machine, found.tuning, fit.settings, mapper, REFIT_STEPS) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
-    try:
-        group, tuning = on_imperfect_machine(found.rigid, tuning, left)
-    except TwinError:
-        group = found.group
+    group, tuning = on_imperfect_machine(found.rigid, tuning, left)
     again = fit_effects(group, machine, tuning, fit.settings, mapper, REFIT_STEPS) if group is not found.group else None
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
