@@ -25,7 +25,7 @@ EVIDENCE_IN_SAMPLE = 60.0
 """The same where no run could be left out."""
 
 IMPERFECT = 1.2e-3
-"""Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate (46 healthy machines: 0.5e-3)."""
+"""Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate: `scripts/measure_imitation.py`."""
 
 IMPERFECT_UNCUT = 4e-3
 """The same for a block that the recorded signals do not cut out of the loop."""
