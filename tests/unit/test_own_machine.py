@@ -123,7 +123,11 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert [e["effect"] for e in found["effects"]] == ["constant_force"]
     assert found["effects"][0]["parameters"]["force"]["value"] == pytest.approx(2.5, rel=0.02)
     assert {p["block"] for p in found["where"]} <= {"mechanics"}
-    assert found["notes"] == ["a single run: nothing could be left out of the fit"]  # no signal is wanting
+    assert found["notes"] == [  # no signal is wanting
+        "a single run: nothing could be left out of the fit",
+        "a quick look: which effects these runs would not show was not asked",
+    ]
+    assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")
     assert corrected.axis("X").structure == "P/P"
     assert "speed_gain_v_s_per_m" in corrected.document["axis"]["X"]["loops"]
