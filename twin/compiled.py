@@ -28,19 +28,23 @@ def digest() -> str:
 
 
 def compiled(function: Callable | None = None, *, inline: bool = False) -> Any:
-    """Like `numba.njit`, for functions of the kernels; `inline` copies a small law into its callers."""
+    """Like `numba.njit`, for functions of the kernels; `inline` copies a small law into its callers.
+
+    Kernels make no arrays: without numba's runtime (`_nrt`) none is counted when a row of it is looked at, which took
+    as long as the law itself.
+    """
     if function is None:
         return functools.partial(compiled, inline=inline)
-    plain = numba.njit(nogil=True, inline="always" if inline else "never")
+    plain = numba.njit(nogil=True, _nrt=False, inline="always" if inline else "never")
     return _stamped(plain(function)) or plain(function)
 
 
 def compiled_callback(signature: Any, function: Callable) -> Any:
-    """Like `numba.cfunc`: a C function with an address."""
+    """Like `numba.cfunc`: a C function with an address. It has no caller that an error could reach: division by zero is IEEE's."""
     arguments, result = sigutils.normalize_signature(signature)
 
     def make() -> CFunc:
-        return CFunc(function, (arguments, result), locals={}, options={"nopython": True})
+        return CFunc(function, (arguments, result), locals={}, options={"nopython": True, "error_model": "numpy"})
 
     callback = _stamped(make()) or make()
     callback.compile()

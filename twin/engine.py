@@ -30,6 +30,7 @@ class FullPlant:
             passive=data.qfrc_passive,
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
+            coulomb_level=model.dof_frictionloss[plant.load_dof],
             load_position=plant.load_position,
             load_dof=plant.load_dof,
             rotor_position=plant.rotor_position,

@@ -78,6 +78,7 @@ class Engine(NamedTuple):
     passive: np.ndarray  # qfrc_passive: viscous
     constraint: np.ndarray  # qfrc_constraint: Coulomb
     frictionloss: np.ndarray
+    coulomb_level: np.ndarray  # (axis,) what frictionloss is without effects, restored after each call
     load_position: np.ndarray
     load_dof: np.ndarray
     rotor_position: np.ndarray
@@ -120,7 +121,6 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
     has_setpoint = terms.start[SETPOINT + 1] > terms.start[SETPOINT]
     has_current = terms.start[CURRENT + 1] > terms.start[CURRENT]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE]
-    level = engine.frictionloss[engine.load_dof]  # nominal Coulomb levels, restored at the end
 
     for n in range(ticks):
         k = first_tick + n
@@ -218,7 +218,7 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 x[X_ROTOR_FORCE] = 0.0
                 x[X_MOTOR_TORQUE] = 0.0
                 x[X_FRICTION_FORCE] = 0.0
-                x[X_FRICTION_LEVEL] = level[a]
+                x[X_FRICTION_LEVEL] = engine.coulomb_level[a]
             call_terms(terms, FORCE, signals)
             for a in range(axes):
                 x = signals[a]
@@ -240,7 +240,8 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 row[9] = engine.bias[dof] * drives.ratio[a]
 
     if has_force:
-        engine.frictionloss[engine.load_dof] = level
+        for a in range(axes):
+            engine.frictionloss[engine.load_dof[a]] = engine.coulomb_level[a]
     return -1
 
 

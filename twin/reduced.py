@@ -133,6 +133,7 @@ class ReducedPlant:
             passive=vectors[_PASSIVE],
             constraint=vectors[_CONSTRAINT],
             frictionloss=vectors[_LEVEL],
+            coulomb_level=vectors[_LEVEL, :n].copy(),
             load_position=load,
             load_dof=load,
             rotor_position=rotor_dof,

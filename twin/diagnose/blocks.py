@@ -113,13 +113,15 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     drives = drives_of(machine)
     current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
-    predicted = _run_speed_loop(
+    predicted = np.empty(count)
+    _run_speed_loop(
         drives,
         state,
         trace.get(axis.name, "velocity_setpoint") / axis.ratio,
         np.repeat(command.torque_feedforward[:, 0], every)[:count],
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
+        predicted,
     )
     error = current - predicted
     error = error - _moving_mean(error, round(DRIFT_S / trace.period))
@@ -128,13 +130,12 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
 
 
 @compiled
-def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of):  # type: ignore[no-untyped-def]
+def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of, out):  # type: ignore[no-untyped-def]
     """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated.
 
-    `ticks_of` a sample, a speed cycle, a current cycle.
+    `ticks_of` a sample, a speed cycle, a current cycle; `out` (sample,) gets the current.
     """
     ticks, speed_ticks, current_ticks = ticks_of
-    out = np.empty(len(speed))
     for k in range(len(speed)):
         out[k] = state.current[0]
         state.speed_setpoint[0] = setpoint[k]
@@ -150,7 +151,6 @@ def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, sp
             if n == 0 and not drives.current_loop[0]:
                 out[k] = state.current[0]  # a command is recorded when it is given
             winding(0, drives, state, w)
-    return out
 
 
 def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:

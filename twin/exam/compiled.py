@@ -19,11 +19,14 @@ SOURCES = ("compiled", "control", "friction", "measurement", "mechanics", "plant
 DIGEST = hashlib.sha256(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)).hexdigest()
 
 
-def compiled(inline: bool = False) -> Callable:
-    """Decorator; `inline` copies a small law into its callers."""
+def compiled(inline: bool = False, allocates: bool = False) -> Callable:
+    """Decorator; `inline` copies a small law into its callers.
+
+    A function that `allocates` no arrays does without numba's runtime (`_nrt`), which counts every use of one.
+    """
 
     def wrap(function: Callable) -> Callable:
-        plain = numba.njit(nogil=True, error_model="numpy", inline="always" if inline else "never")
+        plain = numba.njit(nogil=True, error_model="numpy", _nrt=allocates, inline="always" if inline else "never")
         dispatcher: Any = plain(function)
         dispatcher.enable_caching()
         file: Any = getattr(dispatcher._cache, "_cache_file", None)

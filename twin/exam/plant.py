@@ -131,7 +131,7 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
     ), pair
 
 
-@compiled()
+@compiled(allocates=True)
 def _simulate(
     c: Control,
     m: np.ndarray,
