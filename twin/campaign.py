@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from pathlib import Path
 import tomllib
 
@@ -58,6 +59,8 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
 
 
 def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> MeasuredRun:
+    if not isinstance(table, dict):
+        raise InputError(f'{where}: {table!r} is no run; write each as [[run]] with file = "circle.parquet"')
     for key in table:
         if key not in _RUN_KEYS:
             raise InputError(f"{where}: unknown key '{key}'; {nearest(key, _RUN_KEYS)}")
@@ -70,7 +73,7 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> Measur
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
     started_at = table.get("started_at_s", 0.0)
-    if isinstance(started_at, bool) or not isinstance(started_at, int | float):
-        raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number")
+    if isinstance(started_at, bool) or not isinstance(started_at, int | float) or not math.isfinite(started_at):
+        raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number of seconds")
     trace = read_trace(file, axes=machine.kinds, need=("setpoint",))
     return MeasuredRun(Path(table["file"]).stem, trace, feedforward, float(started_at))

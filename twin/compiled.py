@@ -17,6 +17,8 @@ import numba
 from numba.core import sigutils
 from numba.core.ccallback import CFunc
 
+njit: Any = numba.njit  # its type does not know _nrt
+
 
 @functools.cache
 def digest() -> str:
@@ -35,7 +37,7 @@ def compiled(function: Callable | None = None, *, inline: bool = False) -> Any:
     """
     if function is None:
         return functools.partial(compiled, inline=inline)
-    plain = numba.njit(nogil=True, _nrt=False, inline="always" if inline else "never")
+    plain = njit(nogil=True, _nrt=False, inline="always" if inline else "never")
     return _stamped(plain(function)) or plain(function)
 
 

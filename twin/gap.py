@@ -34,6 +34,9 @@ SAME_PERIOD = 1e-4
 SAME_TIME = 0.01
 """Share of a period by which the last samples of a record and of its simulation may part and count as simultaneous."""
 
+LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
+"""Noise below which no record is, SI: a machine file that tells none makes no measurement without."""
+
 LEAST_COMMAND = 1e-4
 """What is not told apart of a command, as a share of its limit: the resolution of a converter."""
 
@@ -117,7 +120,8 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
                 moving = is_moving(run.trace, axis)
                 difference, scatter = difference[moving], scatter[moving]
             unit, factor = gap_unit(axis, signal)
-            noise = np.sqrt(_mean_square(scatter) + sensor_noise(machine, axis, signal) ** 2)
+            sensor = max(sensor_noise(machine, axis, signal), LEAST_NOISE.get(signal, 0.0))
+            noise = np.sqrt(_mean_square(scatter) + sensor**2)
             largest = float(np.abs(difference).max()) if difference.size else 0.0
             signals[signal] = SignalGap(float(np.sqrt(_mean_square(difference)) * factor), largest * factor, float(noise * factor), unit)
         table[axis.name] = signals

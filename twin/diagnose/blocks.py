@@ -108,8 +108,8 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     ticks = max(1, round(trace.period / machine.base_tick))
     count = len(trace.time)
     setpoints = view.setpoints.part((a,))
-    every = max(1, round(machine.position_cycle / trace.period))
-    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
+    cycles = np.floor(np.arange(count) * trace.period / machine.position_cycle + 1e-6).astype(int)  # of each sample
+    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, int(cycles[-1]) + 1)
     drives = drives_of(machine)
     current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
@@ -118,7 +118,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         drives,
         state,
         trace.get(axis.name, "velocity_setpoint") / axis.ratio,
-        np.repeat(command.torque_feedforward[:, 0], every)[:count],
+        command.torque_feedforward[cycles, 0],
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,

@@ -15,15 +15,19 @@ BEYOND = 0.2
 
 
 def check_campaign(campaign: Campaign, machine: Machine) -> None:
-    """Refuse what another machine recorded: set points outside the travel, motion that does not follow them; and what holds no signal."""
+    """Refuse what another machine recorded: set points outside the travel, motion that does not follow them; and what holds no signal
+    or no motion."""
     if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
         raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    if not any(run.trace.moves(axis) for run in campaign.runs for axis in run.trace.axes):
+        raise InputError(f"{campaign.path}: no axis moves in any run; a machine at rest shows no effect, record runs that move the axes")
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
-            if not run.trace.has(axis, "position"):
+            signal = next((s for s in ("position", "motor_position") if run.trace.has(axis, s)), None)
+            if signal is None:
                 continue
-            setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, "position")
+            setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)
             loops = machine.axis(axis).loops
             lag = loops.position_delay_s + 1.0 / loops.position_gain_per_s
             allowed = 3.0 * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
@@ -44,9 +48,22 @@ def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
     return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
 
 
+def _plain(name: str) -> str:
+    """A name without case and signs: 'Mikron UCP 710' and 'mikron_ucp710' are the same."""
+    return "".join(c for c in name.lower() if c.isalnum())
+
+
+def _names(machine: Machine) -> set[str]:
+    """The names by which a campaign may call its machine: the machine's own, that of its file, that of its model."""
+    files = [path.stem for path in (machine.path, machine.model_path) if path is not None]
+    return {_plain(name) for name in (machine.name, *files)}
+
+
 def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     """What the recorded signals leave open."""
     notes = []
+    if campaign.machine_name and _plain(campaign.machine_name) not in _names(machine):
+        notes.append(f"campaign.toml names machine {campaign.machine_name}, it is held against {machine.name}")
     axes = sorted({a for run in campaign.runs for a in run.trace.axes})
     for signal, lost in (
         ("motor_position", "transmission and measurement cannot be cut from the mechanics"),

@@ -97,7 +97,8 @@ def held_out_gaps(
         simulated = predict_each(jobs, threads=threads)
     except SimulationError:
         left_out = [
-            without if _can_run(_fitted_without(machine, found, without), runs, fold) else [] for without, fold in zip(left_out, folds)
+            without if _can_run(_fitted_without(machine, found, without), runs, fold, threads) else []
+            for without, fold in zip(left_out, folds)
         ]
         jobs = nominal + corrected()
         simulated = predict_each(jobs, threads=threads)
@@ -112,9 +113,9 @@ def held_out_gaps(
     return HeldOut(gaps, predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
 
 
-def _can_run(machine: Machine, runs: Sequence[MeasuredRun], fold: Sequence[int]) -> bool:
+def _can_run(machine: Machine, runs: Sequence[MeasuredRun], fold: Sequence[int], threads: int) -> bool:
     try:
-        predict_each([(machine, runs[i], 1) for i in fold])
+        predict_each([(machine, runs[i], 1) for i in fold], threads=threads)
     except SimulationError:
         return False
     return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 import math
@@ -16,6 +16,7 @@ from twin.campaign import Campaign
 from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections, retuned_share
+from twin.diagnose.fit import Fit
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import FOLDS
 from twin.diagnose.next_measurement import Proposal, propose
@@ -93,10 +94,13 @@ class Diagnosis:
         ]
         return float(np.sqrt(np.mean(values))) if values else 1.0
 
-    def explained(self, axis: str) -> float:
-        """1 - (after^2 - floor^2) / (before^2 - floor^2) on one axis, on runs left out of the fit."""
-        before, after = self.axis_level("before", axis), self.axis_level("after", axis)
-        return max(0.0, min(1.0, 1.0 - max(after**2 - 1.0, 0.0) / max(before**2 - 1.0, 1e-9)))
+    def explained(self, axes: Iterable[str]) -> float:
+        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over the axes on which an effect acts, on runs left out of the fit.
+
+        From 0 to 1: a gap below the floor, or one that grew, is no share.
+        """
+        before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
+        return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def _pooled(self, which: str) -> float:
         axes = sorted({name for axes in self.gaps[which].values() for name in axes})
@@ -124,32 +128,39 @@ class Diagnosis:
         axes = {setting.axis}
         if setting.effect.edits_bodies:
             axes |= {a for a in found.group.axes if any(a in recorded for recorded in self.gaps["before"].values())}
-        explained = float(np.mean([self.explained(a) for a in axes]))
         return {
             "effect": setting.effect.name,
             "axis": setting.axis,
             **({"from_axis": setting.from_axis} if setting.from_axis else {}),
             "block": setting.effect.block,
             "probability": probability,
-            "explained": explained,
+            "explained": self.explained(axes),
             "parameters": self._parameters(setting, found),
         }
 
-    def _parameters(self, setting: Setting, found: Found) -> dict[str, Any]:
-        """Values with 95 % intervals."""
+    def _parameters(self, setting: Setting, found: Found, fit: Fit | None = None) -> dict[str, Any]:
+        """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `fit`.
+
+        One that was screened only has the sizes that are usual as its interval.
+        """
         axis = self.machine.axis(setting.axis)
-        index = next((i for i, s in enumerate(found.fit.settings) if s is setting or s == setting), None)
+        of = next((f for f in (found.fit, fit) if f is not None and setting in f.settings), None)
+        index = of.settings.index(setting) if of is not None else None
         out = {}
         # the same weight that keeps the tolerance from being pulled by many samples keeps the interval from shrinking with them
-        covariance = found.fit.covariance(found.tuning, PRIOR_WEIGHT * found.inflation) if index is not None else np.zeros((0, 0))
+        covariance = of.covariance(of.about, PRIOR_WEIGHT * found.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
             value = setting.parameters[parameter.name]
             low = high = value
-            i = next((i for i, f in enumerate(found.fit.free) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
+            if of is None:
+                usual = parameter.usual_range(self.machine, axis)
+                low, high = (bound if math.isfinite(bound) else value for bound in (min(value, usual[0]), max(value, usual[1])))
+            free_of = of.free if of is not None else []
+            i = next((i for i, f in enumerate(free_of) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
             if i is not None:
-                free = found.fit.free[i]
+                free = free_of[i]
                 step = free.unit * (abs(value) if free.logarithmic else 1.0)
                 fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
                 law = MODEL_ERROR * (abs(value) if free.logarithmic else deviation_of(parameter, value))
@@ -164,35 +175,34 @@ class Diagnosis:
 
     def _candidates(self) -> list[dict[str, Any]]:
         """Every effect and axis tried, best first: fitted ones with their evidence, the others as screened."""
-        rows: list[tuple[float, dict[str, Any]]] = []
-        chosen = {s.key: p for s, _, p in self.settings}
+        rows: list[tuple[tuple[bool, float, float], dict[str, Any]]] = []
+        chosen = {s.key: (s, p) for s, _, p in self.settings}
         for found in self.found:
             seen = set()
             for candidates in found.rounds:
-                probabilities = probabilities_of(candidates)
-                for candidate, probability in zip(candidates, probabilities):
+                for candidate, probability in zip(candidates, probabilities_of(candidates, found)):
                     if candidate.key in seen:
                         continue
                     seen.add(candidate.key)
-                    p = chosen.get(candidate.key, probability if candidate.plausible else 0.0)
-                    row = self._candidate(candidate.setting, found, p, candidate.closes)
+                    setting, p = chosen.get(candidate.key, (candidate.setting, probability))
+                    row = self._candidate(setting, p, candidate.closes, self._parameters(setting, found, candidate.fit))
                     if candidate.fit.settings[:-1]:
                         row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.fit.settings[:-1]]
-                    rows.append((1e6 * (candidate.key in chosen) + candidate.evidence, row))
+                    rows.append(((candidate.key in chosen, p, candidate.evidence), row))
             for key, gain, setting, closes in found.screened:
                 if key not in seen:
-                    rows.append((min(gain, 0.0) - 1e3 + math.tanh(gain / 1e3), self._candidate(setting, found, 0.0, closes)))
-        rows.sort(key=lambda row: -row[0])
+                    rows.append(((False, -1.0, gain), self._candidate(setting, 0.0, closes, self._parameters(setting, found))))
+        rows.sort(key=lambda row: row[0], reverse=True)
         return [row for _, row in rows]
 
-    def _candidate(self, setting: Setting, found: Found, probability: float, explained: float) -> dict[str, Any]:
+    def _candidate(self, setting: Setting, probability: float, explained: float, parameters: dict[str, Any]) -> dict[str, Any]:
         return {
             "effect": setting.effect.name,
             "axis": setting.axis,
             **({"from_axis": setting.from_axis} if setting.from_axis else {}),
             "probability": float(probability),
             "explained": explained,
-            "parameters": self._parameters(setting, found),
+            "parameters": parameters,
         }
 
     def _not_visible(self) -> list[dict[str, Any]] | None:
@@ -250,7 +260,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core unless told otherwise.
 
-    Raises InputError where the campaign is another machine's.
+    Raises InputError where the campaign is another machine's, holds no measured signal or no motion, or where the machine has effects.
     """
     say = progress or (lambda _: None)
     machine_without = with_effects(machine, [])
@@ -274,7 +284,10 @@ def diagnose(
             result = search(group, machine_without, folds, mapper, say, quick)
             drop_implausible(result, machine_without, mapper)
             result.unknown = is_unknown(result)
-            return sized(result, machine_without, mapper)
+            final = sized(result, machine_without, mapper)
+            if len(final.fit.settings) < len(result.fit.settings):  # what it explained is left again
+                final.unknown = final.unknown or is_unknown(final)
+            return final
 
         views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
         groups = axis_groups(machine_without, measured)

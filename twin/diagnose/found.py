@@ -35,10 +35,11 @@ QUIET = 0.25
 
 @dataclass
 class Candidate:
-    """One effect on one axis, fitted together with what was accepted before; `evidence` is on runs left out."""
+    """One effect on one axis, fitted together with what was accepted before; `evidence` is on runs left out, `needed` to be there."""
 
     fit: Fit
     evidence: float
+    needed: float
     plausible: bool
     closes: float  # share of what was left above noise that the fit closes
 

@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from twin.diagnose.found import Found
-from twin.diagnose.left_out import EVIDENCE
 from twin.machine import Axis, Machine
 from twin.moves import moves_in_turn
 from twin.trace import Trace
@@ -53,19 +52,28 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
         return Proposal("none needed: the machine does what its file says", None)
     pairs = []
     for f in found:
-        for candidates in f.rounds[:1]:
+        for candidates in f.rounds:
             able = [c for c in candidates if c.plausible]
-            if able and able[0].evidence >= EVIDENCE:
+            if able and able[0].key in {s.key for s in f.fit.settings}:
                 rival = able[1] if len(able) > 1 else None
                 pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
     if not pairs:
-        axis = found[0].group.axes[0] if found else machine.axis_names[0]
-        return _proposal("constant speeds", machine.axis(axis), "what is left follows none of the known effects")
+        return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
     _, best, rival = min(pairs, key=lambda p: p[0])
     names = [best.setting.effect.name, *([rival.setting.effect.name] if rival else [])]
     kind = next((k for k, effects in _SEPARATES.items() if names[-1] in effects), "constant speeds")
     reason = f"tells {names[0]} from {names[1]}" if rival else f"confirms {names[0]} on a run that it was not found on"
     return _proposal(kind, machine.axis(best.setting.axis), reason)
+
+
+def _most_left(found: Sequence[Found]) -> str:
+    """The axis of which most is left over noise."""
+    left: dict[str, float] = {}
+    for f in found:
+        rows = f.group.in_noise(f.fit.left(f.group))
+        for c in f.group.channels:
+            left[c.axis] = left.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
+    return max(left, key=lambda axis: left[axis])
 
 
 KINDS = tuple(_SEPARATES)
@@ -84,7 +92,9 @@ def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
     time, position = _move(kind, axis)
     trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})
     return Proposal(
-        f"axis {axis.name}: {kind} ({reason}); set points in next_measurement.csv, try them with: twin run next_measurement.csv", trace
+        f"axis {axis.name}: {kind} ({reason}); set points in next_measurement.csv, try them on the corrected machine with: "
+        "twin run next_measurement.csv --machine machine.toml",
+        trace,
     )
 
 
@@ -113,7 +123,7 @@ def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
         rate = 2 * np.pi * (f0 + (f1 - f0) * t / 8.0)
         amplitude = np.minimum(0.02 * reach, 0.3 * a / rate**2)
         drift = 0.02 * v * t
-        return t, middle + drift - drift[0] + amplitude * np.sin(phase) * np.minimum(1.0, t / 0.5)
+        return t, middle + drift + amplitude * np.sin(phase) * np.minimum(1.0, t / 0.5)
     if kind == "rest":
         return moves_in_turn(middle, [reach, -reach], 0.3 * v, a, j, 20.0, PERIOD)
     return moves_in_turn(middle, [reach, -reach, reach, -reach], v, a, j, 0.2, PERIOD)

@@ -27,7 +27,7 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import at_times, sensor_noise, simulated_period
+from twin.gap import LEAST_NOISE, at_times, sensor_noise, simulated_period
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import ReducedPlant
@@ -261,10 +261,11 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
 
 
 def _least(machine: Machine, axis: Axis, channel: str) -> float:
-    """What a channel cannot tell anyway [SI]: a machine file without noise makes no record without."""
+    """What a channel cannot tell anyway [SI]."""
     if channel == "current":
-        return 0.0 if axis.has_current_loop and machine.noise(axis).current else max(sensor_noise(machine, axis, axis.effort), 1e-4)
-    return {"position": 1e-9, "windup": 1e-9, "velocity": 1e-7}[channel]
+        no_less = 0.0 if axis.has_current_loop and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
+        return max(no_less, LEAST_NOISE["current"])
+    return LEAST_NOISE["position" if channel == "windup" else channel]
 
 
 def rebased(group: Group, machine_of: Variant) -> Group:

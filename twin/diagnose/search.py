@@ -81,7 +81,7 @@ def search(
             break
         candidates = _round(found, machine, folds, mapper, progress, quick)
         best = next((c for c in candidates if c.plausible), None)
-        earned = best is not None and best.evidence >= evidence_needed(found, best.setting, len(folds)) and _closes_enough(found, best.fit)
+        earned = best is not None and best.evidence >= best.needed and _closes_enough(found, best.fit)
         if earned and not looked:
             looked = True
             if _look_again(found, machine, mapper):
@@ -201,7 +201,8 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
         evidence = gain / min(found.inflation, inflation(group, fit))
         last = fit.settings[-1]
         plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
-        candidates.append(Candidate(fit, evidence, plausible, closed_share(found, found.fit.loss - fit.loss)))
+        needed = evidence_needed(found, last, len(folds))
+        candidates.append(Candidate(fit, evidence, needed, plausible, closed_share(found, found.fit.loss - fit.loss)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.found import Candidate, Found, closed, excess_of, is_cut, is_localised, is_systematic
-from twin.diagnose.left_out import EVIDENCE, beyond_tolerance, evidence_needed
+from twin.diagnose.left_out import beyond_tolerance, evidence_needed
 from twin.effects import Setting
 
 TEMPERATURE = 3.0
@@ -35,11 +35,15 @@ NOTICED_EXCESS = 0.12
 """Mean square of the residual above noise from which something is there at all."""
 
 
-def probabilities_of(candidates: Sequence[Candidate]) -> list[float]:
-    """Probability of each candidate of a round against its rivals and against none of them."""
-    if not candidates:
-        return []
-    evidence = np.array([c.evidence if c.plausible else -1e3 for c in candidates] + [EVIDENCE])
+def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[float]:
+    """Probability of each candidate of a round against its rivals and against none of them, which has what the best one needs.
+
+    Of a round whose best was refused for another reason than its evidence, or taken out again, nothing is left.
+    """
+    best = next((c for c in candidates if c.plausible), None)
+    if best is None or (best.evidence >= best.needed and best.key not in {s.key for s in found.fit.settings}):
+        return [0.0] * len(candidates)
+    evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
     odds = np.exp(np.clip((evidence - evidence.max()) / TEMPERATURE, -700, 0))
     return (CONFIDENCE * odds / odds.sum())[:-1].tolist()
 
@@ -52,7 +56,7 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
         for setting in f.fit.settings:
             probability = CONFIDENCE
             for candidates in f.rounds:
-                for candidate, p in zip(candidates, probabilities_of(candidates)):
+                for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
                         probability = p
             out.append((setting, f, probability * trust))

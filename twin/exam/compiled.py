@@ -18,6 +18,8 @@ import numba
 SOURCES = ("compiled", "control", "friction", "measurement", "mechanics", "plant", "tilting_pair")
 DIGEST = hashlib.sha256(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)).hexdigest()
 
+njit: Any = numba.njit  # its type does not know _nrt
+
 
 def compiled(inline: bool = False, allocates: bool = False) -> Callable:
     """Decorator; `inline` copies a small law into its callers.
@@ -26,7 +28,7 @@ def compiled(inline: bool = False, allocates: bool = False) -> Callable:
     """
 
     def wrap(function: Callable) -> Callable:
-        plain = numba.njit(nogil=True, error_model="numpy", _nrt=allocates, inline="always" if inline else "never")
+        plain = njit(nogil=True, error_model="numpy", _nrt=allocates, inline="always" if inline else "never")
         dispatcher: Any = plain(function)
         dispatcher.enable_caching()
         file: Any = getattr(dispatcher._cache, "_cache_file", None)

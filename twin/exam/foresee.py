@@ -167,7 +167,9 @@ def indirect(machine: Machine) -> Machine:
 def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRun) -> MeasuredRun:
     """A proposed move of these axes as the twin would record it, noise included, with the signals of another run."""
     trace = move_of(kind, [machine.axis(a) for a in axes])
-    simulated = simulate(machine, setpoints_of(trace, machine), sample_period=trace.period, noise_seed=1).trace
+    simulated = simulate(
+        machine.with_feedforward(like.feedforward), setpoints_of(trace, machine), sample_period=trace.period, noise_seed=1
+    ).trace
     signals = {s for _, s in like.trace.signals}
     kept = {(a, s): v[: len(trace.time)] for (a, s), v in simulated.signals.items() if s in signals and a in axes}
     kept |= {(a, "setpoint"): trace.get(a, "setpoint") for a in axes}
