@@ -43,7 +43,7 @@ def main() -> None:
     for effect in case.effects:
         print(f"hidden: {effect}")
 
-    save_png(waterfall_figure(waterfall(diagnosis, document)), args.out / "diagnosis_waterfall.png")
+    save_png(waterfall_figure(waterfall(diagnosis)), args.out / "diagnosis_waterfall.png")
     save_png(map_figure(*blocks_map(diagnosis, document)), args.out / "diagnosis_map.png")
     for stretch in stretches(diagnosis, document)[:1]:
         save_png(stretch_figure(diagnosis, stretch), args.out / "diagnosis_stretch.png")

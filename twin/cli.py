@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+import contextlib
 import importlib
 import sys
 from typing import Any
@@ -31,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except BrokenPipeError:
         return 0
+    except OSError as error:  # a place that cannot be written, a disk that is full
+        print(f"twin: {error.filename or 'a file'}: {error.strerror or error}; give another place or free this one", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("twin: stopped by the user", file=sys.stderr)
         return 130
@@ -115,7 +119,9 @@ def build_parser() -> argparse.ArgumentParser:
     diagnose.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
     _machine_arguments(diagnose)
     diagnose.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
-    diagnose.add_argument("--quick", action="store_true", help="fewer candidates, one look: an answer in seconds")
+    diagnose.add_argument(
+        "--quick", action="store_true", help="fewer candidates, quiet axes not searched: a look in less than half the time"
+    )
     diagnose.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
 
     exam = add("exam", exam_command, "diagnose sealed campaigns of a second plant, open the seals, score")
@@ -143,17 +149,17 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"'{text}' is out of bounds; give a number above 0 and below 1e6")
-    return value
+    with contextlib.suppress(ValueError):
+        if 0.0 < (value := float(text)) < 1e6:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text}': give a number above 0 and below 1e6")
 
 
 def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"'{text}' is negative; give 0 or more")
-    return value
+    with contextlib.suppress(ValueError):
+        if (value := int(text)) >= 0:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text}': give a whole number, 0 or more")
 
 
 def _machine_arguments(parser: argparse.ArgumentParser) -> None:

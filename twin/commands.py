@@ -205,5 +205,6 @@ def diagnose_command(args: argparse.Namespace) -> int:
         diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say)
     document = write_diagnosis(diagnosis, out)
     print(summary_text(document))
-    print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd")
+    move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
+    print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
     return 0

@@ -8,6 +8,7 @@ import json
 import math
 from pathlib import Path
 import re
+import shutil
 
 import pytest
 
@@ -17,8 +18,9 @@ from twin.exam.effects import LIBRARY
 from twin.exam.mark import NOT_DIAGNOSED, mark_answer
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
-from twin.exam.score import calibration, confusion, macro_f1, score, wilson
+from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, wilson
 from twin.exam.sitting import same_examination, seal, unseal
+from twin.machine import default_machine_path, load_machine
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
 PLANT = ("control", "draw", "effects", "friction", "measurement", "mechanics", "outside", "parameters", "paths", "plant", "programme",
@@ -239,12 +241,34 @@ def test_bad_arguments_are_one_line(arguments: list[str], message: str, tmp_path
     assert error.count("\n") == 1
 
 
+def test_machine_that_the_plant_cannot_be_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    home = default_machine_path()
+    text = home.read_text(encoding="utf-8")
+    (tmp_path / "machine.toml").write_text(re.sub(r"(?ms)^\[body\.workpiece\].*?(?=^\[)", "", text), encoding="utf-8")
+    shutil.copy(home.with_suffix(".xml"), tmp_path)
+    load_machine(tmp_path / "machine.toml")  # the twin can have it
+    assert main(["exam", "--machine", str(tmp_path / "machine.toml"), "--out", str(tmp_path / "exam")]) == 2
+    error = capsys.readouterr().err
+    assert "workpiece" in error
+    assert error.count("\n") == 1
+
+
+def test_place_that_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "exam").write_text("", encoding="utf-8")
+    assert main(["exam", "--cases", "1", "--out", str(tmp_path / "exam")]) == 2
+    error = capsys.readouterr().err
+    assert "give another place" in error
+    assert error.count("\n") == 1
+
+
 @pytest.fixture(scope="module")
 def sat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """A short examination, and how it was called."""
     out = tmp_path_factory.mktemp("exam")
     arguments = ["exam", "--seed", "11", "--cases", "12", "--short", "--quick", "--richness", "off", "--out", str(out)]
-    assert main(arguments) == 0
+    code = main(arguments)
+    targets = json.loads((out / "exam.json").read_text(encoding="utf-8"))["score"]["targets"]
+    assert code == int(any(is_failed(t) for t in targets))
     return out, arguments
 
 
@@ -284,6 +308,6 @@ def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> Non
     out, arguments = sat
     before = {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")}
     first = (out / "exam.json").read_text(encoding="utf-8")
-    assert main(arguments) == 0
+    assert main(arguments) in (0, 1)
     assert {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")} == before
     assert (out / "exam.json").read_text(encoding="utf-8") == first

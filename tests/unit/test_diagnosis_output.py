@@ -1,6 +1,7 @@
 """The files of a diagnosis by contract, on a small campaign of the examination's plant; bad campaigns are refused in one line."""
 
 from collections.abc import Iterator
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -12,7 +13,11 @@ import numpy as np
 import pytest
 
 from examples.diagnose import record, short_runs
+from twin.campaign import read_campaign
 from twin.cli import main
+from twin.diagnose.check import notes_of
+from twin.diagnose.next_measurement import Proposal
+from twin.diagnose.output import write_proposal
 from twin.diagnose.wording import effect_title, interval_text, parameters_of
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
@@ -117,6 +122,13 @@ def test_corrected_machine_loads_and_holds_the_effects(diagnosed: Path, document
         assert axis.motor.torque_constant_nm_per_a == pytest.approx(other.motor.torque_constant_nm_per_a, rel=0.1)
 
 
+def test_next_measurement_of_an_earlier_diagnosis_does_not_stay(tmp_path: Path) -> None:
+    file = tmp_path / "next_measurement.csv"
+    file.write_text("of another diagnosis", encoding="utf-8")
+    write_proposal(Proposal("none needed", None), file)
+    assert not file.exists()
+
+
 def test_next_measurement_can_be_run(diagnosed: Path) -> None:
     trace = read_trace(diagnosed / "next_measurement.csv", axes=load_machine().kinds, need=("setpoint",))
     assert np.ptp(trace.get("X", "setpoint")) > 0
@@ -202,6 +214,35 @@ def test_motion_that_does_not_follow_its_set_point(capsys: pytest.CaptureFixture
     message = refused(capsys, folder, "--out", tmp_path / "out")
     assert "axis X" in message
     assert "set point" in message
+
+
+def test_motor_that_does_not_follow_where_there_is_no_scale(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    def without_scale(signals: dict) -> dict:
+        return {k: -v if k == ("X", "motor_position") else v for k, v in signals.items() if k[1] != "position"}
+
+    message = refused(capsys, changed(campaign, tmp_path, without_scale), "--out", tmp_path / "out")
+    assert "axis X" in message
+    assert "set point" in message
+
+
+def test_nothing_moves(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[0] == "Y"})
+    assert "no axis moves" in refused(capsys, folder, "--out", tmp_path / "out")
+
+
+def test_another_machine_by_name_is_noted(campaign: Path) -> None:
+    machine = load_machine()
+    read = read_campaign(campaign, machine)
+    assert not any("names machine" in note for note in notes_of(read, machine))
+    other = dataclasses.replace(read, machine_name="DMU 50")
+    assert "campaign.toml names machine DMU 50, it is held against Mikron UCP 710" in notes_of(other, machine)
+
+
+def test_seed_that_is_no_number(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["diagnose", str(tmp_path), "--out", str(tmp_path / "out"), "--seed", "x"])
+    assert stopped.value.code == 2
+    assert "'x': give a whole number, 0 or more" in capsys.readouterr().err
 
 
 def test_nothing_measured(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:

@@ -32,8 +32,11 @@ MOTION = ("velocity", "motor_position", "position")
 """Signals any of which tells the motion of an axis."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 REVERSAL_S = 0.06
+"""Time [s] after a change of direction that counts as reversal."""
 SMOOTH_S = 0.025
+"""Window [s] over which a recorded motion is smoothed before it is differentiated."""
 DRIFT_S = 0.2
+"""Window [s] of the moving mean that is taken out of the predicted current: what an integrator over recorded, noisy inputs drifts by."""
 
 
 @dataclass

@@ -72,9 +72,11 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         ("velocity", "the speed controller cannot be cut"),
         ("position", "what the scale sees is not known"),
     ):
-        lacking = [a for a in axes if not _recorded(machine.axis(a), signal, campaign)]
-        if lacking:
-            notes.append(f"no {signal} of axis {', '.join(lacking)}: {lost}")
+        lacking: dict[str, list[str]] = {}
+        for a in axes:
+            if not _recorded(machine.axis(a), signal, campaign):
+                lacking.setdefault(machine.axis(a).effort if signal == "current" else signal, []).append(a)
+        notes += [f"no {name} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:
         notes.append(f"axis {', '.join(still)} does not move: nothing is said of it")

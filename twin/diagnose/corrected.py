@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.campaign import Campaign, MeasuredRun
 from twin.diagnose.found import Found
-from twin.diagnose.left_out import bounded, leave_out, retuned_within
+from twin.diagnose.left_out import bounded, leave_out
 from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import SimulationError
@@ -51,19 +51,6 @@ def within(f: Found, tolerance: float) -> np.ndarray:
     deviations = f.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < LEAST_SLIP * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
-
-
-def retuned_share(found: Sequence[Found], tolerance: float) -> float:
-    """Share of the squared gap above noise that re-tuning within the tolerance closes by itself."""
-    before = after = 0.0
-    for f in found:
-        theta = retuned_within(f, tolerance).tuning
-        left = f.group.residual - f.retuned.about.jacobian @ theta
-        noise = sum(len(c.residual) / c.correlation for c in f.group.channels)
-        was, now = (float(np.sum(f.group.in_noise(rows) ** 2)) for rows in (f.group.residual, left))
-        before += max(was - noise, 0.0)
-        after += max(now - noise, 0.0)
-    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 from twin.campaign import Campaign
 from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections, retuned_share
+from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.evidence import retuning_share, waterfall
 from twin.diagnose.fit import Fit
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import FOLDS
@@ -23,9 +24,8 @@ from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
-from twin.diagnose.sizes import drop_implausible, sized
 from twin.diagnose.tuning import PRIOR_WEIGHT
-from twin.diagnose.verdict import is_unknown, named, probabilities_of, verdict_of
+from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, with_effects
@@ -54,7 +54,6 @@ class Diagnosis:
     gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]  # before/after -> run -> axis -> signal
     held_out: list[str]
     proposal: Proposal
-    retuned_share: float
     notes: list[str] = field(default_factory=list)
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
 
@@ -71,7 +70,7 @@ class Diagnosis:
                 "after": after,
                 "noise_floor": 1.0,  # what the others are multiples of
                 "unit": "RMS over axes and signals, in multiples of what noise alone makes",
-                "retuning_share": self.retuned_share,
+                "retuning_share": retuning_share(waterfall(self)),
                 "held_out_runs": self.held_out,
                 "axes": self._axis_gaps(),
             },
@@ -102,9 +101,13 @@ class Diagnosis:
         before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
+    @property
+    def axes(self) -> list[str]:
+        """Axes of which something was measured."""
+        return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
+
     def _pooled(self, which: str) -> float:
-        axes = sorted({name for axes in self.gaps[which].values() for name in axes})
-        return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in axes]))) if axes else 1.0
+        return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in self.axes]))) if self.axes else 1.0
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}
@@ -141,7 +144,7 @@ class Diagnosis:
     def _parameters(self, setting: Setting, found: Found, fit: Fit | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `fit`.
 
-        One that was screened only has the sizes that are usual as its interval.
+        One that was screened only has no width: nothing was fitted.
         """
         axis = self.machine.axis(setting.axis)
         of = next((f for f in (found.fit, fit) if f is not None and setting in f.settings), None)
@@ -154,9 +157,6 @@ class Diagnosis:
                 continue
             value = setting.parameters[parameter.name]
             low = high = value
-            if of is None:
-                usual = parameter.usual_range(self.machine, axis)
-                low, high = (bound if math.isfinite(bound) else value for bound in (min(value, usual[0]), max(value, usual[1])))
             free_of = of.free if of is not None else []
             i = next((i for i, f in enumerate(free_of) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
             if i is not None:
@@ -281,13 +281,7 @@ def diagnose(
             group = observe(views, axes, seed)
             if not group.size:
                 return None
-            result = search(group, machine_without, folds, mapper, say, quick)
-            drop_implausible(result, machine_without, mapper)
-            result.unknown = is_unknown(result)
-            final = sized(result, machine_without, mapper)
-            if len(final.fit.settings) < len(result.fit.settings):  # what it explained is left again
-                final.unknown = final.unknown or is_unknown(final)
-            return final
+            return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper)
 
         views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
         groups = axis_groups(machine_without, measured)
@@ -316,7 +310,6 @@ def diagnose(
         gaps=held_out.gaps,
         held_out=held_out.runs,
         proposal=propose(machine, found, verdict),
-        retuned_share=retuned_share(found, machine.parameter_tolerance),
         notes=notes,
         predictions=held_out.predictions,
     )

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
-from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.fit import Fit
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import retuned_within
@@ -24,6 +23,9 @@ from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.where import STRETCH_S
 from twin.diagnose.wording import effect_title
 from twin.gap import COMPARED
+
+if TYPE_CHECKING:
+    from twin.diagnose.diagnosis import Diagnosis
 
 BLOCKS_NEED = {
     "position controller": (("position", "motor_position"), ("velocity_setpoint",)),
@@ -52,10 +54,9 @@ class Stretch:
     block: str
 
 
-def waterfall(diagnosis: Diagnosis, document: dict[str, Any]) -> list[tuple[str, float]]:
+def waterfall(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """Levels of the gap in multiples of noise: before, re-tuned, after each effect; the last is the gap that is left."""
-    axes = list(document["gap"]["axes"])
-    ends = {axis: (diagnosis.axis_level("before", axis) ** 2, diagnosis.axis_level("after", axis) ** 2) for axis in axes}
+    ends = {axis: (diagnosis.axis_level("before", axis) ** 2, diagnosis.axis_level("after", axis) ** 2) for axis in diagnosis.axes}
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
 

@@ -40,7 +40,7 @@ WITHIN_MODE = 0.06
 """Share of its elasticity by which a drive train is changed to see what that does: 3 % of its frequency."""
 
 SLOPE = 1.0
-"""Step over which slopes are taken: wide enough that what a break-away a sample earlier or later changes is small beside it."""
+"""Step over which slopes are taken: wide enough that a break-away shifted by one sample changes little in comparison."""
 
 NARROW = 0.1
 """The same where a wider one leads no further, and much is left."""

@@ -91,8 +91,9 @@ def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
 def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
     time, position = _move(kind, axis)
     trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})
+    by = ", by the drive's measuring function: beyond the jerk limit of programs" if kind == "chirp" else ""
     return Proposal(
-        f"axis {axis.name}: {kind} ({reason}); set points in next_measurement.csv, try them on the corrected machine with: "
+        f"axis {axis.name}: {kind} ({reason}){by}; set points in next_measurement.csv, try them on the corrected machine with: "
         "twin run next_measurement.csv --machine machine.toml",
         trace,
     )

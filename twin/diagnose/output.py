@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import unseen_text
+from twin.diagnose.wording import place_text, unseen_text, verdict_sentence
 from twin.machine import write_machine
 from twin.trace import write_trace
 
@@ -21,13 +22,19 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     (out / "diagnosis.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     write_machine(diagnosis.corrected, out / "machine.toml")
-    if diagnosis.proposal.move is not None:
-        write_trace(diagnosis.proposal.move, out / "next_measurement.csv")
+    write_proposal(diagnosis.proposal, out / "next_measurement.csv")
     with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time
         recording = pool.submit(write_recording_of, diagnosis, out / "diagnosis.rrd")
         write_report(diagnosis, document, out / "report.html")
         recording.result()
     return document
+
+
+def write_proposal(proposal: Proposal, path: Path) -> None:
+    """Write the move of a next measurement; where there is none, none of an earlier diagnosis stays."""
+    path.unlink(missing_ok=True)
+    if proposal.move is not None:
+        write_trace(proposal.move, path)
 
 
 def summary_text(document: dict[str, Any]) -> str:
@@ -37,7 +44,7 @@ def summary_text(document: dict[str, Any]) -> str:
     for e in document["effects"]:
         values = ", ".join(f"{k} {v['value']:.4g} {v['unit']} ({v['low']:.4g} to {v['high']:.4g})" for k, v in e["parameters"].items())
         lines.append(
-            f"  {e['effect']} on {e['axis']} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
+            f"  {e['effect']} on {place_text(e)} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
         )
     for place in document["where"][:3]:
         runs = ", ".join(place["runs"][:3])
@@ -48,21 +55,9 @@ def summary_text(document: dict[str, Any]) -> str:
         f"  gap {gap['before']:.2f} before, {gap['after']:.2f} after, 1 = noise alone; re-tuning alone closes {gap['retuning_share']:.0%}"
     )
     for rival in document["ambiguous_with"]:
-        lines.append(f"  not told apart here: {rival['effect']} on {rival['axis']} instead of {rival['instead_of']}")
+        lines.append(f"  not told apart here: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")
     if document["not_visible"]:
         lines.append(f"  would not show here, at usual size: {unseen_text(document)}")
     lines += [f"  note: {note}" for note in document["notes"]]
     lines.append(f"  next measurement: {document['next_measurement']}")
     return "\n".join(lines)
-
-
-def verdict_sentence(document: dict[str, Any]) -> str:
-    """The answer in one sentence."""
-    if document["verdict"] == "none":
-        return "No effect: within its tolerance and noise the machine does what its file says."
-    names = " and ".join(f"{e['effect'].replace('_', ' ')} on axis {e['axis']}" for e in document["effects"])
-    if document["verdict"] == "effect":
-        return f"The gap comes from {names}."
-    place = document["where"][0] if document["where"] else None
-    at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
-    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {names}." if names else ".")

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import stretches
+from twin.diagnose.wording import verdict_sentence
 from twin.replay.events import TELLING, Event
 
 
 def write_recording_of(diagnosis: Diagnosis, path: Path) -> None:
     """Write the run with the most telling stretch; the measured machine moves, the two simulated ones are drawn over it."""
-    from twin.diagnose.output import verdict_sentence
     from twin.replay import write_recording
 
     document = diagnosis.document()

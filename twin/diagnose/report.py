@@ -8,14 +8,12 @@ from typing import Any
 import jinja2
 
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import blocks_map, retuned_values, retuning_share, run_levels, stretches, waterfall
+from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches, waterfall
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
-from twin.diagnose.wording import effect_title, headline_number, parameters_of, percent, times, unseen_text
+from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
 from twin.errors import InputError
 from twin.units import ARCSEC
-
-__all__ = ["report_page", "verdict_sentence", "write_report"]
 
 CANDIDATES_SHOWN = 12
 STRETCHES_SHOWN = 3
@@ -38,22 +36,22 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters.update(percent=percent, times=times, effect_title=effect_title, parameters=parameters_of)
+    environment.filters.update(
+        percent=percent, times=times, effect_title=effect_title, parameters=parameters_of, sentence_case=sentence_case
+    )
     axes, blocks = blocks_map(diagnosis, document)
     run_axes, runs = run_levels(diagnosis)
-    steps = waterfall(diagnosis, document)
     return environment.get_template("report.html.j2").render(
         document=document,
         campaign=diagnosis.campaign,
         machine=diagnosis.machine,
         seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
-        verdict=verdict_sentence(document),
+        verdict=verdict_sentence(document, numbers=True),
         unseen=unseen_text(document),
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),
-        waterfall=as_image(waterfall_figure(steps)),
-        retuning=retuning_share(steps),
+        waterfall=as_image(waterfall_figure(waterfall(diagnosis))),
         map=as_image(map_figure(axes, blocks)),
         curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],
         run_axes=run_axes,
@@ -62,17 +60,6 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         retuned=_retuned_table(diagnosis),
         stiffness=lambda table: _stiffness(diagnosis, table),
     )
-
-
-def verdict_sentence(document: dict[str, Any]) -> str:
-    """The answer in one sentence, with the number of each effect."""
-    from twin.diagnose.output import verdict_sentence as sentence
-
-    text = sentence(document)
-    for effect in document["effects"]:
-        name = f"{effect['effect'].replace('_', ' ')} on axis {effect['axis']}"
-        text = text.replace(name, f"{effect_title(effect)} ({headline_number(effect)})", 1)
-    return text
 
 
 def gap_sentence(document: dict[str, Any]) -> str:

@@ -33,7 +33,7 @@ def unseen_effects(
     folds: int,
     mapper: Callable,  # type: ignore[type-arg]
 ) -> dict[tuple[str, str, str | None], float]:
-    """Multiple of the usual size from which an effect would show, of those for which it is above 1; inf where none would.
+    """Effects that would not show at their usual size, each with the multiple of it from which it would (inf: at no size).
 
     Asked with the middle one of an effect's starts, and the worse of two phases.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import math
 from typing import Any
 
@@ -11,7 +11,9 @@ import numpy as np
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.found import Candidate, Found, closed, excess_of, is_cut, is_localised, is_systematic
 from twin.diagnose.left_out import beyond_tolerance, evidence_needed
+from twin.diagnose.sizes import drop_implausible, sized
 from twin.effects import Setting
+from twin.machine import Machine
 
 TEMPERATURE = 3.0
 """Divides the evidence before it becomes a probability: models are never quite right."""
@@ -44,7 +46,7 @@ def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[floa
     if best is None or (best.evidence >= best.needed and best.key not in {s.key for s in found.fit.settings}):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
-    odds = np.exp(np.clip((evidence - evidence.max()) / TEMPERATURE, -700, 0))
+    odds = np.exp((evidence - evidence.max()) / TEMPERATURE)
     return (CONFIDENCE * odds / odds.sum())[:-1].tolist()
 
 
@@ -62,6 +64,16 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
             out.append((setting, f, probability * trust))
     strength = {id(f): closed(f) for f in found}
     return sorted(out, key=lambda item: -strength[id(item[1])])
+
+
+def judged(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: ignore[type-arg]
+    """What a search found, without effects of sizes that no machine has, sized, and told whether it leaves something unknown."""
+    drop_implausible(found, machine, mapper)
+    found.unknown = is_unknown(found)
+    final = sized(found, machine, mapper)
+    if len(final.fit.settings) < len(found.fit.settings):  # what was explained by one that is gone is left again
+        final.unknown = final.unknown or is_unknown(final)
+    return final
 
 
 def is_unknown(f: Found) -> bool:

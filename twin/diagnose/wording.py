@@ -86,10 +86,26 @@ def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
+def place_text(entry: dict[str, Any]) -> str:
+    """The axis of an effect: 'X', 'X from Y'."""
+    return entry["axis"] + (f" from {entry['from_axis']}" if entry.get("from_axis") else "")
+
+
 def effect_title(entry: dict[str, Any]) -> str:
     """'backlash on axis X', 'cross axis coupling on axis X from Y'."""
-    origin = f" from {entry['from_axis']}" if entry.get("from_axis") else ""
-    return f"{entry['effect'].replace('_', ' ')} on axis {entry['axis']}{origin}"
+    return f"{entry['effect'].replace('_', ' ')} on axis {place_text(entry)}"
+
+
+def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
+    """The answer in one sentence; `numbers`: with the first parameter of each effect."""
+    if document["verdict"] == "none":
+        return "No effect: within its tolerance and noise the machine does what its file says."
+    names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in document["effects"]])
+    if document["verdict"] == "effect":
+        return f"The gap comes from {names}."
+    place = document["where"][0] if document["where"] else None
+    at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
+    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {names}." if names else ".")
 
 
 def headline_number(entry: dict[str, Any]) -> str:
@@ -113,6 +129,11 @@ def times(level: float) -> str:
     return f"{level:.2f}" if level < 10.0 else f"{level:.1f}" if level < 100.0 else f"{level:.0f}"
 
 
+def sentence_case(text: str) -> str:
+    """The first letter large, the others as they are."""
+    return text[:1].upper() + text[1:]
+
+
 def listed(words: Sequence[str]) -> str:
     """'a', 'a and b', 'a, b and c'."""
     return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + (words[-1] if words else "")
@@ -121,14 +142,13 @@ def listed(words: Sequence[str]) -> str:
 def unseen_text(document: dict[str, Any]) -> str:
     """Effects that these runs and signals would not show, with their axes; of an axis that hardly moves they are too many to be listed."""
     by_axis: dict[str, set[str]] = {}
-    listed = document["not_visible"] or []
-    for e in listed:
+    unseen = document["not_visible"] or []
+    for e in unseen:
         by_axis.setdefault(e["axis"], set()).add(e["effect"])
     still = sorted(axis for axis, effects in by_axis.items() if len(effects) > MANY)
     named: dict[str, list[str]] = {}
-    for e in listed:
+    for e in unseen:
         if e["axis"] not in still:
-            place = e["axis"] + (f" from {e['from_axis']}" if "from_axis" in e else "")
-            named.setdefault(e["effect"].replace("_", " "), []).append(place)
+            named.setdefault(e["effect"].replace("_", " "), []).append(place_text(e))
     parts = [f"{effect} on {', '.join(places)}" for effect, places in sorted(named.items())]
     return "; ".join([*parts, *([f"many effects on {', '.join(still)}"] if still else [])])

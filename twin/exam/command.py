@@ -8,6 +8,8 @@ import json
 from pathlib import Path
 import tomllib
 
+import numpy as np
+
 import twin
 from twin.errors import InputError, nearest
 
@@ -37,7 +39,7 @@ def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def exam_command(args: argparse.Namespace) -> int:
-    """Draw, seal, diagnose, open, mark, score."""
+    """Draw, seal, diagnose, open, mark, score; 1 where a target is missed by more than chance."""
     if args.plan:
         from .foresee import foresee_command
 
@@ -45,10 +47,12 @@ def exam_command(args: argparse.Namespace) -> int:
     from twin.machine import default_machine_path, load_machine
     from twin.progress import Progress
 
+    from .draw import peaks_of, runs_of
     from .mark import mark
+    from .parameters import draw_factors
     from .questions import STRATA, questions_of
     from .report import write_exam_report
-    from .score import score
+    from .score import is_failed, score
     from .sitting import TRUTHS, draw, each, is_answered, processes, same_examination, seal, sit, sources, truths_text, unseal
 
     if not 1 <= args.cases <= 100_000:
@@ -65,6 +69,13 @@ def exam_command(args: argparse.Namespace) -> int:
         raise InputError(
             f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
         )
+    table = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    try:
+        peaks_of(table, draw_factors(np.random.default_rng(0), 0.0), runs_of(table, 0, "all"))
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{machine_file}: the examination's plant cannot be made of it: {error}; it needs what the Mikron's file has"
+        ) from None
     out = Path(args.out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     questions = questions_of(args.seed, args.cases, args.short, args.only)
@@ -89,14 +100,15 @@ def exam_command(args: argparse.Namespace) -> int:
         print(f"opened: {out / 'truths.json'}", flush=True)
         with Progress("marking", total=len(asked)) as bar:
             marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
+    scored = score(list(marks.values()))
     document = {
         "twin": twin.__version__,
         **asked_for,
-        "machine": tomllib.loads(Path(machine_file).read_text(encoding="utf-8")).get("name", Path(machine_file).stem),
+        "machine": table.get("name", Path(machine_file).stem),
         "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
         "not_drawn": impossible,
         "not_answered": len(cases) - len(asked),
-        "score": score(list(marks.values())),
+        "score": scored,
         "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
         "marks": list(marks.values()),
     }
@@ -104,7 +116,7 @@ def exam_command(args: argparse.Namespace) -> int:
     print(summary(document))
     write_exam_report(document, out / "report.html")
     print(f"written to {out}: exam.json, report.html, truths.json")
-    return 0
+    return int(any(is_failed(t) for t in scored["targets"]))
 
 
 def summary(document: dict) -> str:  # type: ignore[type-arg]

@@ -82,8 +82,8 @@ def _notch(hz: float, width: float, tick: float) -> np.ndarray:
 
 
 # State of the control, one row per axis
-W_SET, T_FF, I_SPEED, I_CURRENT, LAG_S, LAG_I, LAG_W, N1, N2, S_F1, S_F2, W_OUT = range(12)
-CONTROL_STATES = 12
+W_SET, T_FF, I_SPEED, I_CURRENT, LAG_S, LAG_I, LAG_W, N1, N2, S_F1, S_F2 = range(11)
+CONTROL_STATES = 11
 
 
 @compiled(inline=True)

@@ -223,8 +223,8 @@ def foresee_command(args: argparse.Namespace) -> int:
         foreseen = foresee(campaign, machine, bar.say)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    document = {name: [vars(o) for o in rows] for name, rows in foreseen.items()}
-    text = json.dumps(document, indent=1).replace("Infinity", "null")
+    document = {name: [{k: None if v == math.inf else v for k, v in vars(o).items()} for o in rows] for name, rows in foreseen.items()}
+    text = json.dumps(document, indent=1)
     (out / "plan.json").write_text(text + "\n", encoding="utf-8")
     write_plan_report(campaign, foreseen, out / "report.html")
     print(table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in foreseen["as recorded"]], left=2))

@@ -115,6 +115,17 @@ def _met(value: Mapping[str, Any] | None, target: float | tuple[float, float]) -
     return bool(v <= -target) if target < 0 else bool(v >= target)
 
 
+def is_failed(target: Mapping[str, Any]) -> bool:
+    """Is a target of the score missed, a share by more than chance: with all of its 95 % interval?"""
+    if target["met"] is not False:
+        return False
+    if "low" not in target:
+        return True
+    goal = target["target"]
+    least, most = goal if isinstance(goal, (tuple, list)) else (goal, 1.0)
+    return bool(target["high"] < least or target["low"] > most)
+
+
 def label_of(m: Mark) -> str:
     """What there was, in a word."""
     return "outside the library" if m["outside"] else m["true"][0][0] if m["true"] else "none"

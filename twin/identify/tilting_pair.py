@@ -20,7 +20,7 @@ import numpy as np
 from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
 from twin.identify.least_squares import Fit, regress
-from twin.machine import Axis, Body, Machine
+from twin.machine import Body, Machine
 
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
@@ -126,8 +126,3 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
         return run
     names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
     return replace(run, **{k: getattr(run, k)[:n] for k in names})
-
-
-def friction_axis(axis: Axis, coulomb: float, viscous: float) -> tuple[float, float]:
-    """Friction at the axis [Nm, Nm s/rad] to friction at the motor."""
-    return coulomb * axis.ratio, viscous * axis.ratio**2

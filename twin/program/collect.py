@@ -29,8 +29,6 @@ RAPID_TOLERANCE_FACTOR = 3.0
 SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
 """Wait at an exact stop in time constants 1 / Kv of the slowest axis: until the window is reached; G603 does not wait."""
 
-NAN5 = (math.nan,) * 5
-
 
 @dataclass(frozen=True)
 class Modes:

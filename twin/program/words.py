@@ -18,7 +18,6 @@ _ASSIGN = re.compile(r"(R\d{1,4}|[A-Z]{2,}[A-Z0-9_]*|[A-Z]\d?)[ \t]*=(?!=)", re.
 _ADDRESS = re.compile(rf"([A-Z])[ \t]*({NUMBER})", re.A)
 _NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
 _TOKEN = re.compile(r"[ \t]*(?:(\d+\.?\d*|\.\d+)(?:EX([+-]?\d+))?|(R\d{1,4})|([A-Z][A-Z0-9]*)|(==|<>|<=|>=|[-+*/()<>,=]))", re.A)
-GREATEST_PARAMETER = 9999
 
 
 class WordError(Exception):

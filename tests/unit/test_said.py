@@ -1,0 +1,93 @@
+"""What is said of candidates and effects: probabilities, sentences, the next measurement."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from twin.diagnose import verdict
+from twin.diagnose.found import Candidate
+from twin.diagnose.verdict import CONFIDENCE, probabilities_of
+from twin.diagnose.wording import sentence_case, verdict_sentence
+from twin.effects import EFFECTS, Setting
+from twin.exam.score import is_failed, wilson
+
+
+def candidate(effect: str, evidence: float, needed: float, plausible: bool = True) -> Candidate:
+    return Candidate(SimpleNamespace(settings=(Setting(EFFECTS[effect], "X", {}),)), evidence, needed, plausible, 0.5)
+
+
+def holding(*candidates: Candidate) -> SimpleNamespace:
+    return SimpleNamespace(fit=SimpleNamespace(settings=[c.setting for c in candidates]))
+
+
+def test_an_effect_that_was_found_is_probable():
+    best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 150.0, 30.0)
+    p = probabilities_of([best, rival], holding(best))
+    assert p[0] == pytest.approx(CONFIDENCE)
+    assert p[1] < 1e-6
+
+
+def test_an_effect_without_the_evidence_it_needs_is_not():
+    """100 would be plenty for a block that is cut; where 130 are needed it is what a fault of the twin imitates."""
+    p = probabilities_of([candidate("position_gain", 100.0, 130.0)], holding())
+    assert p[0] < 1e-3
+    p = probabilities_of([candidate("position_gain", 130.0, 130.0)], holding(candidate("position_gain", 130.0, 130.0)))
+    assert p[0] == pytest.approx(0.5 * CONFIDENCE)
+
+
+def test_of_a_round_whose_best_was_refused_nothing_is_left():
+    best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 199.0, 20.0)
+    assert probabilities_of([best, rival], holding()) == [0.0, 0.0]
+
+
+def test_a_size_that_no_machine_has_is_not_probable():
+    implausible, best = candidate("backlash", 300.0, 20.0, plausible=False), candidate("presliding", 200.0, 20.0)
+    p = probabilities_of([implausible, best], holding(best))
+    assert p == [0.0, pytest.approx(CONFIDENCE)]
+    assert probabilities_of([implausible], holding()) == [0.0]
+
+
+def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: pytest.MonkeyPatch):
+    """An effect that, sized, has no plausible size is taken out: the verdict may not be that nothing is there."""
+    before, after = (SimpleNamespace(fit=SimpleNamespace(settings=s), unknown=False) for s in (("an effect",), ()))
+    monkeypatch.setattr(verdict, "drop_implausible", lambda *_: None)
+    monkeypatch.setattr(verdict, "sized", lambda *_: after)
+    monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
+    assert verdict.judged(before, None, map).unknown
+    monkeypatch.setattr(verdict, "sized", lambda found, *_: found)
+    assert not verdict.judged(before, None, map).unknown
+
+
+def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -> dict:
+    of = {"effect": name, "axis": axis, "parameters": {"mass_kg": {"value": mass, "low": mass, "high": mass, "unit": "kg"}}}
+    return {**of, "from_axis": source} if source else of
+
+
+def test_two_couplings_of_one_axis_are_told_apart():
+    document = {
+        "verdict": "effect",
+        "effects": [effect("cross_axis_coupling", "X", "Y", 1.0), effect("cross_axis_coupling", "X", "Z", 2.0), effect("backlash", "A")],
+    }
+    assert verdict_sentence(document) == (
+        "The gap comes from cross axis coupling on axis X from Y, cross axis coupling on axis X from Z and backlash on axis A."
+    )
+    assert "from Y (1.00 kg), cross axis coupling on axis X from Z (2.00 kg) and" in verdict_sentence(document, numbers=True)
+    assert sentence_case("cross axis coupling on axis X from Y") == "Cross axis coupling on axis X from Y"
+
+
+@pytest.mark.parametrize(
+    ("right", "of", "goal", "failed"),
+    [(18, 19, 0.98, False), (11, 15, 0.80, False), (5, 15, 0.80, True), (15, 15, 0.80, False), (45, 45, (0.88, 0.99), False)],
+)
+def test_a_target_is_missed_beyond_chance(right: int, of: int, goal, failed: bool):
+    low, high = wilson(right, of)
+    least, most = goal if isinstance(goal, tuple) else (goal, 1.0)
+    met = least <= right / of <= most
+    assert is_failed({"met": met, "target": goal, "value": right / of, "right": right, "of": of, "low": low, "high": high}) is failed
+
+
+def test_a_number_that_misses_its_target_is_missed():
+    assert is_failed({"met": False, "target": -1.3, "value": 1.31, "of": 20})
+    assert not is_failed({"met": None, "target": -1.3})
+    assert math.isfinite(wilson(0, 0)[1])
