@@ -94,7 +94,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
             if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
                 continue
             if block == "speed controller" and not (
-                view.on_cycles and all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint"))
+                view.on_each_cycle and all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint"))
             ):
                 continue
             measured, index = law(view, axis, view.trace)
@@ -111,8 +111,8 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     ticks = max(1, round(trace.period / machine.base_tick))
     count = len(trace.time)
     setpoints = view.setpoints.part((a,))
-    cycles = np.floor(np.arange(count) * trace.period / machine.position_cycle + 1e-6).astype(int)  # of each sample
-    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, int(cycles[-1]) + 1)
+    every = round(machine.position_cycle / trace.period)
+    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
     current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
@@ -121,7 +121,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         drives,
         state,
         trace.get(axis.name, "velocity_setpoint") / axis.ratio,
-        command.torque_feedforward[cycles, 0],
+        np.repeat(command.torque_feedforward[:, 0], every)[:count],
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,

@@ -151,9 +151,10 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     if block == "position controller" or (block in CONTROLLERS and law and not own.has_speed_integral):
         return law
     return any(
-        run.trace.moves(axis)
-        and all(any(run.trace.has(axis, own.effort if s == "current" else s) for s in one_of) for one_of in BLOCKS_NEED[block])
-        for run in diagnosis.campaign.runs
+        view.moves(axis)
+        and (block != "speed controller" or view.on_each_cycle)
+        and all(any(view.trace.has(axis, own.effort if s == "current" else s) for s in one_of) for one_of in BLOCKS_NEED[block])
+        for view in next((f.group.views for f in diagnosis.found if axis in f.group.axes), ())
     )
 
 

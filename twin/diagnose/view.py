@@ -46,6 +46,11 @@ class RunView:
         cycles = max(period / cycle, cycle / period)
         return simulated_period(self.machine, period) == period and abs(cycles / round(cycles) - 1.0) < SAME_PERIOD
 
+    @property
+    def on_each_cycle(self) -> bool:
+        """Is a sample at each position cycle in it? A slower record lacks the speed set points between its samples."""
+        return self.on_cycles and self.trace.period < self.machine.position_cycle * (1.0 + SAME_PERIOD)
+
     def moves(self, name: str) -> bool:
         """Does the axis' set point move in this run?"""
         return self.trace.moves(name)
