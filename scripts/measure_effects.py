@@ -44,10 +44,11 @@ def main() -> int:
     args = parser.parse_args()
     machine = load_machine()
     floor = pooled_gap(machine, args.campaigns / "nominal")
-    failed = 0
+    failed = seen = 0
     for folder in sorted(args.campaigns.iterdir()):
         if folder.name == "nominal" or not (folder / "truth.toml").is_file() or (args.only and folder.name not in args.only):
             continue
+        seen += 1
         before = pooled_gap(machine, folder)
         truth = true_machine(machine, folder / "truth.toml")
         after = pooled_gap(truth, folder)
@@ -63,6 +64,9 @@ def main() -> int:
         effects = ", ".join(f"{e['name']} {e['axis']}" for e in truth.effects) or "no effect"
         print(f"\n{folder.name}: {effects}")
         print(table(["axis", "signal", "runs", "before", "after", "floor", "left", ""], rows))
+    if not seen:
+        print(f"{args.campaigns}: no campaign with a truth.toml was asked for", file=sys.stderr)
+        return 2
     print(f"\n{failed} above {args.limit}")
     return 1 if failed else 0
 

@@ -198,6 +198,9 @@ def main() -> int:
                 f"{len(failed):6d}   {shown or '-':5s} {first['block'] or '-':20s} {alike:6d}   {wrong + ' WRONG' if wrong else 'right'}"
             )
         print(f"{mutation.name:52s} {verdict}  ({seconds:.0f} s)", flush=True)
+    if not results:
+        print("no mutation was asked for; --only takes parts of the names above", file=sys.stderr)
+        return 2
     caught = sum(r["caught"] for r in results)
     either = sum(r["caught"] and r["named"] for r in results)
     right = sum(r["caught"] and r["axis_right"] and r["block_right"] for r in results)

@@ -298,7 +298,9 @@ def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None
     digest = hashlib.sha256((out / "truths.json").read_bytes()).hexdigest()
     assert (out / "seal.sha256").read_text(encoding="utf-8").strip() == digest
     assert json.loads((out / "exam.json").read_text(encoding="utf-8"))["seal"] == digest
-    for campaign in (out / "cases").glob("*/campaign"):
+    campaigns = list((out / "cases").glob("*/campaign"))
+    assert len(campaigns) == 12
+    for campaign in campaigns:
         assert {f.suffix for f in campaign.iterdir()} == {".parquet", ".toml"}
         text = (campaign / "campaign.toml").read_text(encoding="utf-8")
         assert not any(name in text for name in LIBRARY)
@@ -308,6 +310,7 @@ def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> Non
     out, arguments = sat
     before = {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")}
     first = (out / "exam.json").read_text(encoding="utf-8")
+    assert len(before) == 12
     assert main(arguments) in (0, 1)
     assert {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")} == before
     assert (out / "exam.json").read_text(encoding="utf-8") == first

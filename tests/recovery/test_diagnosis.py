@@ -174,6 +174,7 @@ def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
     """Its first free mode at 1 / position cycle: there what little its damping differs shows as if a filter were off."""
     found, _ = found_on(tmp_path, "healthy", None, "C", replace(Richness.small(), compliance_hz=(402.0, 403.0)))
     assert found.fit.settings == ()
+    assert not is_unknown(found)
     assert found.fit.loss < 1.02 * found.group.expected_loss
 
 
@@ -193,6 +194,7 @@ def test_drive_train_that_meets_the_cycle_is_found_without_motor_encoder(tmp_pat
     richness = replace(Richness.small(), compliance_hz=(mode_hz, mode_hz + 0.5))
     found = searched(of_scale_and_current(tmp_path, "healthy", None, "X", richness)[0])
     assert found.fit.settings == ()
+    assert not is_unknown(found)
     assert found.fit.loss < 1.02 * found.group.expected_loss
     fraction = next(b for n, b in zip(found.tuning.nuisances, found.tuning.base) if n.quantity == "elasticity")
     share = fraction / load_machine().parameter_tolerance
@@ -212,6 +214,7 @@ def test_a_lead_error_shows_without_motor_encoder(tmp_path):
 def test_healthy_machine_has_none(tmp_path):
     found, _ = found_on(tmp_path, "healthy", None, "Y")
     assert found.fit.settings == ()
+    assert not is_unknown(found)
 
 
 def test_what_a_run_cannot_tell_apart_is_called_ambiguous(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -42,8 +43,38 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--help"])
     assert stop.value.code == 0
     out = capsys.readouterr().out
-    for word in ("run", "gap", "set points", "cascade + plant"):
-        assert word in out
+    listed = set(re.findall(r"^    ([a-z]+) {2,}\S|^    ([a-z]+)$", out, re.M))
+    assert {a or b for a, b in listed} == {
+        "cut", "diagnose", "effects", "exam", "gap", "identify", "import", "interpolate", "machine", "plan", "regress", "replay", "run", "study",
+    }  # fmt: skip
+    assert "cascade + plant" in out
+
+
+def test_stopped_by_the_user(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stopped(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twin.commands.effects_command", stopped)
+    assert main(["effects"]) == 130
+    assert capsys.readouterr().err == "twin: stopped by the user\n"
+
+
+def test_disk_that_is_full(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(_: object) -> int:
+        raise OSError(28, "No space left on device", "out/trace.parquet")
+
+    monkeypatch.setattr("twin.commands.effects_command", full)
+    assert main(["effects"]) == 2
+    assert capsys.readouterr().err == "twin: out/trace.parquet: No space left on device; give another place or free this one\n"
+
+
+def test_interpolate_writes_set_points_and_feed(tmp_path: Path) -> None:
+    program = EXAMPLE.parent / "two_planes.mpf"
+    out, plot = tmp_path / "setpoints.parquet", tmp_path / "feed.png"
+    assert main(["interpolate", str(program), "--out", str(out), "--plot", str(plot)]) == 0
+    trace = read_trace(out, need=("setpoint",))
+    assert np.ptp(trace.get("X", "setpoint")) > 1e-3
+    assert plot.read_bytes().startswith(b"\x89PNG")
 
 
 def test_help_needs_no_engine() -> None:

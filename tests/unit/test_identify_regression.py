@@ -57,8 +57,14 @@ def test_a_column_that_is_no_news_is_left_out_with_infinite_doubt() -> None:
     assert np.isinf(fit.deviations[1:]).all()
 
 
-def test_the_allowance_for_related_strokes_widens() -> None:
-    assert RELATED > 1.0
+def test_the_allowance_for_related_strokes_widens(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.linspace(-1.0, 1.0, 100)
+    y = x + np.random.default_rng(1).normal(size=100)
+    allowed = regress(x[:, None], y, np.arange(100) // 10).deviations
+    monkeypatch.setattr("twin.identify.least_squares.RELATED", 1.0)
+    plain = regress(x[:, None], y, np.arange(100) // 10).deviations
+    assert allowed / plain == pytest.approx(RELATED)
+    assert RELATED > 1.05
 
 
 def test_whiteness_tells_white_from_coloured() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 import json
 import os
@@ -21,7 +22,7 @@ from tests.small_machine import write_small_machine
 from twin.cli import main
 from twin.effects import EFFECTS
 from twin.regress import run_suite
-from twin.regress.compare import compare
+from twin.regress.compare import compare, signal_unit
 from twin.regress.golden import Golden, read_golden
 from twin.regress.outcome import Feature, Outcome
 from twin.regress.runners import machine_of, run_case
@@ -117,6 +118,44 @@ def test_every_kept_number_is_guarded(case: Case) -> None:
     assert {c.quantity for c in same} or case.kind == "campaign"
     passed = {check.quantity for check in checks if check.ok}
     assert passed <= {"duration"} | {c.quantity for c in same if c.quantity.endswith("RMS")}
+
+
+def alone(golden: Golden, case: Case) -> Iterator[tuple[str, Outcome]]:
+    """Outcomes in which one kind of thing alone is another, with how the checks that must see it end."""
+    machine, trace = machine_of(case), golden.trace
+    assert trace is not None
+
+    def outcome(now: Trace, events: tuple) -> Outcome:
+        return Outcome(golden.features, now, events, machine)
+
+    short = Trace(trace.time[:-1], {key: values[:-1] for key, values in trace.signals.items()}, trace.kinds)
+    yield "duration", outcome(short, golden.events)
+    axis, signal = next((a, s) for a in trace.axes for s in case.compared if trace.has(a, s))
+    share = case.tolerance[signal]
+    if share["rms"] < share["max"]:
+        offset = np.sqrt(share["rms"] * share["max"]) / signal_unit(machine, axis, signal)[1]
+        signals = {**trace.signals, (axis, signal): trace.get(axis, signal) + offset}
+        yield " RMS", outcome(Trace(trace.time, signals, trace.kinds), golden.events)
+    if golden.events:
+        late = tuple(replace(e, start=e.start + 1.01 * case.tolerance["events"]["time_s"]) for e in golden.events)
+        yield " time", outcome(trace, late)
+    blocks = [e.text for e in golden.events if e.kind == "block"]
+    if len(set(blocks)) > 1:
+        turned = iter(blocks[::-1])
+        yield "order of blocks", outcome(trace, tuple(replace(e, text=next(turned)) if e.kind == "block" else e for e in golden.events))
+
+
+def test_each_kind_of_check_can_fail_by_itself() -> None:
+    shown = set()
+    for case in SHIPPED:
+        golden = read_golden(case)
+        if golden.trace is not None:
+            for ending, now in alone(golden, case):
+                failed = [check.quantity for check in compare(case, golden, now) if not check.ok]
+                assert failed, (case.name, ending)
+                assert all(quantity.endswith(ending) for quantity in failed), (case.name, failed)
+                shown.add(ending)
+    assert shown == {"duration", " RMS", " time", "order of blocks"}
 
 
 def test_every_effect_has_a_case_in_which_it_shows() -> None:

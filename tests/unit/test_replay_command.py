@@ -274,6 +274,7 @@ def test_the_web_viewer_answers_on_this_computer_only_and_ends(run: Path) -> Non
     try:
         assert process.stdout is not None
         assert f"http://127.0.0.1:{port}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in process.stdout.readline()
+        page = b""
         for _ in range(100):
             try:
                 page = urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5.0).read()

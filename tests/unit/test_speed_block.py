@@ -1,5 +1,7 @@
 """The speed controller held against its recorded inputs: only where each of its set points was recorded."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,11 +14,13 @@ from twin.run import simulate
 from twin.setpoints import setpoints_of
 from twin.trace import read_trace
 
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "x_200mm.csv"
+
 
 @pytest.mark.parametrize(("period_s", "blocks"), [(1e-3, 1), (2e-3, 1), (4e-3, 0)])
 def test_law_of_the_speed_controller(period_s: float, blocks: int) -> None:
     machine = load_machine().with_axes(["X"])
-    setpoints = setpoints_of(read_trace("examples/x_200mm.csv"), machine)
+    setpoints = setpoints_of(read_trace(EXAMPLE), machine)
     trace = simulate(machine, setpoints, sample_period=period_s, noise_seed=1).trace
     view = view_of(machine, MeasuredRun("out and back", trace, "velocity+torque", 0.0))
     found = [b for b in block_residuals(observe([view], ("X",)), lambda m: m) if b.block == "speed controller"]

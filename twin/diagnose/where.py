@@ -25,6 +25,9 @@ NEXT_TO_NONE = 0.01
 STRETCH_S = 0.5
 """Length of the most telling stretch [s]."""
 
+OWN = 0.05
+"""Share that a block without an effect keeps of what it shows beside one with an effect."""
+
 MOST_RUNS = 0.8
 """The runs named are those that together hold this share of a place's excess."""
 
@@ -56,6 +59,7 @@ def places(
                     listed.append(_place(group, axis, block, parts, excess, level))
     for setting in settings:
         _lead(listed, setting, machine)
+    _gather(listed)
     # an axis weighs what its gap weighs; its blocks share that by their excess
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -91,10 +95,6 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
             if place["block"] == name and "effect" not in place:
                 place["block"] = block
                 place["effect"] = setting.effect.name
-                others = [p for p in mine if p is not place and "effect" not in p]
-                place["_excess"] += sum(p["_excess"] for p in others)
-                for other in others:
-                    other["_excess"] *= 0.05
                 return
     listed.append(
         {
@@ -108,6 +108,17 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
             "effect": setting.effect.name,
         }
     )
+
+
+def _gather(listed: list[dict[str, Any]]) -> None:
+    """What the other blocks of an axis show beside those with an effect is mostly its echo there: it goes to the largest of these."""
+    for axis in {p["axis"] for p in listed}:
+        mine = [p for p in listed if p["axis"] == axis]
+        if leading := [p for p in mine if "effect" in p]:
+            largest = max(leading, key=lambda p: p["_excess"])
+            for other in (p for p in mine if "effect" not in p):
+                largest["_excess"] += (1.0 - OWN) * other["_excess"]
+                other["_excess"] *= OWN
 
 
 def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], excess: float, level: float) -> dict[str, Any]:
