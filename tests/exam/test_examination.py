@@ -9,17 +9,23 @@ import math
 from pathlib import Path
 import re
 import shutil
+import subprocess
+from typing import Any
 
+import numpy as np
 import pytest
 
 from twin.cli import main
+from twin.diagnose.left_out import EVIDENCE
+from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.errors import InputError
 from twin.exam.effects import LIBRARY
+from twin.exam.foresee import Answers, outlooks
 from twin.exam.mark import NOT_DIAGNOSED, mark_answer
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, wilson
-from twin.exam.sitting import same_examination, seal, unseal
+from twin.exam.sitting import draw, is_answered, same_examination, seal, sit, unseal
 from twin.machine import default_machine_path, load_machine
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
@@ -314,3 +320,60 @@ def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> Non
     assert main(arguments) in (0, 1)
     assert {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")} == before
     assert (out / "exam.json").read_text(encoding="utf-8") == first
+
+
+def asked(tmp_path: Path) -> tuple[Any, Any, str]:
+    question = questions_of(3, 12, short=True)[0]
+    case = draw(question, str(default_machine_path()), "off")
+    (tmp_path / "campaign").mkdir()
+    (tmp_path / "campaign" / "campaign.toml").write_text("", encoding="utf-8")  # written already
+    return question, case, str(tmp_path)
+
+
+def test_a_diagnosis_that_fails_is_an_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    question, case, folder = asked(tmp_path)
+    ended = subprocess.CompletedProcess([], 2, "", "something else\ntwin: it cannot be\n")
+    monkeypatch.setattr("twin.exam.sitting.subprocess.run", lambda *_, **__: ended)
+    sit(question, case, folder, str(default_machine_path()), True)
+    assert is_answered(folder)
+    assert (tmp_path / "answer" / "failed.txt").read_text(encoding="utf-8") == "twin: it cannot be\n"
+
+
+def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    question, case, folder = asked(tmp_path)
+    monkeypatch.setattr("twin.exam.sitting.subprocess.run", lambda *_, **__: subprocess.CompletedProcess([], -9, "", ""))
+    with pytest.raises(InputError, match="killed"):
+        sit(question, case, folder, str(default_machine_path()), True)
+    assert not is_answered(folder)
+
+
+def test_nothing_can_be_opened_that_was_not_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["exam", "--seed", "3", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
+    assert "nothing has been answered yet" in capsys.readouterr().err
+    assert not (tmp_path / "truths.json").exists()
+
+
+def outlook_of(products: np.ndarray, nuisances: int) -> dict[str, Any]:
+    places = {("one", "X", None): slice(nuisances, nuisances + 1), ("other", "X", None): slice(nuisances + 1, nuisances + 2)}
+    return {o.effect: o for o in outlooks(products, Answers(nuisances, places, {}))}
+
+
+def test_what_could_be_found_by_closed_forms() -> None:
+    """Two answers of length a and b under the angle phi: found from sqrt(2 EVIDENCE) / a, told apart from that over sin(phi)."""
+    a, b, phi = 10.0, 20.0, 0.3
+    cross = a * b * math.cos(phi)
+    one = outlook_of(np.array([[a * a, cross], [cross, b * b]]), 0)["one"]
+    assert one.found == pytest.approx(math.sqrt(2.0 * EVIDENCE) / a)
+    assert one.apart == pytest.approx(one.found / math.sin(phi))
+    assert one.rival == "other X"
+    alike = outlook_of(np.array([[a * a, a * b], [a * b, b * b]]), 0)["one"]
+    assert math.isinf(alike.apart)
+
+
+def test_what_re_tuning_does_alike_cannot_be_found() -> None:
+    """A nuisance whose answer is the effect's leaves of it what its prior forbids."""
+    c = 100.0
+    one = outlook_of(np.array([[c * c, c * c, 0.0], [c * c, c * c, 0.0], [0.0, 0.0, 1.0]]), 1)["one"]
+    left = c * c - c**4 / (c * c + PRIOR_WEIGHT)
+    assert one.found == pytest.approx(math.sqrt(2.0 * EVIDENCE / left))
+    assert one.found > 0.9 * math.sqrt(2.0 * EVIDENCE / PRIOR_WEIGHT)

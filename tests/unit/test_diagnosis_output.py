@@ -15,6 +15,7 @@ import pytest
 from examples.diagnose import record, short_runs
 from twin.campaign import read_campaign
 from twin.cli import main
+from twin.diagnose import diagnose
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
@@ -46,7 +47,7 @@ def campaign(case: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def diagnosed(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that `twin diagnose` wrote."""
     out = tmp_path_factory.mktemp("diagnosis") / "new folder"
-    assert main(["diagnose", str(campaign), "--out", str(out), "--quick"]) == 0
+    assert main(["diagnose", str(campaign), "--out", str(out)]) == 0
     return out
 
 
@@ -90,6 +91,31 @@ def test_effects_and_candidates_have_one_form(document: dict[str, Any]) -> None:
             if EFFECTS[entry["effect"]].parameter(name).periodic:
                 assert 0.0 <= p["value"] < 2.0 * math.pi
             assert p["low"] <= p["value"] <= p["high"]
+
+
+def test_what_would_not_show_is_listed_and_told(diagnosed: Path, document: dict[str, Any]) -> None:
+    """Y stands still: nothing is said of it. Of X a few effects would not show in two short runs."""
+    unseen = document["not_visible"]
+    assert unseen
+    for entry in unseen:
+        assert entry["effect"] in EFFECTS
+        assert entry["axis"] == "X"
+        assert entry["usual_sizes"] is None or entry["usual_sizes"] > 1.0
+        assert entry["effect"].replace("_", " ") in (diagnosed / "report.html").read_text(encoding="utf-8")
+    assert any("axis Y does not move" in note for note in document["notes"])
+
+
+def test_the_same_seed_says_the_same_on_any_number_of_threads(campaign: Path, tmp_path: Path) -> None:
+    machine = load_machine()
+    folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[0] == "X"})
+    read = read_campaign(folder, machine)
+
+    def said(seed: int, threads: int) -> str:
+        return json.dumps(diagnose(read, machine, quick=True, seed=seed, threads=threads).document())
+
+    first = said(1, 1)
+    assert said(1, 4) == first
+    assert said(2, 4) != first
 
 
 def test_every_number_is_plain_json(diagnosed: Path) -> None:

@@ -102,7 +102,8 @@ def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
 def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
     low, high = axis.travel if math.isfinite(axis.travel[0]) else (-math.pi, math.pi)
     middle = 0.5 * (low + high)
-    reach = min(0.35 * (high - low), 0.1 if axis.kind == "linear" else 0.5)
+    farthest = 0.35 * (high - low)
+    reach = min(farthest, 0.1 if axis.kind == "linear" else 0.5)
     v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
     if kind == "micro-reversals":
         sizes = [2e-6, 5e-6, 10e-6, 20e-6, 50e-6, 200e-6] if axis.kind == "linear" else [2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 2e-3]
@@ -111,7 +112,7 @@ def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
     if kind == "constant speeds":
         times, positions, start = [], [], 0.0
         for part in (0.002, 0.01, 0.03, 0.1, 0.3, 0.7):
-            length = min(reach, part * v * 2.0)
+            length = min(farthest, part * v * 2.0)  # a second and more of it steady, where the travel has the room
             t, p = moves_in_turn(middle, [length, -length], part * v, a, j, 0.1, PERIOD)
             times.append(t + start)
             positions.append(p)
@@ -127,4 +128,4 @@ def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
         return t, middle + drift + amplitude * np.sin(phase) * np.minimum(1.0, t / 0.5)
     if kind == "rest":
         return moves_in_turn(middle, [reach, -reach], 0.3 * v, a, j, 20.0, PERIOD)
-    return moves_in_turn(middle, [reach, -reach, reach, -reach], v, a, j, 0.2, PERIOD)
+    return moves_in_turn(middle, [farthest, -farthest, farthest, -farthest], v, a, j, 0.2, PERIOD)
