@@ -109,6 +109,13 @@ def found_on(folder, kind, effect, axis, richness=RIGID):
         ("torque_ripple", "Y", "amplitude_nm", 0.1),
         ("position_dependent_friction", "Y", "wavelength", 0.02),
         ("table_unbalance", "A", "mass_kg", 0.25),
+        ("torque_feedforward", "Z", "factor", 0.1),
+        ("current_filter", "Y", "time_constant_s", 0.1),
+        ("current_limit", "Y", "limit_a", 0.03),
+        ("frame_vibration", "X", "frequency_hz", 0.02),
+        ("periodic_disturbance", "X", "frequency_hz", 0.02),
+        ("constant_force", "Y", "force", 0.1),
+        ("position_gain", "Z", "factor", 0.02),
     ],
 )
 def test_hidden_effect_is_named_with_its_size(tmp_path, effect, axis, parameter, accuracy):
