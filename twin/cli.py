@@ -53,6 +53,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> argparse.ArgumentParser:
+    """All commands and their arguments; loads neither engine nor viewer."""
     from twin.exam.command import add_exam_arguments, exam_command
     from twin.identify.commands import add_identify_arguments, add_plan_arguments, identify_command, plan_command
     from twin.machines.commands import add_machine_arguments, machine_command

@@ -8,12 +8,12 @@ from pathlib import Path
 import sys
 from typing import Any
 
-import numpy as np
-
 from twin.errors import InputError, SimulationError
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
-from twin.trace import PROGRAM, Trace
+from twin.trace import Trace, with_program_columns
+
+PICTURE_ENDINGS = (".png", ".svg", ".pdf")
 
 
 def _load(args: argparse.Namespace) -> Any:
@@ -91,6 +91,8 @@ def interpolate_command(args: argparse.Namespace) -> int:
     source, out = Path(args.program), Path(args.out)
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         raise InputError(f"{source}: not a program; give a file ending in {', '.join(PROGRAM_ENDINGS)}")
+    if args.plot and Path(args.plot).suffix.lower() not in PICTURE_ENDINGS:
+        raise InputError(f"{args.plot}: a picture ends in {', '.join(PICTURE_ENDINGS)}")
     _, trace = _setpoint_trace(source, machine)
     write_trace(trace, out)
     print(f"{source.name}: {trace.time[-1]:.3f} s of set points every {trace.period * 1e3:g} ms, written to {out}")
@@ -113,13 +115,6 @@ def _setpoint_trace(source: Path, machine: Any) -> tuple[Any, Trace]:
         print(f"note: {source.name}: {note}", file=sys.stderr)
     with Progress("interpolating") as bar:
         return program, interpolate(program, machine, progress=bar)
-
-
-def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
-    """A simulated trace with the block numbers and feeds that its set points carry."""
-    rows = np.clip(np.floor(followed.time / setpoints.period + 1e-9).astype(int), 0, len(setpoints.time) - 1)
-    columns = {key: values[rows] for key, values in setpoints.signals.items() if key[0] == PROGRAM}
-    return Trace(followed.time, {**followed.signals, **columns}, followed.kinds)
 
 
 def effects_command(args: argparse.Namespace) -> int:

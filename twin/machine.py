@@ -141,7 +141,7 @@ class Machine:
         if feedforward is None:
             return self
         if feedforward not in FEEDFORWARD:
-            raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}; use one of {', '.join(FEEDFORWARD)}")
+            raise InputError(f"feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
         machine = self
         for axis in self.axes:
             weights = {

@@ -16,8 +16,8 @@ import numpy as np
 
 from twin import cascade, loop
 from twin.effects import Change, apply_effects
-from twin.engine import FullPlant
 from twin.errors import InputError, SimulationError
+from twin.full_plant import FullPlant
 from twin.machine import Machine
 from twin.plant import home_inertia_at_motor
 from twin.setpoints import Command, Setpoints, command_of
@@ -110,6 +110,8 @@ def simulate(
     rng = None if noise_seed is None else np.random.default_rng(noise_seed)
 
     rows = int(np.floor(setpoints.duration / (record_ticks * h) + 1e-9)) + 1
+    if rows < 2:
+        raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {record_ticks * h:.4g} s: record it more often")
     record = np.empty((rows, len(machine.axes), len(loop.RECORDED)))
     limited = np.zeros((len(machine.axes), 2), np.int64)
     total = (rows - 1) * record_ticks + 1

@@ -99,6 +99,13 @@ def unit_of(signal: str, kind: str) -> str:
     return OTHER_UNITS.get(signal, "1")
 
 
+def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
+    """A simulated trace with the block numbers and feeds that its set points carry."""
+    rows = np.clip(np.floor(followed.time / setpoints.period + 1e-9).astype(int), 0, len(setpoints.time) - 1)
+    columns = {key: values[rows] for key, values in setpoints.signals.items() if key[0] == PROGRAM}
+    return Trace(followed.time, {**followed.signals, **columns}, followed.kinds)
+
+
 def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need: Sequence[str] = ()) -> Trace:
     """Read a trace, checked.
 

@@ -9,7 +9,7 @@ from tests.conftest import swings
 from tests.other_structures import machine_text, slides, write_slides
 from twin.campaign import MeasuredRun
 from twin.cascade_reference import CHANNELS, simulate_reference
-from twin.engine import FullPlant
+from twin.full_plant import FullPlant
 from twin.gap import gap_of, predict
 from twin.identify.single_axis import Record, resimulate
 from twin.machine import Machine, load_machine

@@ -77,6 +77,18 @@ def test_interpolate_writes_set_points_and_feed(tmp_path: Path) -> None:
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+def test_picture_of_no_known_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program = EXAMPLE.parent / "two_planes.mpf"
+    assert main(["interpolate", str(program), "--out", str(tmp_path / "s.csv"), "--plot", str(tmp_path / "feed.foo")]) == 2
+    assert "a picture ends in .png, .svg, .pdf" in capsys.readouterr().err
+    assert not (tmp_path / "s.csv").exists()
+
+
+def test_period_longer_than_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(EXAMPLE), "--sample-period-ms", "100000", "--no-recording", "--out", str(tmp_path)]) == 2
+    assert "record it more often" in capsys.readouterr().err
+
+
 def test_help_needs_no_engine() -> None:
     """Usage is there at once: neither engine nor viewer nor plots are loaded for it."""
     loaded = "import sys; from twin.cli import build_parser; build_parser(); print(*sys.modules)"

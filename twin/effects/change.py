@@ -33,6 +33,7 @@ class Coupling:
     softest: float = math.inf
 
     def add(self, stiffness: float, damping: float, clearance: float = 0.0) -> None:
+        """One more spring in series [N/m, Nm/rad] with its damping [N s/m, Nm s/rad] and dead zone [m, rad]."""
         self.clearance += clearance
         self.flexibility += 1.0 / stiffness
         if stiffness < self.softest:
@@ -40,6 +41,7 @@ class Coupling:
 
     @property
     def stiffness(self) -> float:
+        """Of all springs in series, 1 / sum(1 / k) [N/m, Nm/rad]."""
         return 1.0 / self.flexibility
 
     def rotor_offset(self, held: float, coulomb: float) -> float:

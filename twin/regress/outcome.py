@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.machine import Machine
 from twin.regress.suite import SIGNAL_UNITS
 from twin.replay.events import Event
@@ -42,6 +43,8 @@ class Outcome:
 def kept_trace(trace: Trace, every_s: float) -> Trace:
     """The signals that are kept, each `every_s`."""
     every = max(1, round(every_s / trace.period))
+    if every >= len(trace.time):
+        raise InputError(f"keep_every_ms = {every_s * 1e3:g} keeps one sample of a run of {trace.time[-1]:.4g} s; keep more")
     signals = {key: np.asarray(values, float) for key, values in trace.signals.items() if key[1] in SIGNAL_UNITS}
     return Trace(trace.time, signals, trace.kinds).decimated(every)
 

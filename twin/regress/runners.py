@@ -16,7 +16,7 @@ from twin.machine import Machine, load_machine
 from twin.regress.outcome import Feature, Outcome, flat
 from twin.regress.recorded import recorded_campaign, setpoints_of_moves
 from twin.regress.suite import Case
-from twin.trace import Trace
+from twin.trace import Trace, with_program_columns
 
 
 class Skip(Exception):
@@ -87,7 +87,7 @@ def _run(case: Case, machine: Machine) -> Outcome:
             block = "set points" if row["level"] == 1 else ""
             for name in ("rms_um", "max_um"):
                 features[f"error budget.{row['error']}.{name}"] = Feature(row[name], "um", "", block)
-        trace = _with_program(trace, commanded)
+        trace = with_program_columns(trace, commanded)
     return Outcome(features, trace, tuple(find_events(machine, trace)), machine)
 
 
@@ -114,17 +114,6 @@ def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -
     program = read_program(source, machine)
     commanded = interpolate(program, machine)
     return program, commanded, setpoints_of(commanded, machine)
-
-
-def _with_program(trace: Trace, commanded: Trace) -> Trace:
-    """The trace with the block numbers of its set points, so that the order of blocks is an event."""
-    import numpy as np
-
-    from twin.trace import PROGRAM
-
-    rows = np.clip(np.floor(trace.time / commanded.period + 1e-9).astype(int), 0, len(commanded.time) - 1)
-    columns = {key: values[rows] for key, values in commanded.signals.items() if key[0] == PROGRAM}
-    return Trace(trace.time, {**trace.signals, **columns}, trace.kinds)
 
 
 _JUMPING = ("mark.u_mm", "mark.v_mm")

@@ -139,6 +139,8 @@ def source_of(path: Path) -> Source:
         return Source(path, _label(path), check_recording(path), trace)
     if ending in TRACE_ENDINGS:
         return Source(path, _label(path), None, path)
+    if ending in MODEL_ENDINGS:
+        raise InputError(f"{path}: a model stands first; give the trace that moves it behind it")
     raise InputError(
         f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
     )
