@@ -141,7 +141,7 @@ class Machine:
         if feedforward is None:
             return self
         if feedforward not in FEEDFORWARD:
-            raise InputError(f"feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
+            raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}")
         machine = self
         for axis in self.axes:
             weights = {
@@ -269,6 +269,7 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
         "measurement",
         "effect",
         "frame",
+        "tool",
         "identified",
     )
     keys.check_table(document, keys.TOP, where, also)
@@ -284,6 +285,11 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
         raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
     if not isinstance(document.get("effect", []), list):
         raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
+    tools = document.get("tool", {})
+    if not isinstance(tools, dict) or not all(isinstance(tool, dict) for tool in tools.values()):
+        raise InputError(f"{where}: 'tool' must hold one table for each tool; write [tool.T1] and below it length_m")
+    for name, tool in tools.items():
+        keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
     parsed = tuple(axis_of_table(name, axes[name], f"{where}: [axis.{name}]") for name in order)
     control = {k: v * keys.si_from_key(k) for k, v in document["control"].items()}
     if "current_cycle_us" not in control:

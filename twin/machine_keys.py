@@ -210,6 +210,8 @@ def path_in_file(document: Mapping[str, Any], path: str) -> str:
 
 BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2": Key(low=0.0, above=True, count=3)}
 
+TOOL = {"length_m": not_negative()}
+
 MEASUREMENT = {
     "sample_period_us": positive(),
     "linear_scale_noise_m": not_negative(required=False),

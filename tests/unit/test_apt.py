@@ -35,6 +35,15 @@ def test_statements(read) -> None:
     assert program.moves.line.tolist() == [6, 8, 10]
 
 
+@pytest.mark.parametrize("end", ["$", " $\n", "$\n\n", "$ $$ comment\n"])
+def test_a_last_statement_that_wants_to_go_on_is_read(read, end: str) -> None:
+    assert np.allclose(read("FROM/0,0,150\nFEDRAT/600\nGOTO/1,0,150\nGOTO/2,0,150" + end).moves.target[:, 0] * 1e3, [1, 2])
+
+
+def test_radius_compensation_may_be_switched_off(read) -> None:
+    assert len(read("FROM/0,0,150\nFEDRAT/600\nCUTCOM/OFF\nGOTO/1,0,150\n")) == 1
+
+
 def test_inches(read) -> None:
     program = read("UNITS/INCHES\nFROM/0,0,6\nFEDRAT/10,IPM\nGOTO/1,0,6\n")
     assert program.moves.target[0, 0] == pytest.approx(0.0254)
@@ -63,6 +72,9 @@ def test_the_whole_way(read, mikron) -> None:
         ("FROM/10,0,150\nFEDRAT/6\nCIRCLE/0,0,150,0,0,1,5\nGOTO/0,10,150", "does not close"),
         ("FEDRAT/100\nGOTO/1,2,150,0,0,0", "no length"),
         ("PARTNO/NOTHING", "moves no axis"),
+        ("FEDRAT/100\nCUTCOM/LEFT\nGOTO/1,2,150", "line 2: CUTCOM/LEFT is not supported: cutter radius compensation"),
+        ("FEDRAT/100\nCUTCOM/ON,3\nGOTO/1,2,150", "line 2: CUTCOM/ON,3 is not supported"),
+        ("FEDRAT/100\nGOTO/1,2,$", "line 2: GOTO/1,2,: not all values"),
         ("GOTO/1,$\n" * 3000, "too many lines"),
     ],
 )

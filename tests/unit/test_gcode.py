@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
+from twin.machine import Machine, load_machine, write_machine
 from twin.program import interpolate, read_program
 from twin.program.moves import ARC, DWELL, LINE, RAPID
 from twin.program.words import Arithmetic, WordError, split_words
@@ -19,6 +20,19 @@ def read(mikron, tmp_path):
         path = tmp_path / name
         path.write_text(text)
         return read_program(path, machine)
+
+    return reader
+
+
+@pytest.fixture
+def with_tools(mikron, tmp_path):
+    """Reads the Mikron back from a file to which a text has been added."""
+
+    def reader(text: str) -> Machine:
+        path = tmp_path / "machine.toml"
+        write_machine(mikron, path)
+        path.write_text(path.read_text() + text)
+        return load_machine(path)
 
     return reader
 
@@ -47,6 +61,11 @@ def test_words_of_a_block() -> None:
         ("R5/4", 2.5),
         ("R5>9 AND NOT R6", 1),
         ("ATAN2(1,1)", 45),
+        ("ROUND(0.5)", 1),  # half away from zero, not to the even neighbour
+        ("ROUND(2.5)", 3),
+        ("ROUND(-2.5)", -3),
+        ("ROUND(2.49)", 2),
+        ("ROUND(0.49999999999999994)", 0),
     ],
 )
 def test_arithmetic(text: str, value: float) -> None:
@@ -109,6 +128,14 @@ def test_arcs(read, block: str, centre: tuple[float, float], angle: float) -> No
     assert program.moves.angle[row] == pytest.approx(angle)
 
 
+def test_arcs_by_radius_in_the_iso_dialect(read) -> None:
+    program = read("R5=2\nG1 X0 Y0 F1000\nG2 X2 Y0 R1\nG3 X=R5-2 Y0 R-1.25\n", "part.ngc")
+    assert program.moves.kind.tolist()[-2:] == [ARC, ARC]
+    assert np.allclose(program.moves.centre[-2:, :2] * 1e3, [[1, 0], [1, 0.75]], atol=1e-6)
+    assert program.moves.angle[-2] == pytest.approx(math.pi)
+    assert program.moves.angle[-1] > math.pi
+
+
 def test_planes(read) -> None:
     program = read("G18 G1 X0 F1000\nG3 X10 Z10 I0 K10\n")
     assert np.allclose(program.moves.normal[-1], [0, 1, 0])
@@ -140,14 +167,93 @@ def test_frames_come_from_the_machine_file(read, mikron) -> None:
     assert targets(program)[:, [0, 4]].tolist() == [[11, 90], [1, 90], [13, 90], [3, 90]]
 
 
-def test_tools_come_from_the_machine_file(read, mikron) -> None:
-    from dataclasses import replace
+TOOLS = """
+[tool.T1]
+length_m = 0.15
+[tool.T5]
+length_m = 0.2
+[tool.DRILL]
+length_m = 0.1
+"""
 
-    machine = replace(mikron, document={**mikron.document, "tool": {"T5": {"length_m": 0.15}}})
-    program = read("T5 D1\nTRAORI\nG1 X0 Y0 Z150 F100\n", machine=machine)
-    assert program.moves.tool_length[0] == 0.15
-    with pytest.raises(InputError, match="tool 6"):
-        read("T6\nG1 X1 F1\n", machine=machine)
+
+@pytest.mark.parametrize(
+    ("blocks", "lengths"),
+    [
+        ("MOVE", [0.12]),  # the tool of the model
+        ("T5 D1/MOVE", [0.2]),
+        ("T5/MOVE", [0.2]),  # with the tool comes its D1
+        ("R1=1/T=R1/MOVE", [0.15]),
+        ('T="DRILL"/MOVE', [0.1]),
+        ("T1/T0/MOVE", [0.0]),
+        ("T1/T0/D1/MOVE", [0.0]),  # the empty spindle
+        ("T1 D0/MOVE/D1/MOVE", [0.0, 0.15]),
+        ("D0 T1/MOVE", [0.0]),  # the block counts, not the order of its words
+        ("T1 D0/H5/MOVE", [0.0]),  # H is an auxiliary function
+        ("T1 M6/MOVE/T5/MOVE/M6/MOVE", [0.15, 0.15, 0.2]),  # T prepares, M6 changes
+        ("T1 M6/T5 D0/MOVE/D1/MOVE", [0.0, 0.15]),
+    ],
+)
+def test_tools_come_from_the_machine_file(read, with_tools, blocks: str, lengths: list[float]) -> None:
+    text = "TRAORI\nG1 F1000\n" + blocks.replace("/", "\n").replace("MOVE", "G91 X1 G90 Z200")
+    assert read(text, machine=with_tools(TOOLS)).moves.tool_length.tolist() == lengths
+
+
+@pytest.mark.parametrize(
+    ("blocks", "lengths"),
+    [
+        ("T5 M6/MOVE", [0.12]),  # a tool alone brings no length
+        ("T5 M6/G43/MOVE", [0.2]),
+        ("T5 M6/G43 H1 D7/MOVE/G49/MOVE", [0.15, 0.0]),
+        ("G43 H5/T1 M6/MOVE/G43 H0/MOVE", [0.2, 0.0]),
+    ],
+)
+def test_tool_lengths_of_the_iso_dialect(read, with_tools, blocks: str, lengths: list[float]) -> None:
+    text = "TRAORI\nG1 F1000\n" + blocks.replace("/", "\n").replace("MOVE", "G91 X1 G90 Z200")
+    assert read(text, "part.ngc", machine=with_tools(TOOLS)).moves.tool_length.tolist() == lengths
+
+
+def test_without_traori_the_tip_of_the_tool_in_the_spindle_moves(read, with_tools) -> None:
+    machine = with_tools(TOOLS)
+    assert read("T1 D0\nG1 X1 F100\nT5\nX2\n", machine=machine).moves.tool_length.tolist() == [0.15, 0.2]
+    assert read("G49\nG1 X1 F100\n", "part.ngc", machine=machine).moves.tool_length.tolist() == [0.12]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("part.mpf", "T6\nG1 X1 F1\n", "line 1, column 1: tool 6 is not in the table"),
+        ("part.mpf", "T1 D2\nG1 X1 F1\n", "line 1, column 4: D2: .* use D1"),
+        ("part.mpf", "G43 H1\nG1 X1 F1\n", "G43 is not supported: use T and D"),
+        ("part.ngc", "G43 H6\nG1 X1 F1\n", "line 1, column 5: tool 6 is not in the table"),
+        ("part.ngc", "H1\nG1 X1 F1\n", "write G43 H"),
+    ],
+)
+def test_tools_that_are_not_there(read, with_tools, name: str, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(text, name, machine=with_tools(TOOLS))
+
+
+def test_without_a_table_every_tool_is_that_of_the_model(read) -> None:
+    program = read("TRAORI\nT7 D3\nG1 X1 Z200 F100\n")
+    assert program.moves.tool_length.tolist() == [0.12]
+    assert any("no table [tool]" in note for note in program.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[tool.T1]\nlenght_m = 0.15\n", r"machine.toml: \[tool.T1\]: unknown key 'lenght_m'; did you mean 'length_m'"),
+        ('[tool.T1]\nlength_m = "long"\n', r"\[tool.T1\]: length_m = 'long': expected a number"),
+        ("[tool.T1]\nlength_m = -0.1\n", r"\[tool.T1\]: length_m = -0.1: impossible"),
+        ("[tool.T1]\n", r"\[tool.T1\]: 'length_m' is missing"),
+        ("[tool]\nlength_m = 0.15\n", r"'tool' must hold one table for each tool; write \[tool.T1\]"),
+        ("[[tool]]\nlength_m = 0.15\n", r"'tool' must hold one table for each tool; write \[tool.T1\]"),
+    ],
+)
+def test_tool_tables_are_checked(with_tools, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        with_tools("\n" + text)
 
 
 def test_loops(read) -> None:
@@ -156,6 +262,30 @@ def test_loops(read) -> None:
         "PART: G91 X1\nREPEATB PART P=2\nGOTOF DONE\nX99\nDONE: M30\nX77\n"
     )
     assert targets(program)[:, 0].tolist() == [0, 1, 2, 3, 4, 5, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("part", "x"),
+    [
+        ("PART1:/X1/IF R1==1/X2/ENDIF/REPEAT PART1 P=2", [1, 2, 3]),
+        ("PART1:/X1/IF R1==0/X2/ELSE/X4/ENDIF/REPEAT PART1 P=1", [1, 3, 4, 6]),
+        ("PART1:/X1/IF R1==1/X2/ELSE/X4/ENDIF/REPEAT PART1", [1, 5, 6, 10]),
+        ("PART1:/X1/IF R1==1/ENDLABEL:/X2/ENDIF/REPEAT PART1", [1, 2]),  # the part ends among lines that are skipped
+        ("PART1: X1/LAST1: IF R1==1/X2/ENDIF/REPEAT PART1 LAST1 P=2", [1, 2, 3]),
+        ("PART1: X1/REPEAT PART1 P3", [1, 2, 3, 4]),
+        ("R2=2/PART1: X1/LAST1: X2/X4/REPEAT PART1 LAST1 P=R2", [1, 3, 7, 8, 10, 11, 13]),
+    ],
+)
+def test_repeat(read, part: str, x: list[float]) -> None:
+    program = read("G91 G1 F100\n" + part.replace("/", "\n") + "\nX100\n")
+    assert targets(program)[:, 0].tolist() == [*x, x[-1] + 100]
+
+
+@pytest.mark.parametrize("inner", ["IF R2==1 ; no GOTO", "LABEL1: IF R2==1", "N10 IF R2==1"])
+@pytest.mark.parametrize("end", ["ENDIF", "LABEL2: ENDIF"])
+def test_a_false_if_skips_what_is_inside(read, inner: str, end: str) -> None:
+    program = read(f"G1 F100\nIF R1==1\n{inner}\nX1\n{end}\nX2\n{end}\nX3\n")
+    assert targets(program)[:, 0].tolist() == [3]
 
 
 def test_structured_if(read) -> None:
@@ -200,6 +330,13 @@ BAD = {
     "arc that does not close": ("G1 X0 F1000\nN20 G2 X10 Y0 I4 J0", "does not close"),
     "radius too small": ("G1 X0 F1000\nG2 X30 CR=5", "does not close"),
     "arc without centre": ("G1 X1 F1\nG2 X2", "centre"),
+    "arc given twice": ("G1 X0 F1000\nG2 X2 CR=1 I1", "twice"),
+    "radius of the ISO dialect": ("G1 X0 F1000\nG2 X2 Y0 R1", "line 2, column 10: R is an R-parameter here .* CR="),
+    "move beside a dwell": ("G1 X1 F1\nG4 F1 X10", "line 2.* G4 stands alone"),
+    "frame beside a dwell": ("G1 X1 F1\nTRANS X1 G4 F1", "line 2.* G4 stands alone"),
+    "two times": ("G1 X1 F1\nG4 F1 S3", "line 2.* G4 stands alone"),
+    "dwell without time": ("G1 X1 F1\nG4", "line 2.* G4 stands alone in its block with one time"),
+    "P beside a move": ("G1 X1 P5 F1", "word 'P' is not known"),
     "tool axis out of reach": ("TRAORI\nG0 X0 Y0 Z150\nG1 X5 A3=0 B3=1 C3=-0.9 F100", "line 3: tool axis .* travel"),
     "tool axis without length": ("TRAORI\nG1 X1 Z150 A3=0 B3=0 C3=0 F100", "no length"),
     "tool axis without TRAORI": ("G1 A3=1 B3=0 C3=0 F100", "TRAORI"),

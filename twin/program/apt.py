@@ -7,6 +7,7 @@ radius of the arc to the next GOTO, right-handed about its axis (as NX writes it
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 import math
 from pathlib import Path
@@ -18,7 +19,7 @@ from twin.errors import nearest
 from twin.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.collect import Collector
+from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
 from twin.program.flow import Source
 
 INCH = 0.0254
@@ -53,24 +54,31 @@ class AptReader:
 
     def read(self) -> mv.Program:
         """All statements in order."""
+        for line, text in self._statements():
+            self.line = line
+            try:
+                self._statement(text)
+            except arcs.ArcError as error:
+                raise self._fail(str(error)) from None
+            if self.ended:
+                break
+        return self.out.finish()
+
+    def _statements(self) -> Iterator[tuple[int, str]]:
+        """First line and text of each statement; one that the end of the file cuts off after its '$' ends there."""
         text, first = "", 0
         for number, raw in enumerate(self.source.lines, start=1):
             part = raw.split("$$")[0].upper().rstrip()
             first = first or number
-            if part.endswith("$"):
-                text += part[:-1] + " "
-                if len(text) > 20_000:
-                    raise self.out.fail(first, -1, "a statement goes on over too many lines; remove the '$' at their ends")
-                continue
-            self.line = first
-            try:
-                self._statement((text + part).strip())
-            except arcs.ArcError as error:
-                raise self._fail(str(error)) from None
-            text, first = "", 0
-            if self.ended:
-                break
-        return self.out.finish()
+            text += part.removesuffix("$")
+            if not part.endswith("$"):
+                yield first, text.strip()
+                text, first = "", 0
+            elif len(text) > 20_000:
+                raise self.out.fail(first, -1, "a statement goes on over too many lines; remove the '$' at their ends")
+            else:
+                text += " "
+        yield first, text.strip()
 
     def _fail(self, text: str) -> Exception:
         return self.out.fail(self.line, -1, text)
@@ -107,6 +115,8 @@ class AptReader:
             self.out.add(mv.DWELL, (*self.out.position[:3], math.nan, math.nan), None, math.inf, self.line, -1)
         elif word in ("FINI", "END", "STOP"):
             self.ended = word == "FINI"
+        elif word == "CUTCOM" and values.strip() != "OFF":
+            raise self._fail(f"{text[:40]} is not supported: {NO_RADIUS_COMPENSATION}")
         elif word in _NO_EFFECT or word.split()[0] in _NO_EFFECT:
             self.out.notes[f"{word}: understood, without effect on the motion"] = None
         else:

@@ -1,4 +1,4 @@
-"""Circle geometry of G2 and G3: centre, sense and angle from I J K, CR= or an intermediate point."""
+"""Circle geometry of G2 and G3: centre, sense and angle from I J K or the radius."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def from_centre(
     last = np.array([end[a] - centre[a], end[b] - centre[b]])
     radius, radius_end = math.hypot(*first), math.hypot(*last)
     if radius < 1e-9:
-        raise ArcError("the arc has no radius; give the centre with I J K (from the start) or CR=")
+        raise ArcError("the arc has no radius; give the centre with I J K (from the start) or the radius")
     if abs(radius - radius_end) > CLOSING_TOLERANCE:
         raise ArcError(
             f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
@@ -45,15 +45,15 @@ def from_centre(
 
 
 def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane: int, clockwise: bool) -> np.ndarray:
-    """Centre of an arc by CR=: less than half a circle for a positive radius, more for a negative one."""
+    """Centre of an arc by its radius: less than half a circle for a positive radius, more for a negative one."""
     a, b, _ = PLANES[plane]
     chord = np.array([end[a] - start[a], end[b] - start[b]])
     half = 0.5 * math.hypot(*chord)
     if half < 1e-12:
-        raise ArcError("a full circle cannot be given by CR=; give its centre with I J K")
+        raise ArcError("a full circle cannot be given by its radius; give its centre with I J K")
     if half > abs(radius) + CLOSING_TOLERANCE:
         raise ArcError(
-            f"the arc does not close: CR={radius * 1e3:g} mm is less than half the distance of its ends, {half * 1e3:.4f} mm; correct it"
+            f"the arc does not close: the radius {radius * 1e3:g} mm is less than half the distance of its ends, {half * 1e3:.4f} mm; correct it"
         )
     height = math.sqrt(max(0.0, radius * radius - half * half))
     side = 1.0 if (radius > 0) != clockwise else -1.0
@@ -61,17 +61,3 @@ def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane:
     centre = np.array(start, float)
     centre[[a, b]] = np.array([start[a], start[b]]) + 0.5 * chord + side * height * left
     return centre
-
-
-def through_point(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Centre, normal and angle of the circle through three points in space."""
-    u, v = middle - start, end - start
-    normal = np.cross(u, v)
-    size = np.linalg.norm(normal)
-    if size < 1e-15:
-        raise ArcError("the three points of the circle lie on a line; use a straight move")
-    centre = start + (np.cross(normal, u) * (v @ v) + np.cross(v, normal) * (u @ u)) / (2.0 * size * size)
-    normal = normal / size
-    first, last = start - centre, end - centre
-    angle = math.atan2(float(np.cross(first, last) @ normal), float(first @ last)) % (2.0 * math.pi)
-    return centre, normal, angle

@@ -24,6 +24,7 @@ DEFAULT_TOLERANCE = 10e-6
 """Corner rounding of G64 and G642 without another word [m]; chosen, the paper does not say."""
 DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
 """The same for A and C [rad]."""
+NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system put out the path of the tool centre"
 RAPID_TOLERANCE_FACTOR = 3.0
 """Between two rapid moves the tolerance is this much larger (STOLF on the control)."""
 SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
@@ -47,7 +48,8 @@ class Modes:
     spindle: float = 0.0
     brisk: bool = False
     feedforward: bool = True
-    tool_length: float = 0.0
+    tool_length: float = 0.0  # that TRAORI works with
+    spindle_tool_length: float = 0.0  # of the tool in the spindle, whose tip moves where TRAORI is off
 
 
 class Collector:
@@ -59,7 +61,7 @@ class Collector:
         self.kinematics = kinematics_of(machine)
         home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
         self.position = [float(v) for v in home]
-        self.modes = Modes(tool_length=self.kinematics.tool_length)
+        self.modes = Modes(tool_length=self.kinematics.tool_length, spindle_tool_length=self.kinematics.tool_length)
         self.all_modes = [self.modes]
         self.kinds: list[int] = []
         self.targets: list[tuple[float, ...]] = []  # x y z A C, NaN: as before
@@ -77,7 +79,6 @@ class Collector:
         self.angles: list[np.ndarray] = []  # settled (row, 2)
         self.settled = 0
         self.last_angles = np.array(self.position[3:])
-        self.started = False
 
     def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
         """An error at a place of the program."""
@@ -174,7 +175,8 @@ class Collector:
         for row, time in self.pauses.items():
             pause[row] = time
         # what cannot be blended: a change of transformation, tool or acceleration mode, the moves beside a dwell, the end
-        traori, brisk, length = column("traori", bool), column("brisk", bool), column("tool_length", float)
+        traori, brisk = column("traori", bool), column("brisk", bool)
+        length = np.where(traori, column("tool_length", float), column("spindle_tool_length", float))
         change = (traori[1:] != traori[:-1]) | (brisk[1:] != brisk[:-1]) | (length[1:] != length[:-1])
         change |= (kind[1:] == mv.DWELL) | (kind[:-1] == mv.DWELL)
         stop[:-1] |= change

@@ -21,9 +21,10 @@ _LABEL = re.compile(r"\s*(?:N\d+\s+)?([A-Z_][A-Z0-9_]+):(?!=)", re.A)
 _NUMBER = re.compile(r"\s*N(\d+)", re.A)
 _GOTO = re.compile(r"\s*GOTO([FBC]?)\s+([A-Z0-9_]+)\s*\Z", re.A)
 _IF = re.compile(r"\s*IF\b(.*?)(?:\b(GOTO[FBC]?\s+[A-Z0-9_]+))?\s*\Z", re.A)
-_REPEAT = re.compile(r"\s*(REPEATB?)\s+([A-Z_][A-Z0-9_]*)(?:\s+([A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(\d+|R\d+))?\s*\Z", re.A)
+_REPEAT = re.compile(r"\s*(REPEATB?)\s+([A-Z_][A-Z0-9_]*)(?:\s+(?!P\d+\s*\Z)([A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(\d+|R\d+))?\s*\Z", re.A)
 _FLOW = re.compile(
-    r"\s*(?:N\d+\s*)?(IF|ELSE|ENDIF|GOTO[FBC]?|REPEATB?|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|ENDLABEL:?)\b(?!\s*=)", re.A
+    r"\s*(?:N\d+\s*)?(?:[A-Z_][A-Z0-9_]+:\s*)?(IF|ELSE|ENDIF|GOTO[FBC]?|REPEATB?|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|ENDLABEL:?)\b(?!\s*=)",
+    re.A,
 )
 
 
@@ -133,7 +134,7 @@ class Flow:
         if flow[1].startswith("REPEAT"):
             return self._repeat(at, text, column)
         if flow[1] == "ELSE":
-            return self._skip(at, ("ENDIF",), column) + 1  # the part before it has run
+            return self._behind(at, ("ENDIF",), column)  # the part before it has run
         if flow[1] in ("ENDIF", "ENDLABEL", "ENDLABEL:"):
             return self.advance(at)
         raise WordError(f"{flow[1]} is not supported; use IF .. GOTOB, or REPEAT with a label", column)
@@ -146,16 +147,24 @@ class Flow:
         true = bool(self.reader.arithmetic.value(match[1], match.start(1) + 1))
         if match[2]:
             return self._goto(at, match[2], match.start(2) + 1) if true else self.advance(at)
-        return self.advance(at) if true else self._skip(at, ("ELSE", "ENDIF"), column) + 1
+        return self.advance(at) if true else self._behind(at, ("ELSE", "ENDIF"), column)
 
-    def _skip(self, at: int, ends: tuple[str, ...], column: int) -> int:
+    def _behind(self, at: int, ends: tuple[str, ...], column: int) -> int:
+        """The line after the matching ELSE or ENDIF; a repeated part that ends among the skipped lines ends there."""
+        end = self._matching(at, ends, column)
+        if self.repeats and at <= self.repeats[-1][0] < end:
+            end = self.repeats[-1][0]
+        return self.advance(end)
+
+    def _matching(self, at: int, ends: tuple[str, ...], column: int) -> int:
         """Line of the matching ELSE or ENDIF."""
         depth = 0
         for i in range(at + 1, len(self.source.lines)):
-            word = _FLOW.match(self.source.lines[i].split(";")[0].upper())
+            text = self.source.lines[i].split(";")[0].upper()
+            word = _FLOW.match(text)
             if not word:
                 continue
-            if word[1] == "IF" and "GOTO" not in self.source.lines[i].upper():
+            if word[1] == "IF" and "GOTO" not in text:
                 depth += 1
             elif depth == 0 and word[1] in ends:
                 return i

@@ -17,7 +17,7 @@ from twin.errors import InputError, nearest
 from twin.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
+from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, NO_RADIUS_COMPENSATION, Collector
 from twin.program.flow import Flow, Source
 from twin.program.words import NUMBER, Arithmetic, Word, WordError
 from twin.units import rad_from_deg
@@ -46,9 +46,9 @@ _NO_EFFECT_NAMES = {
     "RTLION",
 }  # fmt: skip
 _ADVICE = {
-    41: "cutter radius compensation is not simulated; let the CAM system put out the path of the tool centre",
-    42: "cutter radius compensation is not simulated; let the CAM system put out the path of the tool centre",
-    43: "use T and D with a table [tool] in the machine file",
+    41: NO_RADIUS_COMPENSATION,
+    42: NO_RADIUS_COMPENSATION,
+    43: "use T and D with a table [tool] in the machine file; G43 H is for .ngc files",
     33: "threading is not simulated",
     331: "threading is not simulated",
     332: "threading is not simulated",
@@ -87,7 +87,8 @@ class GcodeReader:
         self.frame = self._frame_table("G500")
         self.shift = np.zeros(5)  # TRANS
         self.offset = [0.0] * 5  # both together
-        self.tool_number: str | None = None
+        self.prepared = self.out.modes.spindle_tool_length  # of the tool that the next change brings
+        self.changes_by_m6 = False
         self.ended = False
         self.line, self.block = 0, -1
 
@@ -176,6 +177,7 @@ class GcodeReader:
         centre: dict[str, tuple[str, float]] = {}
         axis: dict[str, float] = {}
         extra: dict[str, float] = {}
+        tool: dict[str, Word] = {}
         dwell = exact = suppress = trans = False
         pause: float | None = None
         turns = 0
@@ -196,6 +198,8 @@ class GcodeReader:
                     exact = True
                 elif number in (53, 153):
                     suppress = True
+                elif number in (43, 49) and self.iso:
+                    tool[f"G{number:g}"] = word
                 else:
                     self._g(number, word)
             elif name in _INDEX:
@@ -208,12 +212,17 @@ class GcodeReader:
                 extra["F"] = self._value(word)
             elif name == "S":
                 extra["S"] = self._value(word)
-            elif name in ("CR", "TURN", "ADIS", "ADISPOS", "CTOL", "OTOL", "P"):
+            elif name in ("CR", "TURN", "ADIS", "ADISPOS", "CTOL", "OTOL") or (name == "P" and (self.iso or dwell)):
                 extra[name] = self._value(word)
+            elif name == "R" and self.iso:
+                extra["CR"] = self._value(word)
             elif name == "M":
-                pause = self._m(self._value(word), word, pause)
+                number = self._value(word)
+                pause = self._m(number, word, pause)
+                if number == 6:
+                    tool["M6"] = word
             elif name in ("T", "D", "H"):
-                self._tool(word)
+                tool[name] = word
             elif name in ("TRANS", "ATRANS"):
                 trans = True
                 if name == "TRANS":
@@ -222,21 +231,26 @@ class GcodeReader:
                 suppress = True
             else:
                 self._name(word)
-        self._settings({} if dwell else extra)
+        if tool:
+            self._tool(tool)
+        if dwell:
+            if trans or coordinates or centre or axis or extra.keys() not in ({"F"}, {"S"}, {"P"}):
+                raise WordError("G4 stands alone in its block with one time, e.g. G4 F<seconds>; give the rest a block of its own", 1)
+            self._dwell(extra)
+        else:
+            self._settings(extra)
         if trans:
             for key, (_, value) in coordinates.items():
                 self.shift[_INDEX[key]] += self._si(key, value)
             self._set_offset()
             return
-        if dwell:
-            self._dwell(extra)
-        elif coordinates or axis or (centre and self.motion > 1) or (motion_word and self.motion > 1 and "CR" in extra):
+        if coordinates or axis or (centre and self.motion > 1) or (motion_word and self.motion > 1 and "CR" in extra):
             turns = int(extra.get("TURN", 0))
             self._block_move(coordinates, centre, axis, extra, suppress, turns)
             if exact:
                 self.out.stops[len(self.out.kinds) - 1] = 0.0
         elif centre or "CR" in extra or "TURN" in extra:
-            raise WordError("I J K, CR= and TURN= belong to G2 or G3; add the motion and its end point", 1)
+            raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add the motion and its end point", 1)
         if pause is not None and self.out.kinds:
             self.out.stops[len(self.out.kinds) - 1] = pause
 
@@ -291,7 +305,7 @@ class GcodeReader:
         if kind == mv.ARC:
             self._arc(start, target, centre, extra, offset, turns)
         elif centre or "CR" in extra or turns:
-            raise WordError("I J K, CR= and TURN= belong to G2 or G3; add it to the block", 1)
+            raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add it to the block", 1)
         vector = (axis["A3"], axis["B3"], axis["C3"]) if axis else None
         self._move(kind, (*map(float, target[:3]), *angles), vector, self.line, self.block)
         out.position[:] = [float(v) for v in target]
@@ -300,6 +314,8 @@ class GcodeReader:
 
     def _arc(self, start, target, centre, extra, offset, turns) -> None:  # type: ignore[no-untyped-def]
         clockwise = self.motion == 2
+        if "CR" in extra and centre:
+            raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one", 1)
         if "CR" in extra:
             middle = arcs.centre_from_radius(start, target, extra["CR"] * self.unit, self.plane, clockwise)
         elif centre:
@@ -311,14 +327,12 @@ class GcodeReader:
                     raise WordError(f"{name} does not lie in the plane G{self.plane}; select the plane with G17, G18 or G19", 1)
                 middle[i] = value * self.unit + (offset[i] if how == "AC" else start[i])
         else:
-            raise WordError("a circle needs its centre (I J K) or radius (CR=); add it to the block", 1)
+            raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
         self.out.arcs[len(self.out.kinds)] = arcs.from_centre(start[:3], target[:3], middle[:3], self.plane, clockwise, turns)
 
     def _dwell(self, extra: dict[str, float]) -> None:
-        if "F" not in extra and "S" not in extra and "P" not in extra:
-            raise WordError("G4 needs a time: G4 F<seconds>", 1)
         time = extra.get("F", extra.get("P", 0.0))
-        if "S" in extra and "F" not in extra:
+        if "S" in extra:
             if not self.out.modes.spindle:
                 raise WordError("G4 S<turns> needs a spindle speed before; give S or use G4 F<seconds>", 1)
             time = extra["S"] * 60.0 / self.out.modes.spindle
@@ -410,29 +424,61 @@ class GcodeReader:
             raise WordError(f"M{number:g} is not known; remove it if it moves no axis", word.column)
         return pause
 
-    def _tool(self, word: Word) -> None:
-        """T and D choose the tool length that TRAORI works with, from the table [tool] of the machine file."""
+    def _tool(self, words: dict[str, Word]) -> None:
+        """Tool in the spindle and the length that TRAORI works with, from T, M6, D, H, G43 and G49 of a block.
+
+        T changes the tool at once; from the first M6 on it prepares the tool that the next M6 brings. The Sinumerik takes
+        D1 with a tool and no length with D0; the ISO dialect takes a length with G43 and none with G49.
+        """
+        out = self.out
+        if "T" in words:
+            self.prepared = self._tool_length(words["T"])
+        self.changes_by_m6 |= "M6" in words
+        changed = "M6" in words or ("T" in words and not self.changes_by_m6)
+        spindle = self.prepared if changed else out.modes.spindle_tool_length
+        length = out.modes.tool_length
+        if self.iso:
+            if "G43" in words:
+                length = self._tool_length(words["H"]) if "H" in words else spindle
+                out.notes["G43: its length counts under TRAORI; without it X Y Z are positions of the axes"] = None
+            elif "G49" in words:
+                length = 0.0
+            elif "H" in words:
+                raise WordError("H chooses a tool length together with G43; write G43 H.. in one block", words["H"].column)
+            if "D" in words:
+                out.notes["D: a tool radius in .ngc files; understood, without effect on the motion"] = None
+        else:
+            if "D" in words:
+                length = spindle if self._edge(words["D"]) else 0.0
+            elif changed:
+                length = spindle
+            if "H" in words:
+                out.notes["H: understood, without effect on the motion"] = None
+        modes = replace(out.modes, tool_length=length, spindle_tool_length=spindle)
+        if modes != out.modes:
+            out.change_frame(modes)
+
+    def _tool_length(self, word: Word) -> float:
+        """Length [m] of the tool that T or H names, from the table [tool] of the machine file; T0 and H0 have none."""
+        text = (word.text or "").strip()
+        name = text.strip('"') if text.startswith('"') else f"{self._value(word):.10g}"
         tools = self.machine.document.get("tool", {})
-        if word.name == "T":
-            name = (word.text or "").strip().strip('"') if word.assigned else f"{self._value(word):g}"
-            key = name if name in tools else f"T{name}"
-            if tools and key not in tools and name != "0":
-                raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, tools)}", word.column)
-            self.tool_number = key
-        elif word.name == "D":
-            number = self._value(word)
-            length = self.out.kinematics.tool_length
-            if number and self.tool_number in tools:
-                length = float(tools[self.tool_number].get("length_m", length))
-            if length != self.out.modes.tool_length:
-                self.out.change_frame(replace(self.out.modes, tool_length=length))
-            return
-        if self.tool_number in tools:
-            length = float(tools[self.tool_number].get("length_m", self.out.kinematics.tool_length))
-            if length != self.out.modes.tool_length:
-                self.out.change_frame(replace(self.out.modes, tool_length=length))
-        elif not tools:
-            self.out.notes["T: the machine file has no table [tool]; the tool of the model is used"] = None
+        key = name if name in tools else f"T{name}"
+        if name == "0":
+            return 0.0
+        if not tools:
+            self.out.notes["T, H: the machine file has no table [tool]; the tool of the model is used"] = None
+            return self.out.kinematics.tool_length
+        if key not in tools:
+            raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, tools)}", word.column)
+        return float(tools[key]["length_m"])
+
+    def _edge(self, word: Word) -> float:
+        """Number of the cutting edge that D names, 0 for none; a tool of the table [tool] has only D1."""
+        number = self._value(word)
+        if number not in (0, 1) and self.machine.document.get("tool"):
+            raise WordError(f"D{number:g}: a tool of the table [tool] has one length, that of D1; use D1 or D0", word.column)
+        return number
 
     def _name(self, word: Word) -> None:
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""
@@ -453,6 +499,8 @@ class GcodeReader:
             out.set_modes(replace(out.modes, feedforward=name == "FFWON"))
         elif name in ("SOFT", "BRISK"):
             out.set_modes(replace(out.modes, brisk=name == "BRISK"))
+        elif name == "R":
+            raise WordError("R is an R-parameter here (X=R1, R1=5); the radius of an arc is CR=, R in .ngc files only", word.column)
         elif name == "MSG":
             out.messages.append((word.text or "").strip().strip('"'))
         elif name == "CYCLE832":

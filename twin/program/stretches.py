@@ -31,8 +31,6 @@ class Stretch:
     traori: bool
     brisk: bool
     tool_length: float
-    pause: float
-    last_row: int
 
 
 def stretches(program: mv.Program) -> list[tuple[int, int]]:
@@ -88,8 +86,6 @@ def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, g
         bool(m.traori[first]),
         bool(m.brisk[first]),
         float(m.tool_length[first]),
-        float(m.pause[last]),
-        last,
     )
 
 

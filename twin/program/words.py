@@ -121,7 +121,7 @@ _FUNCTIONS = {
     "SQRT": math.sqrt,
     "ABS": abs,
     "POT": lambda x: x * x,
-    "ROUND": round,
+    "ROUND": lambda x: math.trunc(2.0 * x) - math.trunc(x),  # the nearest integer, a half away from zero
     "TRUNC": math.trunc,
     "LN": math.log,
     "EXP": math.exp,
