@@ -85,6 +85,9 @@ CYCLES = {
     10060: "POSCTRL_SYSCLOCK_TIME_RATIO",
     10070: "IPO_SYSCLOCK_TIME_RATIO",
 }
+DIVISORS = (1113, 31030, GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number)
+"""What others are divided by: 0 has no meaning."""
+
 _EQUAL = 1e-6
 _KEY = re.compile(r"^(?:MD)?_?(\d{4,5})(?:_\w+)?$", re.IGNORECASE)
 _ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
@@ -92,20 +95,30 @@ _ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
     """Machine data of one axis by number, whether the file has their numbers or names."""
-    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE)} | CYCLES
-    names = {name: number for number, name in known.items()}
+    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE)}
+    names = {name: number for number, name in (known | CYCLES).items()}
     out: dict[int, float] = {}
     for key, value in table.items():
         match = _KEY.match(key)
         number = int(match[1]) if match else names.get(key.upper())
+        if number in CYCLES:
+            raise InputError(
+                f"{where}: {key} belongs to the whole control, not to an axis; give the cycle in [control] of the machine file"
+            )
         if number not in known:
             raise InputError(f"{where}: '{key}' has no counterpart in the twin; {nearest(key, [*names, *(f'MD{n}' for n in known)])}")
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{where}: {key} = {value!r}: expected a number")
+        _check_divisor(number, value, where)
         if number in out:
             raise InputError(f"{where}: MD{number} stands twice, by number and by name; keep one")
         out[number] = float(value)
     return out
+
+
+def _check_divisor(number: int, value: float, where: str) -> None:
+    if number in DIVISORS and value <= 0.0:
+        raise InputError(f"{where}: MD{number} = {value:g}: impossible; give a number above 0")
 
 
 def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
@@ -252,6 +265,7 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
         except ValueError:
             continue
         if number in known and first:
+            _check_divisor(number, number_value, f"{path}: axis {axis}")
             out.setdefault(axis, {})[number] = number_value
         elif number not in known:
             left.append(f"MD{number}")

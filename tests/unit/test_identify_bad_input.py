@@ -12,6 +12,7 @@ from tests.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, 
 from twin.campaign import MeasuredRun
 from twin.cli import main
 from twin.errors import InputError
+from twin.identify.axis_run import axis_run
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.result import Identification
 from twin.machine import Machine
@@ -222,3 +223,17 @@ def test_a_period_that_does_not_fit_the_cycle_is_an_error(machine: Machine, runs
     odd = [replace(r, trace=replace(r.trace, time=r.trace.time * 1.5)) for r in runs]
     with pytest.raises(InputError, match="whole number of samples in a position cycle"):
         identified(machine, odd)
+
+
+@pytest.mark.parametrize("samples", [3, 5, 64])
+def test_samples_between_the_ticks_are_an_error(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
+    """16 ticks a cycle are no three samples; a machine of 4 ms is told its own periods."""
+    for cycle_ms, known in ((2, "2, 1, 0.5, 0.25, 0.125 ms"), (4, "4, 2, 1, 0.5, 0.25, 0.125 ms")):
+        other = replace(machine, position_cycle=cycle_ms * 1e-3)
+        period = other.position_cycle / samples
+        odd = replace(runs[0], trace=replace(runs[0].trace, time=np.arange(len(runs[0].trace.time)) * period))
+        words = (
+            f"sampled every {period * 1e3:g} ms, the position cycle is {cycle_ms} ms; .* divides its {8 * cycle_ms} ticks: every {known}"
+        )
+        with pytest.raises(InputError, match=words):
+            axis_run(other, other.axis("X"), odd)

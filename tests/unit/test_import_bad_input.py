@@ -79,6 +79,14 @@ def test_wrong_map(tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
     assert all(part in line for part in expected), line
 
 
+def test_two_files_that_make_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(write_csv(tmp_path / name, {"t": TIME, **move(TIME)})) for name in ("a b.csv", "a_b.csv")]
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    line = refused(capsys, "import", *files, "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out"), "--no-picture")
+    assert "two runs are named 'a_b', those of 'a b.csv' and 'a_b.csv'; give each its own name" in line
+    assert not (tmp_path / "out").exists()
+
+
 SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[str, ...]]] = {
     "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "say"')),
     "set point in um": (lambda c: {**c, "soll": c["soll"] * 1e3}, ("X.position moves 0.001 times",)),

@@ -42,6 +42,21 @@ def test_a_gap_splits_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert campaign["run"][1]["started_at_s"] == pytest.approx(1.54, abs=1e-6)
 
 
+def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
+    """'run' is split, 'run_1' is a run of its own: each of the three traces has its file, whatever the order."""
+    kept = np.r_[0:1500, 1540:4000]
+    other = write_csv(tmp_path / "run_1.csv", {"t": TIME[:1000], **move(TIME[:1000])})
+    files = [recorded(tmp_path, TIME, kept), other]
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    for order in (files, files[::-1]):
+        out = tmp_path / order[0].stem
+        assert main(["import", *map(str, order), "--map", str(tmp_path / "map.toml"), "--out", str(out), "--no-picture"]) == 0
+        campaign = tomllib.loads((out / "campaign.toml").read_text(encoding="utf-8"))
+        lengths = {run["file"]: len(read_trace(out / run["file"]).time) for run in campaign["run"]}
+        assert lengths == {"run_1.parquet": 1000, "run_2.parquet": 1500, "run_3.parquet": 2460}
+        assert len(campaign["run"]) == 3
+
+
 def test_a_gap_is_filled_when_the_map_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = np.r_[0:1500, 1508:4000]
     (trace,) = imported(tmp_path, recorded(tmp_path, TIME, kept), 'gaps = "fill"\n' + MAP).values()

@@ -199,6 +199,35 @@ def test_new_with_machine_data(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "axis.X.loops.position_gain_per_s" not in assumed_values(found)
 
 
+@pytest.mark.parametrize(
+    ("structure", "data", "told", "left"),
+    [
+        ("P/PI/PI", "MD32650 = 0.0123", 0.0123, ""),
+        ("P/PI/PI", "MD32650 = 0", None, "MD32650 of X"),  # a control that was told none
+        ("P/PI", "MD32650 = 0.0123\nMD1113 = 1.4\nMD36100 = -200", 0.0123, "MD36100 of X, MD1113 of X"),
+    ],
+)
+def test_no_machine_datum_is_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], structure: str, data: str, told: float | None, left: str
+) -> None:
+    """What `new` takes is in the file, the rest is listed."""
+    (tmp_path / "md.toml").write_text(f"[X]\n{data}\n", encoding="utf-8")
+    model, file = ROOT / "models" / "mikron_ucp710.xml", tmp_path / "m.toml"
+    code, out, _ = command(capsys, "machine", "new", model, "--out", file, "--sinumerik", tmp_path / "md.toml", "--structure", structure)
+    assert code == 0
+    assert load_machine(file).axis("X").commissioned_inertia == told
+    assert re.findall(r"left alone: (.*)", out) == ([left] if left else [])
+
+
+def test_cycles_of_an_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = ("N10050 $MN_SYSCLOCK_CYCLE_TIME=0.001", "N10060 $MN_POSCTRL_SYSCLOCK_TIME_RATIO=4", "N10070 $MN_IPO_SYSCLOCK_TIME_RATIO=12")
+    (tmp_path / "nc.tea").write_text("\n".join(lines), encoding="utf-8")
+    model, file = ROOT / "models" / "mikron_ucp710.xml", tmp_path / "m.toml"
+    assert command(capsys, "machine", "new", model, "--out", file, "--sinumerik", tmp_path / "nc.tea")[0] == 0
+    machine = load_machine(file)
+    assert (machine.position_cycle, machine.interpolation_cycle) == pytest.approx((0.004, 0.012))
+
+
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     code, _, err = command(capsys, *arguments)
     assert code == 2
@@ -238,7 +267,8 @@ def broken(machine: Machine) -> dict[str, tuple[Machine, str, str]]:
         "weight": (machine.with_axis("Z", peak_current_a=3.0), "impossible", "holding its weight takes 3.9 A"),
         "bus": (machine.with_axis("X", bus_limit_v=200.0), "impossible", "the highest speed takes 256 V"),
         "inertia ratio": (machine.with_axis("X", rotor_inertia_kg_m2=1e-4), "unusual", r"17\.7 times the rotor's"),
-        "feedforward": (machine.with_axis("X", commissioned_inertia=0.02), "unusual", "2.33 times too large"),
+        "feedforward": (machine.with_axis("X", commissioned_inertia=0.02), "unusual", "with 0.02 kg m2, 2.33 times the model's 0.00857"),
+        "weak feedforward": (machine.with_axis("X", commissioned_inertia=0.0043), "unusual", "0.50 times the model's"),
         "unstable": (machine.with_axis("X", position_gain_per_s=1000.0), "impossible", "the position loop is unstable"),
         "speed loop": (machine.with_axis("X", speed_integral_time_s=5e-4), "unusual", "the speed loop has a phase margin of"),
         "ratio": (machine.with_axis("X", position_gain_per_s=200.0), "unusual", "times the position loop's"),
@@ -246,7 +276,10 @@ def broken(machine: Machine) -> dict[str, tuple[Machine, str, str]]:
     }
 
 
-RULES = ("acceleration", "spare current", "weight", "bus", "inertia ratio", "feedforward", "unstable", "speed loop", "ratio", "mode")
+RULES = (
+    *("acceleration", "spare current", "weight", "bus", "inertia ratio", "feedforward", "weak feedforward"),
+    *("unstable", "speed loop", "ratio", "mode"),
+)
 
 
 @pytest.mark.parametrize("rule", RULES)

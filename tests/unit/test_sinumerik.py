@@ -102,6 +102,14 @@ def test_two_values_that_disagree(tmp_path: Path) -> None:
         load_machine(with_machine_data(tmp_path, take=False, POSCTRL_GAIN=2.0))
 
 
+def test_cycles_do_not_belong_to_an_axis(tmp_path: Path) -> None:
+    path = with_machine_data(tmp_path, take=False)
+    text = path.read_text(encoding="utf-8").replace("[axis.X.sinumerik]\n", "[axis.X.sinumerik]\nMD10050 = 0.004\nMD10060 = 1\n")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"axis.X.sinumerik.: MD10050 belongs to the whole control"):
+        load_machine(path)
+
+
 def test_feedforward_mode() -> None:
     weights = {mode: plain_values({32620: float(mode), 32610: 0.9}, "linear") for mode in range(5)}
     assert [w["loops.velocity_feedforward"] for w in weights.values()] == [0.0, 0.9, 0.9, 0.9, 0.9]
@@ -154,6 +162,10 @@ def test_an_archive_of_the_control(tmp_path: Path) -> None:
         ("x.toml", "[Q]\nMD32200 = 3", "no such axis"),
         ("x.toml", "[X", "not a valid TOML file"),
         ("x.tea", "nothing here", "no line like N32200"),
+        *(("x.toml", f"[X]\nMD{md} = 0", f"[X].: MD{md} = 0: impossible; give a number above 0") for md in (1113, 31030, 31050, 31060)),
+        ("x.tea", "N31050 $MA_DRIVE_AX_RATIO_DENOM[0,AX1]=0", "axis X: MD31050 = 0: impossible; give a number above 0"),
+        ("x.toml", "[X]\nMD10050 = 0.004", r"MD10050 belongs to the whole control, not to an axis; .* in .control. of the machine file"),
+        ("x.toml", "[X]\nPOSCTRL_SYSCLOCK_TIME_RATIO = 2", "POSCTRL_SYSCLOCK_TIME_RATIO belongs to the whole control"),
     ],
 )
 def test_bad_machine_data(tmp_path: Path, name: str, text: str, message: str) -> None:

@@ -118,13 +118,14 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     if not (has["position"] or has["motor_position"]):
         return None
     cycle = machine.position_cycle
-    per = cycle / trace.period
-    if per < 1.0 - 1e-6 or abs(per - round(per)) > 1e-3:
+    n = round(cycle / trace.period)
+    ticks = round(cycle / machine.base_tick)
+    if n < 1 or ticks % n or abs(cycle / trace.period - n) > 1e-3:
+        known = ", ".join(f"{cycle / k * 1e3:g}" for k in range(1, ticks + 1) if ticks % k == 0)
         raise InputError(
             f"run {run.name}: sampled every {trace.period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
-            "record with a whole number of samples in a position cycle (1 ms here)"
+            f"record with a whole number of samples in a position cycle that divides its {ticks} ticks: every {known} ms"
         )
-    n = round(per)
     time = trace.time - trace.time[0]
 
     def signal(name: str) -> np.ndarray:

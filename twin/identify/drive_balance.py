@@ -32,7 +32,7 @@ from twin.machine import Axis, Machine
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 EVERY = 4
-"""Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart hold all."""
+"""Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart (of a 2 ms cycle) hold all."""
 
 ITERATIONS = 4
 

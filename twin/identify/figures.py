@@ -10,7 +10,7 @@ import numpy as np
 from twin.colours import axis_colour, hexadecimal
 from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
-from twin.identify.drive_balance import Rows
+from twin.identify.drive_balance import EVERY, Rows
 from twin.identify.least_squares import whiteness
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
@@ -198,6 +198,7 @@ ROOM = 120
 def residual_figure(result: Identification) -> Any:
     """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
     axes = _shown(result)
+    apart_ms = 1e3 * EVERY * result.before.position_cycle
     figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
     for (trace, white), axis in zip(panels, axes):
         balance = balance_of(result, axis.name)
@@ -216,9 +217,9 @@ def residual_figure(result: Identification) -> Any:
         trace.set_ylabel(f"{axis.name} [mNm]")
         correlation, outside = whiteness(residual)
         white.axhspan(-1.96 / np.sqrt(len(residual)), 1.96 / np.sqrt(len(residual)), color=SOFT, alpha=0.3, lw=0)
-        white.vlines(np.arange(len(correlation)) * 8.0, 0.0, correlation, color=colour, lw=1.2)
+        white.vlines(np.arange(len(correlation)) * apart_ms, 0.0, correlation, color=colour, lw=1.2)
         white.set_title(f"{100 * outside:.0f} % of lags outside the white band", fontsize=8.5)
-    panels[-1, 0].set_xlabel("rows where the axis slides, 8 ms apart")
+    panels[-1, 0].set_xlabel(f"rows where the axis slides, {apart_ms:g} ms apart")
     panels[-1, 1].set_xlabel("lag [ms of sliding]")
     return figure
 

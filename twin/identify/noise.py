@@ -36,8 +36,6 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
     spread: dict[tuple[str, str], list[float]] = {}
     weight: dict[tuple[str, str], list[int]] = {}
     reference = _rest_of_the_twin(machine, runs[0].trace.period)
-    if reference is None:
-        return {}
     for run in runs:
         for axis in machine.axes:
             for part in rests(run.trace, axis):
@@ -70,7 +68,7 @@ def _scatter(values: np.ndarray) -> float:
     return float(np.std(np.diff(values))) if len(values) > 2 else 0.0
 
 
-def _rest_of_the_twin(machine: Machine, period: float) -> Trace | None:
+def _rest_of_the_twin(machine: Machine, period: float) -> Trace:
     start = np.array([np.clip(0.0, *axis.travel) for axis in machine.axes])
     setpoints = Setpoints(np.tile(start, (round(1.0 / period), 1)), period)
     return simulate(machine, setpoints, sample_period=period, noise_seed=0).trace

@@ -173,13 +173,13 @@ def _table_runs(machine: Machine) -> list[PlannedRun]:
     if not tilting_pair.has_pair(machine):
         return []
     a, c = machine.axis("A"), machine.axis("C")
-    low, high = (SHARE * v for v in a.travel)
+    (low_a, middle_a, high_a), (low_c, middle_c, high_c) = ((m - half, m, m + half) for m, half in (_reach(a), _reach(c)))
     slow_a, slow_c = 0.35 * a.max_velocity, 0.5 * c.max_velocity
     moves = []
-    for turn in (0.0, 0.5 * math.pi, math.pi):
-        moves += [("C", turn, slow_c), ("A", low, slow_a), ("A", high, slow_a)]
-    for tilt in (low, 0.5 * low):
-        moves += [("A", tilt, slow_a), ("C", 0.0, slow_c), ("C", math.pi, slow_c)]
+    for turn in (low_c, middle_c, high_c):
+        moves += [("C", turn, slow_c), ("A", low_a, slow_a), ("A", high_a, slow_a)]
+    for tilt in (low_a, middle_a):
+        moves += [("A", tilt, slow_a), ("C", low_c, slow_c), ("C", high_c, slow_c)]
     return [_path(machine, _home(machine), moves, "plan_table", "velocity+torque")]
 
 

@@ -38,13 +38,12 @@ LAW_DOUBT = 0.002
 
 @dataclass(frozen=True)
 class SpeedControl:
-    """Values of NAMES, their standard deviations, the current loop's equivalent time [s], and the torque weight of each run."""
+    """Values of NAMES, their standard deviations, and the torque weight of each run."""
 
     values: dict[str, float]
     deviations: dict[str, float]
     quantile: float
     condition: float
-    current_loop_s: float
     residual_rms: float  # A
     weight_by_run: dict[str, float]
 
@@ -109,7 +108,6 @@ def fit_speed_control(
         ),
         fit.quantile,
         fit.condition,
-        float(lag),
         float(np.sqrt(np.mean(fit.residual**2))) / kt,
         weights,
     )

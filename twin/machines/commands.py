@@ -47,7 +47,7 @@ def _new(args: argparse.Namespace) -> int:
     axes, left = new_machine(Path(args.model), out, args.structure, Path(args.sinumerik) if args.sinumerik else None)
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
-        print(f"machine data without a counterpart in the twin, left alone: {', '.join(left)}")
+        print(f"machine data without a place in this machine file, left alone: {', '.join(left)}")
     print(f"numbers that were assumed say so; see them with: twin machine check {out}")
     return 0
 

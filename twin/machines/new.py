@@ -18,7 +18,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine import load_machine
 from twin.machine_keys import STRUCTURES
-from twin.machine_sinumerik import control_cycles, plain_values, read_machine_data
+from twin.machine_sinumerik import DATA, control_cycles, plain_values, read_machine_data
 from twin.machines.check import ASSUMED
 from twin.machines.urdf import JointLimits, spec_of_urdf
 from twin.model_file import check_mjcf, copy_model
@@ -75,6 +75,7 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
     for fact in facts:
         known = plain_values(data[fact.name], kinds[fact.name]) if fact.name in data else {}
         lines += _axis(fact, structure, known, machine_data.name if machine_data else "")
+        left += [f"{d.label} of {fact.name}" for d in DATA[kinds[fact.name]] if d.key in known]
     lines += _measurement(facts)
     out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     load_machine(out)
@@ -134,9 +135,10 @@ def _positive(value: float) -> float | None:
 def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cycles: Mapping[str, float]) -> list[str]:
     current = structure == STRUCTURES[0]
     values = {
-        "current_cycle_us": cycles.get("current_cycle_us", CURRENT_CYCLE_S * 1e6),
-        "speed_cycle_us": cycles.get("speed_cycle_us", CURRENT_CYCLE_S * 1e6),
-        "position_cycle_us": cycles.get("position_cycle_us", POSITION_CYCLE_S * 1e6),
+        "current_cycle_us": CURRENT_CYCLE_S * 1e6,
+        "speed_cycle_us": CURRENT_CYCLE_S * 1e6,
+        "position_cycle_us": POSITION_CYCLE_S * 1e6,
+        **cycles,
     }
     names = ", ".join(f'"{f.name}"' for f in facts)
     lines = [
@@ -160,12 +162,12 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
     return lines
 
 
-def _axis(f: JointFacts, structure: str, known: Mapping[str, float], source: str) -> list[str]:
-    """Tables of one axis; `known` are plain values from machine data, from the file `source`."""
+def _axis(f: JointFacts, structure: str, known: dict[str, float], source: str) -> list[str]:
+    """Tables of one axis; of `known`, plain values of machine data from the file `source`, those are left that have no place in them."""
 
     def value(key: str, number: float, comment: str = ASSUMED) -> str:
         leaf = key.rsplit(".", 1)[-1]
-        return _line(leaf, known[key], f"from {source}") if key in known else _line(leaf, number, comment)
+        return _line(leaf, known.pop(key), f"from {source}") if key in known else _line(leaf, number, comment)
 
     speed, acceleration, jerk = _motion(f)
     ratio = known["screw_lead_m_per_rev"] / (2.0 * math.pi) if "screw_lead_m_per_rev" in known else _ratio(f)
@@ -241,13 +243,15 @@ def _axis(f: JointFacts, structure: str, known: Mapping[str, float], source: str
             value("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
             value("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),
         ]
-    return [
-        *lines,
+    lines += [
         value("loops.velocity_feedforward", 1.0, f"{ASSUMED}; weight, 0 switches off"),
         value("loops.torque_feedforward", 0.0, f"{ASSUMED}; weight, 0 switches off"),
         value("loops.position_delay_s", 0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
         _line("feedforward_delay_s", 0.0),
     ]
+    if known.get("commissioned.inertia_kg_m2"):  # 0 on a control that was told none
+        lines += [f"[axis.{f.name}.commissioned]", _line("inertia_kg_m2", known.pop("commissioned.inertia_kg_m2"), f"from {source}")]
+    return lines
 
 
 def _motion(f: JointFacts) -> tuple[float, float, float]:
@@ -261,10 +265,10 @@ def _ratio(f: JointFacts) -> float:
     return 0.010 / (2.0 * math.pi) if f.linear else 0.01
 
 
-def _travel_line(f: JointFacts, known: Mapping[str, float], source: str) -> str:
+def _travel_line(f: JointFacts, known: dict[str, float], source: str) -> str:
     key, factor = ("travel_m", 1.0) if f.linear else ("travel_deg", 180.0 / math.pi)
     if f"{key}.0" in known and f"{key}.1" in known:
-        return _aligned(f"{key} = [{known[key + '.0']:.9g}, {known[key + '.1']:.9g}]", f"from {source}")
+        return _aligned(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {source}")
     if f.travel is not None:
         return _aligned(f"{key} = [{f.travel[0] * factor:.9g}, {f.travel[1] * factor:.9g}]", "from the model")
     return _aligned("travel_m = [-0.5, 0.5]", ASSUMED) if f.linear else _aligned('travel_deg = "endless"', "the model has no limit")

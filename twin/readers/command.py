@@ -48,6 +48,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 
     tell = say or (lambda _text: None)
     runs = runs_of(mapping, files)
+    names = [run.name for run, _ in runs]
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
     try:
@@ -61,7 +62,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
             with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
                 recordings = _read(mapping, paths, Path(scratch))
                 known = understand(mapping, run, recordings)
-                traces = write_run(known, begun(run, known.started), out)
+                traces = write_run(known, begun(run, known.started), out, names)
                 if picture:
                     for trace in traces:
                         draw_run(known, trace, out / f"{trace.name}.png")

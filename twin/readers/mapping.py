@@ -160,22 +160,18 @@ def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Pat
         if file.name in by_name:
             raise InputError(f"{file}: two files are named {file.name}; rename one")
         by_name[file.name] = file
-    if not mapping.runs:
-        stems = [f.stem for f in files]
-        twice = next((s for s in stems if stems.count(s) > 1), None)
-        if twice:
-            raise InputError(f"{mapping.path}: two runs would be named '{twice}'; name them with [[run]] in the map")
-        return [(RunMap(run_name(f.stem), (f.name,), mapping.feedforward, None, -math.inf, math.inf), (f,)) for f in files]
+    runs = mapping.runs or [RunMap(run_name(f.stem), (f.name,), None, None, -math.inf, math.inf) for f in files]
     out = []
-    for i, run in enumerate(mapping.runs):
+    for i, run in enumerate(runs):
         for name in run.files:
             if name not in by_name:
                 raise InputError(f"{mapping.path}: run {i + 1}: file '{name}' is not among the FILES; {nearest(name, by_name)}")
         out.append((replace(run, feedforward=run.feedforward or mapping.feedforward), tuple(by_name[n] for n in run.files)))
     names = [run.name for run, _ in out]
     if twice := next((n for n in names if names.count(n) > 1), None):
-        raise InputError(f"{mapping.path}: two runs are named '{twice}'; give each its own name")
-    left = set(by_name) - {n for run in mapping.runs for n in run.files}
+        of = " and ".join(f"'{', '.join(run.files)}'" for run, _ in out if run.name == twice)
+        raise InputError(f"{mapping.path}: two runs are named '{twice}', those of {of}; give each its own name with [[run]] in the map")
+    left = set(by_name) - {n for run in runs for n in run.files}
     if left:
         raise InputError(f"{mapping.path}: no [[run]] uses {', '.join(sorted(left))}; add one, or leave the file out of FILES")
     return out

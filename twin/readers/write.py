@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -43,13 +44,13 @@ class Written:
         return np.concatenate(self.times), np.concatenate(self.curves[key])
 
 
-def write_run(known: Understood, started_at_s: float, out: Path) -> list[Written]:
-    """The traces of a run: one, or one for each piece between gaps, named name_1, name_2."""
+def write_run(known: Understood, started_at_s: float, out: Path, runs: Collection[str]) -> list[Written]:
+    """The traces of a run: one, or one for each piece between gaps, named name_1, name_2, past the names of other `runs`."""
     written = []
     # what the map says is when the run began; else a part of a recording begins later than the recording
     start = known.pieces[0].begin if known.run.started_at_s is not None else known.begin
-    for i, piece in enumerate(known.pieces):
-        name = known.run.name if len(known.pieces) == 1 else f"{known.run.name}_{i + 1}"
+    of_pieces = (name for i in itertools.count(1) if (name := f"{known.run.name}_{i}") not in runs)
+    for name, piece in zip([known.run.name] if len(known.pieces) == 1 else of_pieces, known.pieces):
         written.append(_write_piece(known, piece, name, started_at_s + piece.begin - start, out))
     return written
 
