@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from twin.machine import load_machine
 from twin.moves import moves_in_turn
@@ -36,6 +37,29 @@ def write_spec(folder: Path, text: str = FACTOR + GRID, run: str = RUN) -> Path:
     path = folder / "study.toml"
     path.write_text(text.replace("[[factor]]", f"{run}[[factor]]", 1), encoding="utf-8")
     return path
+
+
+def write_meshes(folder: Path) -> None:
+    """`part.toml` with a mesh as nominal surface and one as stock, and `machine.toml`, the Mikron with a mesh that is only looked at."""
+    machine = load_machine()
+    for name, low, high in (
+        ("nominal.stl", (-2, -2, -2), (2, 2, 0)),
+        ("stock.stl", (-3, -3, -3), (3, 3, 0.1)),
+        ("looks/cover.stl", (0, 0, 0), (9, 9, 9)),
+    ):
+        (folder / name).parent.mkdir(exist_ok=True)
+        trimesh.creation.box(bounds=[low, high]).export(folder / name)
+    (folder / "part.toml").write_text(
+        '[tool]\nkind = "ball"\ndiameter_mm = 2.0\nlength_mm = 120\n[placement]\norigin_mm = [0, 0, 300]\n'
+        '[stock]\nmesh = "stock.stl"\nunit = "mm"\n[[surface]]\nkind = "mesh"\nfile = "nominal.stl"\nunit = "mm"\nspacing_mm = 0.5\n',
+        encoding="utf-8",
+    )
+    model = machine.model_path.read_text(encoding="utf-8")
+    model = model.replace("<worldbody>", '<worldbody><geom type="mesh" mesh="cover" contype="0" conaffinity="0"/>', 1)
+    asset = '<asset><mesh name="cover" file="looks/cover.stl" scale="0.01 0.01 0.01"/></asset>'
+    (folder / "machine.xml").write_text(model.replace("<worldbody>", f"{asset}<worldbody>", 1), encoding="utf-8")
+    text = machine.path.read_text(encoding="utf-8")
+    (folder / "machine.toml").write_text(text.replace(machine.model_path.name, "machine.xml"), encoding="utf-8")
 
 
 def rows_of(spec: Path, out: Path, threads: int = 1, resume: bool = False) -> list[Row]:

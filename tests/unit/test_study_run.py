@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pyarrow.parquet
 import pytest
-from study_files import FACTOR, GRID, rows_of, write_move, write_spec
+from study_files import FACTOR, GRID, rows_of, write_meshes, write_move, write_spec
 from test_bad_input import refused
 
 from tests.other_structures import write_slides
@@ -156,8 +156,34 @@ def test_a_packed_study_gives_the_same_numbers(tmp_path: Path) -> None:
 
     work = work_of(read_study(write_spec(tmp_path)))
     packed = pickle.loads(pickle.dumps(work.packed()))
-    assert packed.here().machine.model_path != work.here().machine.model_path
+    assert packed.here().study.machine.model_path != work.here().study.machine.model_path
     assert evaluate(packed, (800.0,)) == evaluate(work, (800.0,))
+
+
+def test_a_worker_needs_no_mesh_of_ours(tmp_path: Path) -> None:
+    """A packed study cuts a part of meshes on a machine with a mesh after all of our files are gone."""
+    import pickle
+
+    home = tmp_path / "home"
+    home.mkdir()
+    write_meshes(home)
+    (home / "pass.mpf").write_text("G17 G71 G90 G94\nG0 X-4 Y0 Z0 A0 C0\nG1 X4 F2000\nM30\n", encoding="utf-8")
+    spec = write_spec(home, 'machine = "machine.toml"\npart = "part.toml"\n' + listed("[[800.0]]"), '[[run]]\ninput = "pass.mpf"\n')
+    work = work_of(read_study(spec))
+    here = evaluate(work, (800.0,))
+    assert here.reason is None
+    assert "mark_depth_um" in here.responses
+    packed = pickle.loads(pickle.dumps(work.packed()))
+    home.rename(tmp_path / "elsewhere")
+    assert evaluate(work, (800.0,)).reason is not None
+    assert evaluate(packed, (800.0,)) == here
+
+
+def test_a_program_in_latin_1_runs(tmp_path: Path) -> None:
+    (tmp_path / "rapid.mpf").write_bytes("; Fräser\nG17 G71 G90 G94\nG0 X0 Y0 Z0 A0 C0\nG0 X1\nM30\n".encode("latin-1"))
+    ((_, _, found, reason),) = rows_of(write_spec(tmp_path, listed("[[700.0]]"), '[[run]]\ninput = "rapid.mpf"\n'), tmp_path / "out")
+    assert reason is None
+    assert found["cycle_time_s"] > 0.0
 
 
 def test_a_stopped_study_goes_on_and_repeats_nothing(tmp_path: Path) -> None:

@@ -2,14 +2,17 @@
 
 from collections.abc import Callable
 from pathlib import Path
+import shutil
 
 import numpy as np
 import pytest
-from study_files import FACTOR, GRID, RUN, write_move, write_spec
+from study_files import FACTOR, GRID, RUN, write_meshes, write_move, write_spec
 from test_bad_input import refused
+import tomlkit
+import trimesh
 
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine import Machine, load_machine, write_machine
 from twin.plant import home_inertia_at_motor
 from twin.run import commissioned_inertia
 from twin.study.carry_out import fingerprint
@@ -94,6 +97,49 @@ def test_the_control_is_told_a_variant_or_keeps_the_nominal(tmp_path: Path, mikr
     np.testing.assert_allclose(commissioned_inertia(machine), told, rtol=1e-9)
 
 
+def without_told_constants(folder: Path, more: str = "") -> Path:
+    """A study of the motor's torque constant on a machine whose file tells the control inertias alone."""
+    machine = load_machine()
+    told = {f"axis.{a}.commissioned": {"inertia_kg_m2": v} for a, v in zip(machine.axis_names, home_inertia_at_motor(machine).tolist())}
+    write_machine(machine.with_values(told), folder / "machine.toml")
+    factor = '[[factor]]\nname = "constant"\npath = "axis.X.motor.torque_constant_nm_per_a"\nrange = [1.0, 2.0]\n'
+    return write_spec(folder, f'machine = "machine.toml"\n{more}{factor}{GRID}')
+
+
+@pytest.mark.parametrize(("recommission", "constant"), [(False, 1.4), (True, 1.0)])
+def test_the_control_keeps_the_nominal_torque_constant(tmp_path: Path, recommission: bool, constant: float) -> None:
+    """A motor of 1.0 Nm/A instead of 1.4: only a control that is commissioned anew knows it."""
+    study = read_study(without_told_constants(tmp_path, f"recommission = {str(recommission).lower()}\n"))
+    axis = machine_of(study, np.array([1.0])).axis("X")
+    assert axis.motor.torque_constant_nm_per_a == 1.0
+    assert axis.told_torque_constant == constant
+
+
+def test_what_the_control_was_told_can_be_varied_itself(tmp_path: Path) -> None:
+    spec = without_told_constants(tmp_path)
+    text = spec.read_text(encoding="utf-8").replace("axis.X.motor.torque_constant_nm_per_a", "axis.X.commissioned.inertia_kg_m2")
+    spec.write_text(text.replace("[1.0, 2.0]", "[0.01, 0.02]"), encoding="utf-8")
+    study = read_study(spec)
+    machine = machine_of(study, np.array([0.015]))
+    assert machine.axis("X").commissioned_inertia == 0.015
+    assert machine.axis("Y").commissioned_inertia == study.machine.axis("Y").commissioned_inertia
+
+
+@pytest.mark.parametrize("recommission", [False, True])
+def test_an_inertia_among_the_machine_data_stays_there(tmp_path: Path, mikron: Machine, recommission: bool) -> None:
+    """MD32650 of X tells the control; commissioned anew it is that number that changes."""
+    shutil.copy(mikron.model_path, tmp_path)
+    document = tomlkit.parse(mikron.path.read_text(encoding="utf-8"))
+    del document["axis"]["X"]["commissioned"]
+    document["axis"]["X"]["sinumerik"] = {"MD32650": 0.02}
+    (tmp_path / "machine.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
+    study = read_study(write_spec(tmp_path, f'machine = "machine.toml"\nrecommission = {str(recommission).lower()}\n' + FACTOR + GRID))
+    machine = machine_of(study, np.array([900.0]))
+    expected = home_inertia_at_motor(machine)[0] if recommission else 0.02
+    assert machine.axis("X").commissioned_inertia == pytest.approx(expected, rel=1e-12)
+    assert machine.axis("X").commissioned_torque_constant == 1.4
+
+
 def test_fixed_numbers_stand_in_all_variants(tmp_path: Path) -> None:
     spec = write_spec(tmp_path, '[fixed]\naxis.Y.moving_mass_kg = 1100\n"axis.*.loops.torque_feedforward" = 0.0\n' + FACTOR + GRID)
     machine = machine_of(read_study(spec), np.array([600.0]))
@@ -143,6 +189,22 @@ def test_results_belong_to_what_made_them(tmp_path: Path) -> None:
     assert print_of("recommission = true\n" + FACTOR + GRID) != same
     write_move(tmp_path / "move.csv", distance=0.011)
     assert print_of(FACTOR + GRID) != same
+
+
+def test_results_belong_to_the_meshes_that_part_and_model_name(tmp_path: Path) -> None:
+    write_meshes(tmp_path)
+    spec = write_spec(tmp_path, 'machine = "machine.toml"\npart = "part.toml"\n' + FACTOR + GRID)
+
+    def fresh() -> str:
+        study = read_study(spec)
+        return fingerprint(study, variants_of(study))
+
+    found = {fresh()}
+    for name in ("looks/cover.stl", "nominal.stl", "stock.stl"):
+        assert fresh() in found
+        trimesh.creation.box((0.02, 0.02, 0.03)).export(tmp_path / name)
+        found.add(fresh())
+    assert len(found) == 4
 
 
 WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
@@ -195,6 +257,10 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "empty design": (lambda t: t.replace('"grid"\nlevels = 3', '"latin_hypercube"\ncount = 0'), ("the design has no variant",)),
     "empty list": (lambda t: t.replace('"grid"\nlevels = 3', '"list"\nrows = []'), ("the design has no variant",)),
     "short row": (lambda t: t.replace('"grid"\nlevels = 3', '"list"\nrows = [[600.0], [600.0, 1.0]]'), ("row 2 needs 1 numbers",)),
+    "row too short for two factors": (
+        lambda t: t.replace(GRID, f'{SECOND}[design]\nkind = "list"\nrows = [[700.0]]\n'),
+        ("row 1 needs 2 numbers",),
+    ),
     "Sobol count": (lambda t: t.replace('"grid"\nlevels = 3', '"sobol"\ncount = 60'), ("count = 60", "power of two")),
     "huge design": (lambda t: t.replace("levels = 3", "levels = 2000000"), ("2000000 variants", "latin_hypercube")),
     "part": (lambda t: 'part = "part.toml"\n' + t, ("part 'part.toml'", "no such file beside")),

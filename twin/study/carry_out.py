@@ -16,7 +16,7 @@ import numpy as np
 
 import twin
 from twin.errors import InputError, TwinError
-from twin.study.evaluate import Answer, Work, evaluate, work_of
+from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
 from twin.study.spec import Study
 from twin.study.store import Store
 
@@ -41,10 +41,8 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
     """What a folder of results is the result of; what is only answered from them (`answer`) is no part of it."""
     parts: list[Any] = [twin.__version__, study.machine.document, study.factors, study.tied, study.recommission]
     parts += [(run.name, run.feedforward) for run in study.runs]
-    files = [study.machine.model_path, *(run.input for run in study.runs), *([study.part] if study.part else [])]
-    return hashlib.sha256(
-        b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *(f.read_bytes() for f in files)])
-    ).hexdigest()
+    files = [file.read_bytes() for file in files_of_study(study)]
+    return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()
 
 
 def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers, progress: Callable[[None], None]) -> None:

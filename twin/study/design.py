@@ -11,8 +11,9 @@ from scipy.stats import qmc
 
 from twin.errors import InputError
 from twin.machine import Machine
-from twin.machine_keys import DIRECT, EFFORTS
+from twin.machine_keys import EFFORTS
 from twin.plant import home_inertia_at_motor
+from twin.run import commissioned_inertia
 from twin.study.paths import number_at, with_numbers
 from twin.study.spec import INERTIA, Factor, Study
 
@@ -23,7 +24,8 @@ MOST = 1_000_000
 def variants_of(study: Study) -> np.ndarray:
     """Values (variant, factor) of the study's design; the nominal machine is no variant unless the design holds it."""
     design, factors = study.design, study.factors
-    grids = [np.array(f.values) if f.values else np.linspace(f.low, f.high, design.levels) for f in factors]
+    levels = factors if design.kind in ("grid", "one_at_a_time") else ()
+    grids = [np.array(f.values) if f.values else np.linspace(f.low, f.high, design.levels) for f in levels]
     number = {
         "grid": math.prod(len(values) for values in grids),
         "one_at_a_time": 1 + sum(len(values) for values in grids),
@@ -79,7 +81,7 @@ def nominal_of(study: Study) -> np.ndarray:
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:
     """The machine of one variant; raises InputError where its values are impossible."""
-    nominal = study.machine
+    nominal = study.machine if study.recommission else told(study.machine)
     values: dict[str, float] = {}
     ratio: dict[str, float] = {}
     change: dict[str, float] = {}
@@ -103,18 +105,23 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
                 now = values.get(path, number_at(nominal, path) or 0.0)
                 values[path] = now * float(grown[tied.to.removeprefix(INERTIA)]) ** tied.exponent
     machine = with_numbers(nominal, values)
-    return commissioned(machine, machine if study.recommission else nominal)
+    return told(machine, anew=True) if study.recommission else machine
 
 
-def commissioned(machine: Machine, known: Machine) -> Machine:
-    """The machine with a control that was told the torque constants and inertias of the machine `known`."""
-    if known is not machine and all(axis.commissioned_inertia is not None for axis in machine.axes):
-        return machine
-    told: dict[str, Any] = {}
-    for axis, inertia in zip(known.axes, home_inertia_at_motor(known).tolist()):
+def told(machine: Machine, *, anew: bool = False) -> Machine:
+    """The machine with a control that was told its torque constants and inertias: those that its file leaves open, or all `anew`."""
+    values: dict[str, Any] = {}
+    inertias = home_inertia_at_motor(machine) if anew else commissioned_inertia(machine)
+    for axis, inertia in zip(machine.axes, inertias.tolist()):
         numbers = {"inertia_kg_m2": inertia}
         if constant := EFFORTS[axis.effort].constant:
-            numbers[constant] = axis.motor.torque_constant_nm_per_a
-        direct = known.document["axis"][axis.name].get("drive") == "direct"
-        told[f"axis.{axis.name}.commissioned"] = {DIRECT.get(k, k): v for k, v in numbers.items()} if direct else numbers
-    return machine.with_values(told)
+            numbers[constant] = axis.motor.torque_constant_nm_per_a if anew else axis.told_torque_constant
+        where, table = f"axis.{axis.name}.commissioned", {}
+        for key, number in numbers.items():
+            path, value = machine.in_file(f"{where}.{key}", number)
+            if path.startswith(where):
+                table[path.removeprefix(f"{where}.")] = value
+            else:  # a machine datum
+                values[path] = value
+        values[where] = table
+    return machine.with_values(values)

@@ -15,19 +15,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 import functools
-import hashlib
 import math
 from pathlib import Path
 import tempfile
+import threading
 
 import numpy as np
 
 import twin
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError, TwinError
-from twin.files import write_whole
 from twin.kinematics import kinematics_of
 from twin.machine import Machine
+from twin.model_file import files_of
 from twin.program.read import PROGRAM_ENDINGS
 from twin.run import Run, simulate
 from twin.setpoints import Setpoints, check_travel, setpoints_of
@@ -46,7 +46,7 @@ Add = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Source:
-    """What one run moves along: set points, or a program's text where its interpolation differs from variant to variant.
+    """What one run moves along: set points, or a program's file where its interpolation differs from variant to variant.
 
     `commanded` is the tool path of the set points at the record's times, the same for all variants; `programmed` what a mark is
     measured against.
@@ -55,31 +55,68 @@ class Source:
     name: str
     feedforward: str | None
     setpoints: Setpoints | None = None
-    program: tuple[str, str] = ("", "")  # text, ending of the file
+    program: tuple[bytes, str] = (b"", "")  # content and ending of the file
     commanded: ToolPath | None = None
     programmed: ToolPath | None = None
 
 
 @dataclass(frozen=True)
 class Work:
-    """What all variants of a study share; `model` is the text of the MJCF for workers that do not share this machine's files."""
+    """What all variants of a study share; `files` (name, content) are those that a worker lacks which has none of this machine's."""
 
     study: Study
     sources: tuple[Source, ...]
     part: Part | None = None
-    model: str | None = None
+    files: tuple[tuple[str, bytes], ...] = ()
     version: str = twin.__version__
 
     def packed(self) -> Work:
         """The same without need of this machine's files."""
-        return replace(self, model=self.study.machine.model_path.read_text(encoding="utf-8"))
+        files = {f"machine/{name}": path for name, path in _model_files(self.study.machine).items()} | _part_files(self.part)
+        return replace(self, files=tuple((name, path.read_bytes()) for name, path in files.items()))
 
-    def here(self) -> Study:
-        """The study with its MJCF in a place that this process can read."""
+    def here(self) -> Work:
+        """The same with its files in a place that this process can read."""
+        if not self.files:
+            return self
+        with _KEEPING:
+            folder = Path(_kept(self.files).name)
         machine = self.study.machine
-        if self.model is None:
-            return self.study
-        return replace(self.study, machine=replace(machine, model_path=_kept(self.model, machine.model_path.name)))
+        study = replace(self.study, machine=replace(machine, model_path=folder / "machine" / machine.model_path.name))
+        places = {path: folder / name for name, path in _part_files(self.part).items()}
+        return replace(self, study=study, part=self.part and self.part.with_files(places), files=())
+
+
+def files_of_study(study: Study) -> list[Path]:
+    """All files that the results depend on but the machine file and the study file, whose numbers count and not their text."""
+    part = [study.part, *_part_files(read_part(study.part)).values()] if study.part else []
+    return [*_model_files(study.machine).values(), *(run.input for run in study.runs), *part]
+
+
+def _model_files(machine: Machine) -> dict[str, Path]:
+    """The MJCF of a machine and all files that it names, by their names beside it."""
+    model = machine.model_path
+    return {str(name): model.parent / name for name in (Path(model.name), *files_of(model))}
+
+
+def _part_files(part: Part | None) -> dict[str, Path]:
+    """The meshes of a part by the names under which a worker keeps them."""
+    return {f"part/{i}/{path.name}": path for i, path in enumerate(part.files if part else ())}
+
+
+_KEEPING = threading.Lock()
+"""One thread of a worker makes the folder, the others wait for it."""
+
+
+@functools.lru_cache(maxsize=8)
+def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[str]:
+    """A folder of this process with these files, the same for all variants of a study."""
+    folder = tempfile.TemporaryDirectory(prefix="twin-study-")
+    for name, content in files:
+        path = Path(folder.name) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return folder
 
 
 @dataclass(frozen=True)
@@ -101,8 +138,8 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
     if work.version != twin.__version__:
         raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
-        study = work.here()
-        return _answer(machine_of(study, np.array(row)), work)
+        work = work.here()
+        return _answer(machine_of(work.study, np.array(row)), work)
     except TwinError as error:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
@@ -219,9 +256,9 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
     from twin.program import read_program
 
     feedforward = run.feedforward or read_program(run.input, machine).feedforward
-    source = Source(run.name, feedforward, program=(run.input.read_text(encoding="utf-8"), run.input.suffix))
-    # what the interpolator reads of a machine: limits, travels, cycles and frames
-    if any(".max_" in p or ".travel_" in p or p.split(".")[0] in ("control", "geometry", "frame") for p in study.varied):
+    source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix))
+    # what the interpolator reads of a machine: limits, travels, cycles, frames and tools
+    if any(".max_" in p or ".travel_" in p or p.split(".")[0] in ("control", "geometry", "frame", "tool") for p in study.varied):
         return source
     setpoints, programmed = motion_of(source, machine, part)
     return replace(source, setpoints=setpoints, commanded=_commanded(setpoints, machine), programmed=programmed)
@@ -246,22 +283,9 @@ def motion_of(source: Source, machine: Machine, part: Part | None) -> tuple[Setp
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 
-    text, ending = source.program
+    content, ending = source.program
     with tempfile.TemporaryDirectory(prefix="twin-study-") as folder:
         path = Path(folder) / f"{source.name}{ending}"
-        path.write_text(text, encoding="utf-8")
+        path.write_bytes(content)
         program = read_program(path, machine)
     return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if part else None
-
-
-@functools.lru_cache(maxsize=8)
-def _folder(_digest: str) -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="twin-study-")
-
-
-def _kept(model: str, name: str) -> Path:
-    """The MJCF in a folder of this process."""
-    path = Path(_folder(hashlib.sha256(model.encode()).hexdigest()).name) / name
-    if not path.is_file():
-        write_whole(path, model)
-    return path

@@ -50,7 +50,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Answers:
-    """All answers; `pareto` and `best` take part in no limit that is broken; `best` is None where no variant keeps all limits."""
+    """All answers; `pareto` and `best` come from variants that break no limit; `best` is None where there is none."""
 
     factors: tuple[str, ...]
     rows: Sequence[Row]

@@ -43,7 +43,7 @@ class Store:
                 self.connection.execute("COMMIT")
             if known and known[0] != fingerprint:
                 raise InputError(
-                    f"{self.path}: holds another study (factors, runs, machine, design or the version of twin differ); give another --out"
+                    f"{self.path}: holds another study (factors, runs, machine, part, a mesh, design or the version of twin differ); give another --out"
                 )
             if (done := len(self.done())) and not resume:
                 raise InputError(f"{self.path}: {done} variants are done already; add --resume or give another --out")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
 import re
 import sys
@@ -16,6 +17,7 @@ from twin.progress import Progress
 from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, machine_part, report_of
 from twin.surface.part import Part, read_part
+from twin.surface.shapes import MeshFile
 
 
 def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +68,7 @@ def cut_command(args: argparse.Namespace) -> int:
         machining = machine_part(
             part, paths, threads=args.threads, zone_spacing=args.zone_um * 1e-6 if args.zone_um else None, progress=bar
         )
-    reports = [report_of(machining, one) for one in machining.cuts]
+    reports = [_finite(report_of(machining, one)) for one in machining.cuts]
     work = machining.statistics
     _write(
         {
@@ -108,10 +110,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
     if source.is_dir() and not file.is_file():
         raise InputError(f"{source}: no trace.parquet in this folder; give the --out folder of `twin run`")
     trace = read_trace(file, axes=machine.kinds)
-    found = levels_of_trace(trace, machine, part.tool, levels, str(file))
-    if not found:
-        raise InputError(f"{file}: a trace has no programmed path; leave out --level programmed, or give the program")
-    return found
+    return levels_of_trace(trace, machine, part.tool, levels, str(file))
 
 
 def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[Path]:
@@ -136,7 +135,7 @@ def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[
             write_height_map(one.finest, out / f"{stem}.csv")
             written += [out / f"{stem}{ending}" for ending in (".ply", ".stl", ".npz", ".csv")]
     for surface in machining.part.surfaces:
-        if surface.kind != "mesh":
+        if not isinstance(surface.shape, MeshFile):
             draw_levels(machining, surface.name, out / f"{_name(surface.name)}_levels.png")
             written.append(out / f"{_name(surface.name)}_levels.png")
     if files:
@@ -204,9 +203,16 @@ def _folder(path: str | Path) -> Path:
     return out
 
 
+def _finite(content: Any) -> Any:
+    """A report as cut.json has it: what there is none of (the width of a mark on a mesh) is null."""
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
 def _write(content: Any, path: Path) -> None:
     try:
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another --out") from None
 

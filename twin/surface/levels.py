@@ -60,16 +60,19 @@ def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence
     kinematics = kinematics_of(machine).with_tool_length(tool.length)
     out = []
     signals = {COMMANDED: "setpoint", FOLLOWED: "position"}
-    have = {name: any(trace.has(axis, signal) for axis in trace.axes) for name, signal in signals.items()}
-    if not any(have.values()):
+    there = [name for name, signal in signals.items() if any(trace.has(axis, signal) for axis in trace.axes)]
+    if not there:
         raise InputError(f"{where}: neither set points nor positions of an axis; give a run of the twin or a recorded trace")
+    if not set(levels) & set(there):
+        raise InputError(
+            f"{where}: no {' or '.join(levels)} path, this trace holds the {' and the '.join(there)} one; "
+            f"give --level {there[0]}, or a program or run that has what you ask for"
+        )
     paths = {
-        name: axis_path(kinematics, axes_of_trace(trace, signals[name], machine), trace.time, tool.reach, where=where)
-        for name in signals
-        if have[name]
+        name: axis_path(kinematics, axes_of_trace(trace, signals[name], machine), trace.time, tool.reach, where=where) for name in there
     }
-    for name in (COMMANDED, FOLLOWED):
-        if name in paths and name in levels:
+    for name in there:
+        if name in levels:
             out.append(Level(name, "", paths[name], _errors(paths[name], paths.get(COMMANDED), machine) if name == FOLLOWED else {}))
     return out
 
@@ -111,20 +114,33 @@ def levels_of_program(
 
 
 def programmed_path(program: Any) -> ToolPath:
-    """Poses of the programmed curve, block by block; its time is the number of the point."""
-    from twin.program.curve import programmed_curve
+    """Poses of the programmed curve, block by block; its time is that of the programmed feed, rapid moves at 1 m/s or 1 rad/s.
 
-    curve = programmed_curve(program)
-    moves = program.moves
-    angles = np.zeros((len(curve.points), 5))
-    angles[:, 3:] = moves.target[curve.row][:, 3:]
-    angles[0, 3:] = program.start[3:]
-    _, axis = program.kinematics.forward(angles)
-    # the feed of a move as programmed, so that what it cuts can be told fast from slow
-    feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[curve.row]
-    way = np.concatenate([[0.0], np.linalg.norm(np.diff(curve.points, axis=0), axis=1)])
-    time = np.cumsum(np.maximum(way / np.maximum(feed, 1e-9), 1e-9))
-    return ToolPath(time, curve.points, axis)
+    A and C go linearly within a move, with points every TURN_STEP; only in straight moves under TRAORI with ORIWKS the tool axis
+    turns on the great circle, which is what lies between two poses.
+    """
+    from twin.program import moves as mv
+    from twin.program.curve import TURN_STEP, programmed_curve
+
+    curve, moves, starts = programmed_curve(program), program.moves, program.starts()
+    # the points of a move divide it evenly; the first point of all is the start
+    row = curve.row[1:]
+    share = np.concatenate([np.arange(1, n + 1) / n for n in np.unique(row, return_counts=True)[1]])
+    angles = starts[row, 3:] + share[:, None] * (moves.target[row] - starts[row])[:, 3:]
+    poses = np.hstack([curve.points, np.vstack([program.start[3:], angles])])
+    # the curve has no points within straight moves
+    undivided = moves.traori & (moves.kind != mv.ARC) & ~(moves.workpiece_orientation & (moves.kind != mv.RAPID))
+    turn = np.abs(np.diff(poses[:, 3:], axis=0)).max(axis=1)
+    parts = np.where(undivided[row], np.maximum(np.ceil(turn / TURN_STEP), 1), 1).astype(int)
+    at = np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), np.arange(len(poses)))
+    poses = np.column_stack([np.interp(at, np.arange(len(poses)), column) for column in poses.T])
+    row = np.repeat(row, parts)
+    # the feed of a move as programmed, so that what it cuts can be told fast from slow; where only A and C move it is theirs
+    feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[row]
+    tip, turn = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (poses[:, :3], poses[:, 3:]))
+    way = np.where(moves.rotary[row], turn, tip)
+    time = np.concatenate([[0.0], np.cumsum(np.maximum(way / np.maximum(feed, 1e-9), 1e-9))])
+    return ToolPath(time, poses[:, :3], program.kinematics.forward(poses)[1])
 
 
 def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dict[str, float]:

@@ -20,6 +20,7 @@ from twin.surface.metrology import Mark, areal, mark, scallop_height
 from twin.surface.nails import Nails
 from twin.surface.part import Part, Surface
 from twin.surface.removal import CutStatistics, cut
+from twin.surface.shapes import MeshFile
 from twin.surface.steps import steps_of
 
 FAST_MARGIN = 1e-3
@@ -90,7 +91,7 @@ def machine_part(
                 raise InputError(_untouched(level, surface, whole, part))
             statistics, done = statistics + work, done + 1
             fine = None
-            if surface.zone_spacing and zone is None and surface.kind != "mesh":
+            if surface.zone_spacing and zone is None and not isinstance(surface.shape, MeshFile):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_spacing), part)
             if zone is not None:
                 fine, work = cut(zone, steps[id(level)], part.tool, threads=threads, progress=partial(report, at=done))
@@ -119,8 +120,9 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
     if nails.is_grid:
         numbers = asdict(areal(nails.map(), nails.u, nails.v))
         out["areal_um"] = {k: v * (1e6 if k not in ("ssk", "sku") else 1.0) for k, v in numbers.items()}
-        middle = nails.map()[:, nails.shape[1] // 8]
-        out["scallop_um"] = scallop_height(middle) * 1e6
+        # a section across the passes an eighth of the way along: clear of the border, and of a mark, about whose middle zones are laid
+        flank = nails.map()[:, nails.shape[1] // 8]
+        out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
     if reference is not None and reference is not one:
         found: Mark = mark(nails, reference.finest)
@@ -144,11 +146,11 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
 
 def _with_stock(nails: Nails, part: Part) -> Nails:
     """Uncut nails with the height of the stock: its mesh, or the allowance."""
-    if part.stock_mesh is None:
+    if part.stock is None:
         return nails
     from twin.surface.mesh import stock_heights
 
-    return replace(nails, height=stock_heights(nails, part))
+    return replace(nails, height=stock_heights(nails, part.stock, part))
 
 
 def _zone(surface: Surface, part: Part, after: Nails, level: Level, spacing: float) -> Nails:
@@ -162,9 +164,10 @@ def _zone(surface: Surface, part: Part, after: Nails, level: Level, spacing: flo
                 f"surface '{surface.name}': nothing was made above {surface.zone_feed * 60:g} m/min, so there is no zone; "
                 "give zone_along_mm and zone_across_mm, or lower zone_feed_m_per_min"
             )
-        whole = surface.extent()
-        found = [(float(x[i.min()]) - FAST_MARGIN, float(x[i.max()]) + FAST_MARGIN) for x, i in ((after.u, columns), (after.v, rows))]
-        clipped = [(max(low, w[0]), min(high, w[1])) for (low, high), w in zip(found, whole)]
+        clipped = [
+            (max(float(x[i.min()]) - FAST_MARGIN, float(x[0])), min(float(x[i.max()]) + FAST_MARGIN, float(x[-1])))
+            for x, i in ((after.u, columns), (after.v, rows))
+        ]
         along, across = along or clipped[0], across or clipped[1]
     return surface.nails(part, spacing=spacing, along=along, across=across)
 

@@ -18,6 +18,7 @@ from twin.units import UNITS
 
 if TYPE_CHECKING:
     from twin.surface.part import Part, Surface
+    from twin.surface.shapes import MeshFile
 
 ENDINGS = (".stl", ".obj", ".ply")
 SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
@@ -33,8 +34,6 @@ def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
 
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"{path}: not a mesh that can be read; give one of {', '.join(ENDINGS)}")
-    if not path.is_file():
-        raise InputError(f"{path}: no such mesh; correct the part file or put the mesh beside it")
     try:
         mesh: Any = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh raises whatever its readers raise
@@ -70,11 +69,11 @@ def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
     return mesh, said
 
 
-def mesh_nails(surface: Surface, part: Part, spacing: float) -> Nails:
+def mesh_nails(surface: Surface, file: MeshFile, part: Part, spacing: float) -> Nails:
     """Nails at the vertices of a mesh, divided until no edge is longer than the spacing."""
     import trimesh
 
-    mesh, said = read_mesh(part.folder / str(surface.table["file"]), surface.table.get("unit"), closed=False)
+    mesh, said = read_mesh(file.path, file.unit, closed=False)
     print(f"note: {said}", file=sys.stderr)
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
     _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
@@ -91,17 +90,27 @@ def mesh_nails(surface: Surface, part: Part, spacing: float) -> Nails:
     )  # fmt: skip
 
 
-def stock_heights(nails: Nails, part: Part) -> np.ndarray:
-    """Height (nail,) at which each nail leaves the stock mesh; nails that never meet it are empty (-depth)."""
-    assert part.stock_mesh is not None
-    mesh, said = read_mesh(part.stock_mesh, part.stock_unit, closed=True)
+def stock_heights(nails: Nails, stock: MeshFile, part: Part) -> np.ndarray:
+    """Height (nail,) at which each nail leaves the stock mesh, seen from the nominal surface; -depth where it never is inside.
+
+    Material beyond the first air above the nominal surface (the opposite wall of a pocket) belongs to no nail.
+    """
+    mesh, said = read_mesh(stock.path, stock.unit, closed=True)
     print(f"note: {said}", file=sys.stderr)
     vertices, _ = part.placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
     mesh.vertices = vertices
-    # from just below the nominal surface outwards: the first way out of the stock
+    if not mesh.is_volume:
+        mesh.fix_normals()  # exported inside out
     origin = nails.point - nails.depth * nails.direction
-    where, ray, _ = mesh.ray.intersects_location(origin, nails.direction, multiple_hits=True)
-    height = np.full(len(nails), -nails.depth)
-    distance = np.einsum("ij,ij->i", where - origin[ray], nails.direction[ray]) - nails.depth
-    np.maximum.at(height, ray, distance)
-    return height
+    where, ray, triangle = mesh.ray.intersects_location(origin, nails.direction, multiple_hits=True)
+    height = np.einsum("ij,ij->i", where - origin[ray], nails.direction[ray]) - nails.depth
+    outwards = np.einsum("ij,ij->i", mesh.face_normals[triangle], nails.direction[ray]) > 0.0
+    first_in, first_out, below = (np.full(len(nails), start) for start in (np.inf, np.inf, -nails.depth))
+    for out, choose, rows in (
+        (first_in, np.minimum, (height > 0.0) & ~outwards),
+        (first_out, np.minimum, (height > 0.0) & outwards),
+        (below, np.maximum, (height <= 0.0) & outwards),
+    ):
+        choose.at(out, ray[rows], height[rows])
+    # inside at the nominal surface: the first way out above it; in the air there: the last one below it
+    return np.where(first_out < first_in, first_out, below)

@@ -20,6 +20,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.surface.sweep import FRUSTUM, ROUNDED, SPHERE
+from twin.surface.tables import is_number, listed, positive
 
 KINDS = ("ball", "flat", "bull", "revolution")
 DEFAULT_CUTTING_LENGTH = 0.04
@@ -87,15 +88,15 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
     )
 
 
-def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12) -> Tool:
+def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12, where: str = "tool") -> Tool:
     """Any tool by its outline: points (radius, height) from the tip upwards, heights never falling.
 
     A third number at a point makes the way to it an arc with that radius: positive bulges outwards, negative inwards.
     """
-    points = _with_arcs(profile)
+    points = _with_arcs(profile, where)
     if len(points) < 2 or np.any(points[:, 0] < 0.0) or np.any(np.diff(points[:, 1]) < 0.0) or points[:, 0].max() <= 0.0:
         raise InputError(
-            f"{name}: a profile needs at least two points (radius, height) with radii from 0 and heights that never fall; reorder them"
+            f"{where}: the profile of '{name}' needs at least two points (radius, height) with radii from 0 and heights that never fall; reorder them"
         )
     points = points - [0.0, points[0, 1]]
     elements = []
@@ -107,7 +108,7 @@ def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revol
 
 def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
     """A tool from the table [tool] of a part file; all lengths there in mm."""
-    kind = table.get("kind")
+    kind = table.get("kind") if isinstance(table, Mapping) else None
     if kind not in KINDS:
         raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
     known = {"kind", "name", "length_mm"} | ({"profile_mm"} if kind == "revolution" else {"diameter_mm", "cutting_length_mm"})
@@ -117,13 +118,12 @@ def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
             raise InputError(f"{where}: unknown key '{key}' of a {kind} tool; {nearest(key, known)}")
     length = positive(table, "length_mm", where, 120.0) * 1e-3
     if kind == "revolution":
-        if "profile_mm" not in table:
-            raise InputError(f"{where}: profile_mm is missing; give [[radius, height], ...] from the tip upwards")
-        try:
-            profile = [[float(v) * 1e-3 for v in point] for point in table["profile_mm"]]
-        except (TypeError, ValueError):
-            raise InputError(f"{where}: profile_mm holds something that is no number; give [[radius, height], ...] in mm") from None
-        return revolution(profile, name=str(table.get("name", "tool of revolution")), length=length)
+        points = listed(table, "profile_mm", where)
+        for point in points:
+            if not isinstance(point, list) or len(point) not in (2, 3) or not all(map(is_number, point)):
+                raise InputError(f"{where}: profile_mm holds {point!r}; give [radius, height] or [radius, height, arc radius] in mm")
+        profile = [[float(v) * 1e-3 for v in point] for point in points]
+        return revolution(profile, name=str(table.get("name", "tool of revolution")), length=length, where=where)
     diameter = positive(table, "diameter_mm", where) * 1e-3
     cutting = positive(table, "cutting_length_mm", where, DEFAULT_CUTTING_LENGTH * 1e3) * 1e-3
     if cutting < diameter / 2.0:
@@ -135,21 +135,11 @@ def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
     return bull_nose(diameter, positive(table, "corner_mm", where) * 1e-3, cutting_length=cutting, length=length)
 
 
-def positive(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
-    """A number above 0 of a table."""
-    value = table.get(key, default)
-    if value is None:
-        raise InputError(f"{where}: {key} is missing; add it")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{where}: {key} = {value!r} is no number above 0; correct it")
-    return float(value)
-
-
 def _tool(name: str, elements: Sequence[tuple[float, ...]], profile: np.ndarray, length: float) -> Tool:
     return Tool(name, np.array(elements, float), np.asarray(profile, float), length)
 
 
-def _with_arcs(profile: Sequence[Sequence[float]]) -> np.ndarray:
+def _with_arcs(profile: Sequence[Sequence[float]], where: str) -> np.ndarray:
     """The profile (point, 2) with its arcs as chords."""
     points = [[float(profile[0][0]), float(profile[0][1])]] if len(profile) else []
     for point in profile[1:]:
@@ -158,8 +148,11 @@ def _with_arcs(profile: Sequence[Sequence[float]]) -> np.ndarray:
             start, radius = np.array(points[-1]), float(point[2])
             chord = end - start
             half = float(np.linalg.norm(chord)) / 2.0
-            if half > abs(radius):
-                raise InputError(f"profile: an arc of radius {abs(radius) * 1e3:g} mm does not reach over {half * 2e3:g} mm; enlarge it")
+            if not 0.0 < half <= abs(radius):
+                raise InputError(
+                    f"{where}: profile: an arc of radius {abs(radius) * 1e3:g} mm does not reach over {half * 2e3:g} mm; "
+                    "give it two different ends, at most twice its radius apart"
+                )
             # centre on the axis side for a bulge, on the other side for a hollow
             across = np.array([-chord[1], chord[0]]) / (2.0 * half) * math.copysign(math.sqrt(radius**2 - half**2), radius)
             centre = (start + end) / 2.0 + across
