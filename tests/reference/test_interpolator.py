@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from random_programs import check, random_program
 
+from twin.errors import InputError
 from twin.machine import Machine
 from twin.program import error_budget, interpolate, interpolator, lookahead, read_program
 from twin.trace import Trace
@@ -110,6 +111,19 @@ def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp
     fine, coarse = interpolate(program, mikron), interpolate(program, mikron, cycle="interpolation")
     assert coarse.period == pytest.approx(mikron.interpolation_cycle)
     assert np.array_equal(coarse.get("X", "setpoint"), fine.get("X", "setpoint")[::4])
+
+
+def test_great_circle_that_the_travel_of_a_breaks_is_refused(mikron: Machine, tmp_path: Path) -> None:
+    """A ends at +30 deg: on the way A and C would swing to their other solution, the tool in the cut. Over the pole they go on."""
+    path = tmp_path / "swing.mpf"
+    text = "TRAORI\nORIWKS\nG0 X0 Y0 Z150 A3={} B3={} C3=0.9\nG1 X0 Y40 A3={} B3={} C3=0.8 F1000\n"
+    path.write_text(text.format(0.3, 0.2, 0.5, 0.0))
+    with pytest.raises(InputError, match=r"line 4: on the way the tool axis asks for more than the travel of A"):
+        interpolate(read_program(path, mikron), mikron)
+    path.write_text(text.format(0.0, -0.2, 0.0, 0.3))
+    angle = np.degrees(interpolate(read_program(path, mikron), mikron).get("A", "setpoint"))
+    assert angle.min() < -12.0
+    assert angle.max() > 20.0
 
 
 def test_great_circle_keeps_the_tool_axis_in_its_plane(mikron: Machine, tmp_path: Path) -> None:

@@ -139,9 +139,9 @@ def _check_travel(program: Program, axes: np.ndarray, row: np.ndarray) -> None:
     hit = program.kinematics.outside_travel(axes)
     if hit:
         sample, axis = hit
-        line, block = int(program.moves.line[row[sample]]), int(program.moves.block[row[sample]])
-        where = f"{program.path}: line {line}" + (f" (block N{block})" if block >= 0 else "")
-        raise InputError(f"{where}: on the way {travel_text(AXES[axis], float(axes[sample, axis]), program.kinematics)}")
+        raise InputError(
+            f"{program.place(int(row[sample]))}: on the way {travel_text(AXES[axis], float(axes[sample, axis]), program.kinematics)}"
+        )
 
 
 def _trace(program: Program, machine: Machine, pieces: list[_Piece], period: float, every: int) -> Trace:

@@ -92,6 +92,11 @@ class Program:
     def __len__(self) -> int:
         return len(self.moves)
 
+    def place(self, i: int) -> str:
+        """Where move i stands, for messages: file, line and block."""
+        block = int(self.moves.block[i])
+        return f"{self.path}: line {int(self.moves.line[i])}" + (f" (block N{block})" if block >= 0 else "")
+
     def move(self, i: int) -> Move:
         """Move i as a record."""
         m = self.moves

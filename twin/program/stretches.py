@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.program import elements as el
 from twin.program import moves as mv
 from twin.program.orientation import choose_angles
@@ -17,6 +18,8 @@ from twin.program.orientation import choose_angles
 GREAT_CIRCLE_ERROR = 1e-4
 """Tool axis between two programmed directions may leave their plane by this [rad]."""
 MOST_PARTS = 2000
+LEAVES_THE_CIRCLE = 0.02
+"""Direction error [rad] that no division takes away: A reached the end of its travel, and A and C swung over to their other solution."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,13 @@ def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.nda
     kind, start, end, centre, radius1, radius2, angle, _, row = fields
     out: list[list[np.ndarray]] = [[] for _ in fields]
     for i in range(len(row)):
-        angles = _great_circle(program, start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
+        try:
+            angles = _great_circle(program, start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
+        except _Swings:
+            raise InputError(
+                f"{program.place(int(row[i]))}: on the way the tool axis asks for more than the travel of A and would swing through while it cuts; "
+                "begin the move with the other A and C (retract, turn, approach), or divide it there"
+            ) from None
         if angles is None:
             for column, values in zip(out, fields):
                 column.append(values[i : i + 1])
@@ -128,6 +137,10 @@ def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.nda
         for column, values in zip(out, (repeated[0], points[:-1], points[1:], *repeated[1:5], lengths, repeated[5])):
             column.append(values)
     return [np.concatenate(column) for column in out]
+
+
+class _Swings(Exception):
+    """A and C cannot follow a great circle to its end without a swing to their other solution."""
 
 
 def _great_circle(program: mv.Program, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
@@ -154,4 +167,6 @@ def _great_circle(program: mv.Program, start: np.ndarray, end: np.ndarray) -> np
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
         if np.abs(k.forward(axes)[1] - middle).max() < GREAT_CIRCLE_ERROR:
             return angles
+    if np.abs(k.forward(axes)[1] - middle).max() > LEAVES_THE_CIRCLE:
+        raise _Swings
     return angles
