@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 from pathlib import Path
 import tomllib
 
-from twin.errors import InputError, nearest
+from twin.errors import InputError
 from twin.machine import FEEDFORWARD, Machine
+from twin.tables import is_number, known_keys
 from twin.trace import Trace, read_trace
 
 _RUN_KEYS = ("file", "feedforward", "started_at_s")
@@ -45,9 +45,7 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
         document = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputError(f"{file}: not a valid TOML file: {error}") from None
-    for key in document:
-        if key not in ("machine", "run"):
-            raise InputError(f"{file}: unknown key '{key}'; {nearest(key, ('machine', 'run'))}")
+    known_keys(document, ("machine", "run"), str(file))
     tables = document.get("run", [])
     if not isinstance(tables, list) or not tables:
         raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
@@ -61,9 +59,7 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
 def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> MeasuredRun:
     if not isinstance(table, dict):
         raise InputError(f'{where}: {table!r} is no run; write each as [[run]] with file = "circle.parquet"')
-    for key in table:
-        if key not in _RUN_KEYS:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, _RUN_KEYS)}")
+    known_keys(table, _RUN_KEYS, where)
     if not isinstance(table.get("file"), str):
         raise InputError(f"{where}: 'file' is missing; name the trace of this run")
     file = folder / table["file"]
@@ -73,7 +69,7 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> Measur
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
     started_at = table.get("started_at_s", 0.0)
-    if isinstance(started_at, bool) or not isinstance(started_at, int | float) or not math.isfinite(started_at):
+    if not is_number(started_at):
         raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number of seconds")
     trace = read_trace(file, axes=machine.kinds, need=("setpoint",))
     return MeasuredRun(Path(table["file"]).stem, trace, feedforward, float(started_at))

@@ -23,6 +23,7 @@ import tomllib
 from typing import Any
 
 from twin.errors import InputError, nearest
+from twin.tables import is_number
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, floa
             )
         if number not in known:
             raise InputError(f"{where}: '{key}' has no counterpart in the twin; {nearest(key, [*names, *(f'MD{n}' for n in known)])}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if not is_number(value):
             raise InputError(f"{where}: {key} = {value!r}: expected a number")
         _check_divisor(number, value, where)
         if number in out:

@@ -52,6 +52,7 @@ from typing import Any
 from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD, Machine, default_machine_path, load_machine
 from twin.readers.signals import Clock, known_unit, split_heading
+from twin.tables import is_number, known_keys
 from twin.trace import SIGNALS
 from twin.units import RECORDED_UNITS
 
@@ -125,12 +126,12 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: not a valid TOML file: {error}") from None
     where = str(path)
-    _known(document, _TOP, where)
+    known_keys(document, _TOP, where)
     for key, choices in _CHOICES.items():
         if document.get(key, choices[0]) not in choices:
             raise InputError(f"{where}: {key} = {document[key]!r}; use one of {', '.join(choices)}")
     time = _table(document, "time", where)
-    _known(time, _TIME, f"{where}: [time]")
+    known_keys(time, _TIME, f"{where}: [time]")
     if "column" in time and "interval_ms" in time:
         raise InputError(f"{where}: [time] gives a column and an interval_ms; give one of them")
     interval = _number(time, "interval_ms", None, f"{where}: [time]", above_zero=True)
@@ -195,7 +196,7 @@ def _machine(document: Mapping[str, Any], path: Path, told: str | None) -> tuple
 
 
 def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> ColumnMap:
-    _known(table, _COLUMN, where)
+    known_keys(table, _COLUMN, where)
     name, axis, signal = (_text(table, key, where, needed=True) or "" for key in ("name", "axis", "signal"))
     where = f"{where} ('{name}')"
     if signal not in MAPPED:
@@ -233,7 +234,7 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
 
 
 def _run(table: Mapping[str, Any], where: str) -> RunMap:
-    _known(table, _RUN, where)
+    known_keys(table, _RUN, where)
     files = table.get("files", [table["file"]] if "file" in table else [])
     if not isinstance(files, list) or not files or not all(isinstance(f, str) for f in files):
         raise InputError(f"{where}: 'file' is missing; name one of the FILES (or files = [...] that were recorded together)")
@@ -249,12 +250,6 @@ def _run(table: Mapping[str, Any], where: str) -> RunMap:
     if not begin < end:
         raise InputError(f"{where}: from_s = {begin:g} is not before to_s = {end:g}; correct them")
     return RunMap(name, names, _feedforward(table, where), _number(table, "started_at_s", None, where), begin, end)
-
-
-def _known(table: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
-    for key in table:
-        if key not in keys:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
 
 
 def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
@@ -284,7 +279,7 @@ def _number(table: Mapping[str, Any], key: str, default: float | None, where: st
     value = table.get(key, default)
     if value is None or (key not in table):
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or (above_zero and value <= 0.0):
+    if not is_number(value) or (above_zero and value <= 0.0):
         raise InputError(f"{where}: {key} = {value!r}; give a {'number above 0' if above_zero else 'number'}")
     return float(value)
 

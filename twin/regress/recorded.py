@@ -16,7 +16,6 @@ feedforward = ["off", "velocity+torque"]      # one run each
 from __future__ import annotations
 
 from collections.abc import Mapping
-import math
 from pathlib import Path
 import tomllib
 from typing import Any
@@ -29,6 +28,7 @@ from twin.machine import FEEDFORWARD, Machine, default_machine_path
 from twin.moves import moves_in_turn
 from twin.regress.suite import Case
 from twin.setpoints import Setpoints
+from twin.tables import is_number, known_keys
 from twin.units import factor_to_si
 
 PERIOD_S = 1e-3
@@ -63,22 +63,16 @@ def _moves(where: str, machine: Machine, name: str, table: Any) -> np.ndarray:
     known = {f"start_{unit}": 0.0, f"distances_{unit}": None, f"speed_{unit}_per_s": None, "dwell_s": 0.05}
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: expected a table with {', '.join(known)}")
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, known)}")
+    known_keys(table, known, where)
     start, distances, speed, dwell = (table.get(key, default) for key, default in known.items())
-    if not isinstance(distances, list) or not distances or not all(_is_number(d) and d != 0 for d in distances):
+    if not isinstance(distances, list) or not distances or not all(is_number(d) and d != 0 for d in distances):
         raise InputError(f"{where}: distances_{unit} must be a list of numbers other than 0, e.g. [40.0, -40.0]")
-    if not _is_number(speed) or not speed > 0 or not _is_number(start) or not _is_number(dwell) or dwell < 0:
+    if not is_number(speed) or not speed > 0 or not is_number(start) or not is_number(dwell) or dwell < 0:
         raise InputError(f"{where}: speed_{unit}_per_s must be above 0, start_{unit} and dwell_s numbers")
     si = factor_to_si(unit, where)
     acceleration = ACCELERATION_SHARE * axis.max_acceleration
     jerk = max(axis.max_jerk, LEAST_JERK * axis.max_acceleration)
     return moves_in_turn(start * si, [d * si for d in distances], speed * si, acceleration, jerk, dwell, PERIOD_S)[1]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
@@ -93,9 +87,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
 
     table = case.table["recorded"]
     where = f"{case.where}: [recorded]"
-    for key in table:
-        if key not in _RECORDED_KEYS:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, _RECORDED_KEYS)}")
+    known_keys(table, _RECORDED_KEYS, where)
     words = table.get("feedforward", ["off", "velocity+torque"])
     if not isinstance(words, list) or not words or any(word not in FEEDFORWARD for word in words):
         raise InputError(f"{where}: feedforward = {words!r}: give a list of {', '.join(FEEDFORWARD)}")

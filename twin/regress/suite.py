@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import hashlib
 import json
-import math
 from pathlib import Path
 import re
 import tomllib
@@ -18,6 +17,7 @@ from typing import Any
 
 from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD
+from twin.tables import is_number, known_keys
 
 KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")
 COMMON_KEYS = ("kind", "name", "why", "machine", "tolerance")
@@ -213,9 +213,7 @@ def _check_tolerances(case: Case) -> None:
         if quantity not in known:
             raise InputError(f"{where}: no such quantity; {nearest(quantity, known)}")
         keys = _keys_of(quantity)
-        for key in table:
-            if key not in keys:
-                raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
+        known_keys(table, keys, where)
         for key in keys:
             if key not in table:
                 raise InputError(f"{where}: '{key}' is missing; a tolerance has {', '.join(keys)}")
@@ -226,7 +224,7 @@ def _check_tolerances(case: Case) -> None:
             elif key == "unit":
                 if value != SIGNAL_UNITS[quantity]:
                     raise InputError(f"{where}: unit = {value!r}: {quantity} is compared in '{SIGNAL_UNITS[quantity]}'")
-            elif isinstance(value, bool) or not isinstance(value, int | float) or not (0.0 <= value < math.inf):
+            elif not is_number(value) or value < 0.0:
                 raise InputError(f"{where}: {key} = {value!r}: expected a number of 0 or more")
 
 

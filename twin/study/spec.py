@@ -36,7 +36,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-import math
 from pathlib import Path
 import tomllib
 from typing import Any
@@ -44,6 +43,7 @@ from typing import Any
 from twin.errors import InputError, nearest
 from twin.machine import FEEDFORWARD, Machine, load_machine
 from twin.study.paths import matching_paths, number_at, with_numbers
+from twin.tables import is_number, known_keys
 
 DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
 """Designs, and the keys that each takes."""
@@ -165,9 +165,7 @@ def read_study(path: str | Path, machine_path: str | None = None) -> Study:
 def _known(table: object, keys: Sequence[str], where: str) -> None:
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: must be a table; see docs/study.md for the form")
-    for key in table:
-        if key not in keys:
-            raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
+    known_keys(table, keys, where)
 
 
 def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
@@ -185,7 +183,7 @@ def _flag(table: Mapping[str, Any], key: str, where: str) -> bool:
 
 
 def _numbers(values: Any, what: str, where: str) -> tuple[float, ...]:
-    if not isinstance(values, list) or not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values):
+    if not isinstance(values, list) or not all(map(is_number, values)):
         raise InputError(f"{where}: {what} = {values!r}; give a list of numbers")
     return tuple(float(v) for v in values)
 

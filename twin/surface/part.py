@@ -22,8 +22,8 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.surface.nails import Nails, grid_nails
 from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
-from twin.surface.tables import known, limits, listed, number, numbers, positive
 from twin.surface.tools import Tool, tool_from_table
+from twin.tables import known, limits, listed, number, numbers, positive
 from twin.units import rad_from_deg
 
 COMMON = {"name", "kind", "spacing_mm", "depth_mm", "zone_um", "zone_along_mm", "zone_across_mm", "zone_feed_m_per_min"}

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.tables import known, limits, listed, number, numbers, positive, text
+from twin.tables import known, limits, listed, number, numbers, positive, text
 from twin.units import rad_from_deg
 
 KEYS = {

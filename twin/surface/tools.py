@@ -20,7 +20,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.surface.sweep import FRUSTUM, ROUNDED, SPHERE
-from twin.surface.tables import is_number, listed, positive
+from twin.tables import is_number, listed, positive
 
 KINDS = ("ball", "flat", "bull", "revolution")
 DEFAULT_CUTTING_LENGTH = 0.04

@@ -1,4 +1,4 @@
-"""Values from the tables of a part file: what is missing or of another kind is an InputError with table, key and remedy."""
+"""Values from the tables of a TOML file: what is missing, unknown or of another kind is an InputError with table, key and remedy."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ def known(table: Any, keys: Collection[str], where: str) -> None:
     """Refuse what is no table, and keys that nobody reads."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: {table!r} is no table; write key = value below [..]")
+    known_keys(table, keys, where)
+
+
+def known_keys(table: Mapping[str, Any], keys: Collection[str], where: str) -> None:
+    """Refuse keys that nobody reads."""
     for key in table:
         if key not in keys:
             raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
