@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 
 from twin.campaign import read_campaign  # noqa: E402
 from twin.diagnose import diagnose  # noqa: E402
-from twin.diagnose.evidence import blocks_map, stretches, waterfall  # noqa: E402
+from twin.diagnose.evidence import blocks_map, stretches  # noqa: E402
 from twin.diagnose.output import summary_text  # noqa: E402
 from twin.diagnose.report_figures import map_figure, stretch_figure, waterfall_figure  # noqa: E402
 from twin.exam.draw import draw_case, write_campaign  # noqa: E402
@@ -43,7 +43,7 @@ def main() -> None:
     for effect in case.effects:
         print(f"hidden: {effect}")
 
-    save_png(waterfall_figure(waterfall(diagnosis)), args.out / "diagnosis_waterfall.png")
+    save_png(waterfall_figure(diagnosis.waterfall), args.out / "diagnosis_waterfall.png")
     save_png(map_figure(*blocks_map(diagnosis, document)), args.out / "diagnosis_map.png")
     for stretch in stretches(diagnosis, document)[:1]:
         save_png(stretch_figure(diagnosis, stretch), args.out / "diagnosis_stretch.png")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 import sys
 from typing import Any
 
 from twin.errors import InputError, SimulationError
+from twin.files import write_json
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.trace import Trace, with_program_columns
@@ -72,7 +72,7 @@ def run_command(args: argparse.Namespace) -> int:
         print(budget.table())
         plot_feed(trace, out / "feed.png", source.name)
         written.append("feed.png")
-    _write_json(summary, out / "summary.json")
+    write_json(summary, out / "summary.json")
     if not args.no_recording:
         from twin.replay import write_recording
 
@@ -166,7 +166,7 @@ def gap_command(args: argparse.Namespace) -> int:
     print(table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows))
     if args.json:
         plain = {run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in gaps.items()}
-        _write_json({"runs": plain}, Path(args.json))
+        write_json({"runs": plain}, Path(args.json))
     return 0
 
 
@@ -177,14 +177,6 @@ def _output_folder(path: str | Path) -> Path:
     except OSError as error:
         raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
     return out
-
-
-def _write_json(content: Any, path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
 
 
 def diagnose_command(args: argparse.Namespace) -> int:

@@ -1,14 +1,44 @@
-"""Files that are there as a whole or not at all: a process that is stopped leaves nothing half written behind."""
+"""Files as others read them: whole or not at all, JSON without NaN."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from pathlib import Path
 import threading
+from typing import Any
+
+from twin.errors import InputError
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file beside its place and move it there; others may do the same at the same time."""
+    """Write a text file beside its place and move it there, so that a process that is stopped leaves nothing half written.
+
+    Others may do the same at the same time.
+    """
     partial = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+def write_json(content: Any, path: Path) -> None:
+    """Write a document; JSON knows neither NaN nor infinity: what there is none of (the margin of a loop that has none) is null.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    text = json.dumps(_finite(content), indent=2, allow_nan=False) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 import math
 import os
 from typing import Any
@@ -70,7 +71,7 @@ class Diagnosis:
                 "after": after,
                 "noise_floor": 1.0,  # what the others are multiples of
                 "unit": "RMS over axes and signals, in multiples of what noise alone makes",
-                "retuning_share": retuning_share(waterfall(self)),
+                "retuning_share": retuning_share(self.waterfall),
                 "held_out_runs": self.held_out,
                 "axes": self._axis_gaps(),
             },
@@ -93,7 +94,7 @@ class Diagnosis:
         ]
         return float(np.sqrt(np.mean(values))) if values else 1.0
 
-    def explained(self, axes: Iterable[str]) -> float:
+    def explained(self, axes: Collection[str]) -> float:
         """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over the axes on which an effect acts, on runs left out of the fit.
 
         From 0 to 1: a gap below the floor, or one that grew, is no share.
@@ -105,6 +106,11 @@ class Diagnosis:
     def axes(self) -> list[str]:
         """Axes of which something was measured."""
         return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
+
+    @cached_property
+    def waterfall(self) -> list[tuple[str, float]]:
+        """Levels of the gap step by step, see `evidence.waterfall`."""
+        return waterfall(self)
 
     def _pooled(self, which: str) -> float:
         return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in self.axes]))) if self.axes else 1.0
@@ -128,9 +134,8 @@ class Diagnosis:
         return out
 
     def _effect(self, setting: Setting, found: Found, probability: float) -> dict[str, Any]:
-        axes = {setting.axis}
-        if setting.effect.edits_bodies:
-            axes |= {a for a in found.group.axes if any(a in recorded for recorded in self.gaps["before"].values())}
+        shown_by = found.group.axes if setting.effect.edits_bodies else (setting.axis,)
+        axes = [a for a in self.axes if a in shown_by]
         return {
             "effect": setting.effect.name,
             "axis": setting.axis,

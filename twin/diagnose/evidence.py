@@ -98,11 +98,10 @@ def _told_squares(found: Found, fit: Fit | None, ends: dict[str, tuple[float, fl
 
 def _accepted(found: Found) -> list[tuple[str, Fit]]:
     """The fits by which effects came in, one after another; the last is the final one."""
-    final = {s.key for s in found.fit.settings}
     steps: list[tuple[str, Fit]] = []
     for fit in found.accepted:
         last = fit.settings[-1]
-        if last.key in final:
+        if last.key in found.keys:
             steps.append((effect_title({"effect": last.effect.name, "axis": last.axis, "from_axis": last.from_axis}), fit))
     return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
 

@@ -72,6 +72,11 @@ class Found:
         default_factory=dict, repr=False
     )  # simulated answers of starts, for later rounds
 
+    @property
+    def keys(self) -> set[tuple[str, str, str | None]]:
+        """Effects of the final fit, each with its axis."""
+        return {s.key for s in self.fit.settings}
+
     def tuned_about(self, tuning: Tuning) -> None:
         """Take another tuning; what was simulated before is remembered with it."""
         self.tuning = tuning

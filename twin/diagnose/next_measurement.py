@@ -54,7 +54,7 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
     for f in found:
         for candidates in f.rounds:
             able = [c for c in candidates if c.plausible]
-            if able and able[0].key in {s.key for s in f.fit.settings}:
+            if able and able[0].key in f.keys:
                 rival = able[1] if len(able) > 1 else None
                 pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
     if not pairs:

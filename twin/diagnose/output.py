@@ -24,7 +24,7 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     write_machine(diagnosis.corrected, out / "machine.toml")
     write_proposal(diagnosis.proposal, out / "next_measurement.csv")
     with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time
-        recording = pool.submit(write_recording_of, diagnosis, out / "diagnosis.rrd")
+        recording = pool.submit(write_recording_of, diagnosis, document, out / "diagnosis.rrd")
         write_report(diagnosis, document, out / "report.html")
         recording.result()
     return document

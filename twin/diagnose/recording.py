@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import stretches
@@ -11,11 +12,10 @@ from twin.diagnose.wording import verdict_sentence
 from twin.replay.events import TELLING, Event
 
 
-def write_recording_of(diagnosis: Diagnosis, path: Path) -> None:
+def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
     """Write the run with the most telling stretch; the measured machine moves, the two simulated ones are drawn over it."""
     from twin.replay import write_recording
 
-    document = diagnosis.document()
     telling = stretches(diagnosis, document)
     name = telling[0].run if telling else diagnosis.campaign.runs[0].name
     run = next(r for r in diagnosis.campaign.runs if r.name == name)

@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches, waterfall
+from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
@@ -51,7 +51,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),
-        waterfall=as_image(waterfall_figure(waterfall(diagnosis))),
+        waterfall=as_image(waterfall_figure(diagnosis.waterfall)),
         map=as_image(map_figure(axes, blocks)),
         curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],
         run_axes=run_axes,

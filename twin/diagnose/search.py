@@ -164,9 +164,8 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
     accepted = found.fit.settings
     residual = group.residual - found.fit.response
     left = residual - tuning.jacobian @ tuning.solve(residual)
-    taken = {s.key for s in accepted}
     asked = loud_axes(found) if quick else set(group.axes)  # an effect shows on its own axis
-    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]
+    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in found.keys]
     starts = [s for s in every if not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)

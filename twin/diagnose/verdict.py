@@ -43,7 +43,7 @@ def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[floa
     Of a round whose best was refused for another reason than its evidence, or taken out again, nothing is left.
     """
     best = next((c for c in candidates if c.plausible), None)
-    if best is None or (best.evidence >= best.needed and best.key not in {s.key for s in found.fit.settings}):
+    if best is None or (best.evidence >= best.needed and best.key not in found.keys):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
     odds = np.exp((evidence - evidence.max()) / TEMPERATURE)

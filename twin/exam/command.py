@@ -8,8 +8,6 @@ import json
 from pathlib import Path
 import tomllib
 
-import numpy as np
-
 import twin
 from twin.errors import InputError, nearest
 
@@ -47,9 +45,8 @@ def exam_command(args: argparse.Namespace) -> int:
     from twin.machine import default_machine_path, load_machine
     from twin.progress import Progress
 
-    from .draw import peaks_of, runs_of
+    from .draw import what_lacks
     from .mark import mark
-    from .parameters import draw_factors
     from .questions import STRATA, questions_of
     from .report import write_exam_report
     from .score import is_failed, score
@@ -70,12 +67,8 @@ def exam_command(args: argparse.Namespace) -> int:
             f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
         )
     table = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
-    try:
-        peaks_of(table, draw_factors(np.random.default_rng(0), 0.0), runs_of(table, 0, "all"))
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"{machine_file}: the examination's plant cannot be made of it: {error}; it needs what the Mikron's file has"
-        ) from None
+    if (lack := what_lacks(table)) is not None:
+        raise InputError(f"{machine_file}: the examination's plant cannot be made of it: {lack}; it needs what the Mikron's file has")
     out = Path(args.out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     questions = questions_of(args.seed, args.cases, args.short, args.only)

@@ -177,6 +177,15 @@ def behaves(case: Case, machine: dict) -> bool:
     return bool((standing < 0.01 * peak).all() and (moving < 0.05 * peak).all() and (error < [5e-3] * 3 + [math.radians(2.5)] * 2).all())
 
 
+def what_lacks(machine: dict) -> str | None:  # type: ignore[type-arg]
+    """Why the plant cannot be made of a machine's table; None: it can."""
+    try:
+        peaks_of(machine, draw_factors(np.random.default_rng(0), 0.0), runs_of(machine, 0, "all"))
+    except (KeyError, ValueError) as error:
+        return str(error)
+    return None
+
+
 def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndarray, np.ndarray]:
     """(largest current [A], largest positive speed) that set points ask of each axis: inertia, friction and gravity alone."""
     s = settings_of(machine, factors)

@@ -14,7 +14,6 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-import json
 import math
 import os
 from pathlib import Path
@@ -31,6 +30,7 @@ from twin.diagnose.observe import Group, axis_groups, observe
 from twin.diagnose.tuning import PRIOR_WEIGHT, tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError
+from twin.files import write_json
 from twin.machine import Machine, load_machine
 from twin.progress import Progress
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
@@ -223,9 +223,7 @@ def foresee_command(args: argparse.Namespace) -> int:
         foreseen = foresee(campaign, machine, bar.say)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    document = {name: [{k: None if v == math.inf else v for k, v in vars(o).items()} for o in rows] for name, rows in foreseen.items()}
-    text = json.dumps(document, indent=1)
-    (out / "plan.json").write_text(text + "\n", encoding="utf-8")
+    write_json({name: [vars(o) for o in rows] for name, rows in foreseen.items()}, out / "plan.json")
     write_plan_report(campaign, foreseen, out / "report.html")
     print(table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in foreseen["as recorded"]], left=2))
     print()

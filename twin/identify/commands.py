@@ -6,9 +6,10 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from twin.errors import InputError
+from twin.files import write_json
 
 if TYPE_CHECKING:
     from twin.identify.plan import Predicted
@@ -70,7 +71,7 @@ def identify_command(args: argparse.Namespace) -> int:
     print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}")
     print(f"written: {out}, {files[0]}")
     if args.json:
-        _write_json(as_json(result), Path(args.json))
+        write_json(as_json(result), Path(args.json))
     return 0
 
 
@@ -135,13 +136,3 @@ class _steps:
 
     def __exit__(self, *_: object) -> None:
         self.bar.close()
-
-
-def _write_json(content: Any, path: Path) -> None:
-    import json
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None

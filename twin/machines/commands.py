@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-import json
-import math
 from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError
+from twin.files import write_json
 from twin.machine import load_machine
 from twin.machine_keys import STRUCTURES
 
@@ -67,7 +66,7 @@ def _check(args: argparse.Namespace) -> int:
         try:
             for check in checks:
                 write_loop_figure(check, machine.name, out / f"loops_{check.axis.name}.png")
-            (out / "check.json").write_text(json.dumps(_document(checks, findings), indent=2) + "\n", encoding="utf-8")
+            write_json(_document(checks, findings), out / "check.json")
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
@@ -84,13 +83,9 @@ def _show(args: argparse.Namespace) -> int:
 
 def _document(checks: Any, findings: Any) -> dict[str, Any]:
     """`check.json`; what there is none of (a margin, a mode) is null."""
-
-    def finite(value: Any) -> Any:
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
     axes = {}
     for c in checks:
-        loops = {loop.name: {k: finite(v) for k, v in asdict(m).items()} for loop, m in zip(c.loops, c.margins)}
+        loops = {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)}
         numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
-        axes[c.axis.name] = {"loops": loops, **{k: finite(getattr(c, k)) for k in numbers}}
+        axes[c.axis.name] = {"loops": loops, **{k: getattr(c, k) for k in numbers}}
     return {"axes": axes, "findings": [asdict(f) for f in findings]}

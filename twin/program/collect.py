@@ -82,8 +82,7 @@ class Collector:
 
     def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
         """An error at a place of the program."""
-        where = f"{self.path}: line {line}" + (f", column {column}" if column else "") + (f" (block N{block})" if block >= 0 else "")
-        return InputError(f"{where}: {text}")
+        return InputError(f"{mv.place_of(self.path, line, block, column)}: {text}")
 
     def set_modes(self, modes: Modes) -> None:
         """Modes from here on."""

@@ -73,6 +73,11 @@ class Move:
     angle: float | None
 
 
+def place_of(path: Path, line: int, block: int, column: int | None = None) -> str:
+    """A place of a program, for messages; `block` below 0: it has no number."""
+    return f"{path}: line {line}" + (f", column {column}" if column else "") + (f" (block N{block})" if block >= 0 else "")
+
+
 @dataclass(frozen=True)
 class Program:
     """A part program, read once: where the axes start (5,), the moves, and what the program switched.
@@ -94,8 +99,7 @@ class Program:
 
     def place(self, i: int) -> str:
         """Where move i stands, for messages: file, line and block."""
-        block = int(self.moves.block[i])
-        return f"{self.path}: line {int(self.moves.line[i])}" + (f" (block N{block})" if block >= 0 else "")
+        return place_of(self.path, int(self.moves.line[i]), int(self.moves.block[i]))
 
     def move(self, i: int) -> Move:
         """Move i as a record."""

@@ -117,13 +117,7 @@ def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.nda
     kind, start, end, centre, radius1, radius2, angle, _, row = fields
     out: list[list[np.ndarray]] = [[] for _ in fields]
     for i in range(len(row)):
-        try:
-            angles = _great_circle(program, start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
-        except _Swings:
-            raise InputError(
-                f"{program.place(int(row[i]))}: on the way the tool axis asks for more than the travel of A and would swing through while it cuts; "
-                "begin the move with the other A and C (retract, turn, approach), or divide it there"
-            ) from None
+        angles = _great_circle(program, int(row[i]), start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
         if angles is None:
             for column, values in zip(out, fields):
                 column.append(values[i : i + 1])
@@ -139,12 +133,12 @@ def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.nda
     return [np.concatenate(column) for column in out]
 
 
-class _Swings(Exception):
-    """A and C cannot follow a great circle to its end without a swing to their other solution."""
+def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+    """A and C (part + 1, 2) along the great circle between two poses; None where its solutions do not lead to the end.
 
-
-def _great_circle(program: mv.Program, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-    """A and C (part + 1, 2) along the great circle between two poses; None where its solutions do not lead to the end."""
+    Raises:
+        InputError: A and C cannot follow it to its end without a swing to their other solution.
+    """
     k = program.kinematics
     axes = np.zeros((2, 5))
     axes[:, 3:] = start, end
@@ -168,5 +162,8 @@ def _great_circle(program: mv.Program, start: np.ndarray, end: np.ndarray) -> np
         if np.abs(k.forward(axes)[1] - middle).max() < GREAT_CIRCLE_ERROR:
             return angles
     if np.abs(k.forward(axes)[1] - middle).max() > LEAVES_THE_CIRCLE:
-        raise _Swings
+        raise InputError(
+            f"{program.place(row)}: on the way the tool axis asks for more than the travel of A and would swing through while it cuts; "
+            "begin the move with the other A and C (retract, turn, approach), or divide it there"
+        )
     return angles

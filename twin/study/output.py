@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from twin.errors import InputError, TwinError
+from twin.files import write_json
 from twin.machine import Machine, write_machine
 from twin.run import simulate
 from twin.study.design import machine_of
@@ -29,7 +29,7 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     try:
         pyarrow.parquet.write_table(table, out / TABLE)
         pyarrow.csv.write_csv(table, out / "table.csv")
-        (out / "study.json").write_text(json.dumps(answers.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(answers.document(), out / "study.json")
         written += write_report(study, answers, out)
         if answers.best is not None:
             best = machine_of(study, np.array(answers.row(answers.best)[1]))

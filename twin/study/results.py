@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-import math
 from pathlib import Path
 from typing import Any
 
@@ -80,9 +79,7 @@ class Answers:
             out["responses"][r.name] = {
                 "least": float(r.y.min()),
                 "largest": float(r.y.max()),
-                "effects": [
-                    {"factors": list(e.factors), "half_change": e.value, "low": _finite(e.low), "high": _finite(e.high)} for e in r.effects
-                ],
+                "effects": [{"factors": list(e.factors), "half_change": e.value, "low": e.low, "high": e.high} for e in r.effects],
                 "surrogate": r.surrogate and {"kind": r.surrogate.kind, "error": r.surrogate.error, "spread": r.surrogate.spread},
                 "swings": [{"factor": s.factor, "swing": s.swing, "least_at": s.least_at, "largest_at": s.largest_at} for s in r.swings],
                 **({"sobol": r.sobol} if r.sobol else {}),
@@ -97,10 +94,6 @@ class Answers:
                 "responses": responses,
             }
         return out
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def known_responses(rows: Sequence[Row]) -> list[str]:

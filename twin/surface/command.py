@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
 from pathlib import Path
 import re
 import sys
 from typing import Any
 
 from twin.errors import InputError, nearest
+from twin.files import write_json
 from twin.machine import FEEDFORWARD, Machine, load_machine
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
@@ -68,9 +67,9 @@ def cut_command(args: argparse.Namespace) -> int:
         machining = machine_part(
             part, paths, threads=args.threads, zone_spacing=args.zone_um * 1e-6 if args.zone_um else None, progress=bar
         )
-    reports = [_finite(report_of(machining, one)) for one in machining.cuts]
+    reports = [report_of(machining, one) for one in machining.cuts]
     work = machining.statistics
-    _write(
+    write_json(
         {
             "part": part.name,
             "tool": part.tool.name,
@@ -201,20 +200,6 @@ def _folder(path: str | Path) -> Path:
     except OSError as error:
         raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
     return out
-
-
-def _finite(content: Any) -> Any:
-    """A report as cut.json has it: what there is none of (the width of a mark on a mesh) is null."""
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
-    return None if isinstance(content, float) and not math.isfinite(content) else content
-
-
-def _write(content: Any, path: Path) -> None:
-    try:
-        path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another --out") from None
 
 
 def main() -> int:
