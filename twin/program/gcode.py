@@ -19,6 +19,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, NO_RADIUS_COMPENSATION, Collector
 from twin.program.flow import Flow, Source
+from twin.program.tools import Tools
 from twin.program.words import NUMBER, Arithmetic, Word, WordError
 from twin.units import rad_from_deg
 
@@ -87,8 +88,7 @@ class GcodeReader:
         self.frame = self._frame_table("G500")
         self.shift = np.zeros(5)  # TRANS
         self.offset = [0.0] * 5  # both together
-        self.prepared = self.out.modes.spindle_tool_length  # of the tool that the next change brings
-        self.changes_by_m6 = False
+        self.tools = Tools(self.out, machine, self.iso, self._value)
         self.ended = False
         self.line, self.block = 0, -1
 
@@ -232,7 +232,7 @@ class GcodeReader:
             else:
                 self._name(word)
         if tool:
-            self._tool(tool)
+            self.tools.block(tool)
         if dwell:
             if trans or coordinates or centre or axis or extra.keys() not in ({"F"}, {"S"}, {"P"}):
                 raise WordError("G4 stands alone in its block with one time, e.g. G4 F<seconds>; give the rest a block of its own", 1)
@@ -423,62 +423,6 @@ class GcodeReader:
         else:
             raise WordError(f"M{number:g} is not known; remove it if it moves no axis", word.column)
         return pause
-
-    def _tool(self, words: dict[str, Word]) -> None:
-        """Tool in the spindle and the length that TRAORI works with, from T, M6, D, H, G43 and G49 of a block.
-
-        T changes the tool at once; from the first M6 on it prepares the tool that the next M6 brings. The Sinumerik takes
-        D1 with a tool and no length with D0; the ISO dialect takes a length with G43 and none with G49.
-        """
-        out = self.out
-        if "T" in words:
-            self.prepared = self._tool_length(words["T"])
-        self.changes_by_m6 |= "M6" in words
-        changed = "M6" in words or ("T" in words and not self.changes_by_m6)
-        spindle = self.prepared if changed else out.modes.spindle_tool_length
-        length = out.modes.tool_length
-        if self.iso:
-            if "G43" in words:
-                length = self._tool_length(words["H"]) if "H" in words else spindle
-                out.notes["G43: its length counts under TRAORI; without it X Y Z are positions of the axes"] = None
-            elif "G49" in words:
-                length = 0.0
-            elif "H" in words:
-                raise WordError("H chooses a tool length together with G43; write G43 H.. in one block", words["H"].column)
-            if "D" in words:
-                out.notes["D: a tool radius in .ngc files; understood, without effect on the motion"] = None
-        else:
-            if "D" in words:
-                length = spindle if self._edge(words["D"]) else 0.0
-            elif changed:
-                length = spindle
-            if "H" in words:
-                out.notes["H: understood, without effect on the motion"] = None
-        modes = replace(out.modes, tool_length=length, spindle_tool_length=spindle)
-        if modes != out.modes:
-            out.change_frame(modes)
-
-    def _tool_length(self, word: Word) -> float:
-        """Length [m] of the tool that T or H names, from the table [tool] of the machine file; T0 and H0 have none."""
-        text = (word.text or "").strip()
-        name = text.strip('"') if text.startswith('"') else f"{self._value(word):.10g}"
-        tools = self.machine.document.get("tool", {})
-        key = name if name in tools else f"T{name}"
-        if name == "0":
-            return 0.0
-        if not tools:
-            self.out.notes["T, H: the machine file has no table [tool]; the tool of the model is used"] = None
-            return self.out.kinematics.tool_length
-        if key not in tools:
-            raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, tools)}", word.column)
-        return float(tools[key]["length_m"])
-
-    def _edge(self, word: Word) -> float:
-        """Number of the cutting edge that D names, 0 for none; a tool of the table [tool] has only D1."""
-        number = self._value(word)
-        if number not in (0, 1) and self.machine.document.get("tool"):
-            raise WordError(f"D{number:g}: a tool of the table [tool] has one length, that of D1; use D1 or D0", word.column)
-        return number
 
     def _name(self, word: Word) -> None:
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""
