@@ -4,7 +4,8 @@
 
 Each machine has its parameters within the tolerance and the plant's small imperfections. Printed is, per machine, the plausible effect with
 the most evidence on a group of axes as a share of what noise alone makes there: where its block is cut out of the loop, and where it is
-not. `IMPERFECT` and `IMPERFECT_UNCUT` of `twin.diagnose.left_out` must lie above these. These seeds are for development.
+not; and the axis of which most above noise is left, as such a share. `IMPERFECT` and `IMPERFECT_UNCUT` of `twin.diagnose.left_out` and
+`NOTICED_EXCESS` of `twin.diagnose.verdict` must lie above these. These seeds are for development.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ import tomllib
 
 from twin.campaign import read_campaign
 from twin.diagnose import diagnose
-from twin.diagnose.found import is_cut
+from twin.diagnose.found import excess_of, expected_of, is_cut
 from twin.exam.draw import draw_case, write_campaign
 from twin.exam.parameters import Richness
 from twin.machine import default_machine_path, load_machine
 from twin.summary import table
 
 
-def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[float, str]]]:
-    """Verdict on one healthy machine, and of blocks that are cut (True) or not the largest share and whose it is."""
+def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[float, str]], tuple[float, str]]:
+    """Verdict on one healthy machine, of blocks that are cut (True) or not the largest share and whose it is, and what is left most."""
     sheet = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
     machine = load_machine()
     case = draw_case(seed, "healthy", sheet, richness=Richness.small(), run_set=runs)
@@ -41,7 +42,8 @@ def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[
                 share = candidate.evidence / found.group.expected_loss
                 cut = is_cut(found.group, candidate.setting)
                 most[cut] = max(most[cut], (share, f"{candidate.setting.effect.name} {candidate.setting.axis}"))
-    return diagnosis.verdict, most
+    left = max((e / expected_of(f.group, axis), axis) for f in diagnosis.found for axis, e in excess_of(f.group, f.fit).items())
+    return diagnosis.verdict, most, left
 
 
 def main() -> None:
@@ -53,16 +55,19 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     args = parser.parse_args()
     rows = []
-    worst = {True: 0.0, False: 0.0}
+    worst, largest = {True: 0.0, False: 0.0}, 0.0
     seeds = range(args.seed, args.seed + args.machines)
     with ProcessPoolExecutor(args.workers) as pool:
-        for seed, (verdict, most) in zip(seeds, pool.map(functools.partial(imitated, signals=args.signals, runs=args.runs), seeds)):
+        for seed, (verdict, most, left) in zip(seeds, pool.map(functools.partial(imitated, signals=args.signals, runs=args.runs), seeds)):
             worst = {cut: max(worst[cut], most[cut][0]) for cut in worst}
-            rows.append([str(seed), verdict, *(f"{1e3 * most[cut][0]:.2f} {most[cut][1]}" for cut in (True, False))])
+            largest = max(largest, left[0])
+            shares = [f"{1e3 * most[cut][0]:.2f} {most[cut][1]}" for cut in (True, False)]
+            rows.append([str(seed), verdict, *shares, f"{left[0]:.2f} {left[1]}"])
             print(rows[-1], flush=True)
-    print(table(["seed", "verdict", "block cut [1e-3]", "not cut [1e-3]"], rows, left=4))
+    print(table(["seed", "verdict", "block cut [1e-3]", "not cut [1e-3]", "left"], rows, left=5))
     print(
-        f"{len(rows)} healthy machines, signals {args.signals}: at most {1e3 * worst[True]:.2f}e-3 where cut, {1e3 * worst[False]:.2f}e-3 elsewhere"
+        f"{len(rows)} healthy machines, signals {args.signals}: at most {1e3 * worst[True]:.2f}e-3 where cut, "
+        f"{1e3 * worst[False]:.2f}e-3 elsewhere; of an axis {largest:.2f} of noise left above it"
     )
 
 

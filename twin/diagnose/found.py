@@ -98,9 +98,15 @@ class Found:
         self.retuned = no_effect(self.group, self.tuning)
 
 
-def excess_of(group: Group, fit: Fit) -> float:
-    """Half the squares above noise that a fit leaves; where an axis was stuck they count as little as for evidence."""
-    return 0.5 * float(group.credit @ (fit.left(group) ** 2 - group.expected))
+def excess_of(group: Group, fit: Fit) -> dict[str, float]:
+    """Half the squares above noise that a fit leaves of each axis; where an axis was stuck they count as little as for evidence."""
+    above = 0.5 * group.credit * (fit.left(group) ** 2 - group.expected)
+    return {axis: sum(float(above[c.rows].sum()) for c in group.channels if c.axis == axis) for axis in group.axes}
+
+
+def expected_of(group: Group, axis: str) -> float:
+    """Half the squares that noise alone makes of an axis."""
+    return 0.5 * sum(float(group.expected[c.rows].sum()) for c in group.channels if c.axis == axis)
 
 
 def closed(found: Found) -> float:
@@ -124,14 +130,15 @@ def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
         yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
 
 
-def is_localised(found: Found) -> bool:
-    """Is something left in one channel of one run, although the whole looks like noise?"""
+def localised_on(found: Found) -> set[str]:
+    """Axes of which something is left in one channel of one run, although the whole looks like noise."""
+    axes = set()
     for channel, u in settled_channels(found):
         if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
-            return True
+            axes.add(channel.axis)
         if channel.name == "controller" and float(np.mean(u**2)) > 4.0:
-            return True
-    return False
+            axes.add(channel.axis)
+    return axes
 
 
 def is_systematic(found: Found) -> bool:
@@ -159,7 +166,7 @@ def unexplained(found: Found) -> float:
         if len(u) and float(np.mean(u**2)) > STANDS_OUT:
             weight = (c.spread * c.weight)[c.settled(found.group.views[c.run])]
             standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
-    return max(excess_of(found.group, found.fit), standing_out)
+    return max(sum(excess_of(found.group, found.fit).values()), standing_out)
 
 
 def loud_axes(found: Found) -> set[str]:

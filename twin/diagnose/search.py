@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnose.candidates import is_scaled, size_parameter, starts_of
 from twin.diagnose.fit import STEPS, Fit, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, is_localised, loud_axes, unexplained
+from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, localised_on, loud_axes, unexplained
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
 from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, loss_within
 from twin.diagnose.observe import Group, with_noise_about
@@ -74,7 +74,7 @@ def search(
     # what little is left may be of the normal imperfections, which were found one after another
     looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > LITTLE * group.expected_loss
     while True:
-        if not looked and (found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss or is_localised(found)):
+        if not looked and (found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss or localised_on(found)):
             _look_again(found, machine, mapper)
             looked = True
         if len(found.fit.settings) == MOST_EFFECTS or (quick and not loud_axes(found)):

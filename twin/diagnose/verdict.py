@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
-from twin.diagnose.found import Candidate, Found, closed, excess_of, is_cut, is_localised, is_systematic
+from twin.diagnose.found import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.diagnose.left_out import beyond_tolerance, evidence_needed
 from twin.diagnose.sizes import drop_implausible, sized
 from twin.effects import Setting
@@ -80,13 +80,16 @@ def is_unknown(f: Found) -> bool:
     """Is something left of a group of axes that no effect found explains?
 
     Or is what was found one thing in one run and another in the next, or explained by parameters that no machine near the tolerance has?
+    Asked of each axis: the next one, quieter than was expected, hides nothing.
     """
-    excess_before, excess = excess_of(f.group, f.retuned), excess_of(f.group, f.fit)
-    noticed = NOTICED_EXCESS * f.group.expected_loss
-    there = excess > noticed or is_localised(f)
-    if there and excess > REMAINING * max(excess_before, 1e-9):
+    group = f.group
+    before, after = excess_of(group, f.retuned), excess_of(group, f.fit)
+    localised = localised_on(f)
+    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else NOTICED_EXCESS * expected_of(group, axis))]
+    if sum(above) > REMAINING * sum(max(e, 0.0) for e in before.values()):
         return True
-    return is_systematic(f) or differs_between_runs(f) or beyond_tolerance(f) - max(excess, 0.0) > noticed
+    beyond = beyond_tolerance(f) - max(sum(after.values()), 0.0)
+    return is_systematic(f) or differs_between_runs(f) or beyond > NOTICED_EXCESS * group.expected_loss
 
 
 def differs_between_runs(found: Found) -> bool:
