@@ -67,7 +67,7 @@ def predict(machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS
     period = simulated_period(machine, run.trace.period)
     traces = [
         at_times(
-            simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, record_noise=False).trace,
+            simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i).without_noise,
             run.trace.time,
         )
         for i in range(realisations)

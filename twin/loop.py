@@ -61,6 +61,9 @@ RECORDED = (
 )
 """Channels of the record, in SI; torques in Nm at the motor: the motor's, the feedforward's, and what friction and gravity take."""
 
+MEASURED = ("position", "motor_position", "velocity", "current")
+"""Channels that follow in each row of the record: these once more, as the control saw them, with noise and rounding."""
+
 CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
 
 
@@ -98,10 +101,9 @@ class Schedule(NamedTuple):
 
 
 class Sensing(NamedTuple):
-    """Noise and rounding of what control and record see; `noise` (tick, axis, 3) is empty where measuring is ideal."""
+    """Noise and rounding of what the control sees; `noise` (tick, axis, 3) is empty where measuring is ideal."""
 
     noise: np.ndarray  # already scaled: position, speed (axis units), current
-    recorded: bool  # the record shows the samples that the control saw; else the true values
     position_resolution: np.ndarray
     motor_resolution: np.ndarray
 
@@ -196,15 +198,18 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
 
             if n % schedule.record_ticks == 0:
                 row = record[n // schedule.record_ticks, a]
-                as_seen = noisy and sensing.recorded
-                row[0] = scale if as_seen else x[X_SCALE]
-                row[1] = motor_position if as_seen else x[X_MOTOR_POSITION]
-                row[2] = measured_speed if as_seen or differentiated else x[X_MOTOR_SPEED]
+                row[0] = x[X_SCALE]
+                row[1] = x[X_MOTOR_POSITION]
+                row[2] = measured_speed if differentiated else x[X_MOTOR_SPEED]
                 row[3] = state.speed_setpoint[a] * drives.ratio[a]
-                row[4] = measured_current if as_seen else current
+                row[4] = current
                 row[5] = state.current_setpoint[a]
                 row[6] = drives.torque_constant[a] * current
                 row[7] = state.torque_feedforward[a]
+                row[10] = scale
+                row[11] = motor_position
+                row[12] = measured_speed if noisy or differentiated else x[X_MOTOR_SPEED]
+                row[13] = measured_current
 
             # winding: the motor turns as fast as its encoder shows
             torque = drives.torque_constant[a] * winding(a, drives, state, x[X_MOTOR_SPEED] / drives.ratio[a])

@@ -51,9 +51,10 @@ class PlantFace(Protocol):
 
 @dataclass(frozen=True)
 class Run:
-    """Result of a run: the followed trace, and how many ticks each axis spent at its limits."""
+    """Result of a run: the followed trace as the control's samples show it, the same `without_noise`, and the time at limits."""
 
     trace: Trace
+    without_noise: Trace
     current_limited_s: dict[str, float]
     voltage_limited_s: dict[str, float]
 
@@ -65,17 +66,15 @@ def simulate(
     sample_period: float | None = None,
     started_at: float = 0.0,
     noise_seed: int | None = None,
-    record_noise: bool = True,
     plant_of: Callable[[Change], PlantFace] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Simulate the machine with its effects on these set points, (sample, axis) in the machine's axis order, SI.
 
     `sample_period` [s] of the record (default: the machine file's), rounded to whole ticks; `started_at` [s] since the
-    start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what control and
-    record see (None: ideal), `record_noise=False` keeps it out of the record. `plant_of`
-    makes the mechanics (default: MuJoCo). `progress` is called with the done fraction. Raises SimulationError (with the trace up to
-    there) where an axis diverges, InputError where it cannot be held at its start.
+    start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what the control sees
+    (None: ideal). `plant_of` makes the mechanics (default: MuJoCo). `progress` is called with the done fraction. Raises
+    SimulationError (with the trace up to there) where an axis diverges, InputError where it cannot be held at its start.
     """
     # what the control was commissioned with stays; what the machine really is comes from file and effects
     inertia = commissioned_inertia(machine)
@@ -112,7 +111,7 @@ def simulate(
     rows = int(np.floor(setpoints.duration / (record_ticks * h) + 1e-9)) + 1
     if rows < 2:
         raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {record_ticks * h:.4g} s: record it more often")
-    record = np.empty((rows, len(machine.axes), len(loop.RECORDED)))
+    record = np.empty((rows, len(machine.axes), len(loop.RECORDED) + len(loop.MEASURED)))
     limited = np.zeros((len(machine.axes), 2), np.int64)
     total = (rows - 1) * record_ticks + 1
     stretch = int(np.lcm(position_ticks, record_ticks)) * max(1, STRETCH_TICKS // int(np.lcm(position_ticks, record_ticks)))
@@ -128,7 +127,7 @@ def simulate(
             terms,
             signals,
             _stacked(command),
-            _sensing(machine, rng, ticks, record_noise),
+            _sensing(machine, rng, ticks),
             first,
             ticks,
             record[first // record_ticks :] if first >= 0 else np.empty((-first // record_ticks + 1, *record.shape[1:])),
@@ -136,7 +135,7 @@ def simulate(
         )
         if failed >= 0:
             tick, axis = divmod(failed, len(machine.axes))
-            kept = _trace(machine, setpoints, record[: tick // record_ticks], record_ticks * h) if tick >= 2 * record_ticks else None
+            kept = _traces(machine, setpoints, record[: tick // record_ticks], record_ticks * h)[0] if tick >= 2 * record_ticks else None
             raise SimulationError(
                 f"simulation diverges: axis {machine.axes[axis].name} at {tick * h:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
                 "lower its gains or the size of its effects",
@@ -145,10 +144,11 @@ def simulate(
         if progress:
             progress((first + ticks) / total)
     names = machine.axis_names
-    trace = _trace(machine, setpoints, record, record_ticks * h)
+    trace, without_noise = _traces(machine, setpoints, record, record_ticks * h)
     _check_standing(trace, machine, drives)
     return Run(
         trace,
+        without_noise,
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
         dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
     )
@@ -202,7 +202,7 @@ def _stacked(command: Command) -> np.ndarray:
     return np.stack([command.setpoint, command.velocity_feedforward, command.torque_feedforward])
 
 
-def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, recorded: bool) -> loop.Sensing:
+def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int) -> loop.Sensing:
     noises = [machine.noise(axis) for axis in machine.axes]
     if rng is None:
         noise = np.zeros((0, 0, 0))
@@ -212,13 +212,13 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int, reco
         noise *= np.array([[q, n.speed, n.current] for q, n in zip(seen, noises)])  # in place: a long run has tens of millions
     return loop.Sensing(
         noise=noise,
-        recorded=recorded,
         position_resolution=np.array([n.position_resolution for n in noises]),
         motor_resolution=np.array([n.motor_resolution for n in noises]),
     )
 
 
-def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: float) -> Trace:
+def _traces(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: float) -> tuple[Trace, Trace]:
+    """The record as the control's samples show it, and without noise."""
     time = np.arange(len(record)) * period
     # in parts, so that the splines of a long program need no more memory than a short one's
     parts = -(-max(len(time), len(setpoints.position)) // SPLINE_SAMPLES)
@@ -233,4 +233,10 @@ def _trace(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: f
             signals[axis.name, channel] = record[:, a, c]
         if axis.effort == "voltage":
             signals[axis.name, axis.effort] = record[:, a, loop.RECORDED.index("current")]
-    return Trace(time, signals, machine.kinds)
+    seen = dict(signals)
+    for a, axis in enumerate(machine.axes):
+        for c, channel in enumerate(loop.MEASURED, len(loop.RECORDED)):
+            key = (axis.name, axis.effort if channel == "current" else channel)
+            if key != (axis.name, "torque"):  # a command is no measurement
+                seen[key] = record[:, a, c]
+    return Trace(time, seen, machine.kinds), Trace(time, signals, machine.kinds)

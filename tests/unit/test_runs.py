@@ -46,7 +46,7 @@ def test_noise_is_another_with_another_seed_and_absent_without(mikron: Machine) 
     assert not np.array_equal(one.get("X", "current"), two.get("X", "current"))
     error = one.get("X", "current") - ideal.get("X", "current")
     assert 0.03 < np.std(error) < 0.08  # 0.04 A of the sensor, and what the loops make of the noisy speed
-    clean = simulate(mikron, points, noise_seed=1, record_noise=False).trace
+    clean = simulate(mikron, points, noise_seed=1).without_noise
     assert np.std(clean.get("X", "current") - ideal.get("X", "current")) < np.std(error)
 
 

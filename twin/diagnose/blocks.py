@@ -87,7 +87,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
     if not moving:
         return []
     view = replace(view, machine=machine_of(view.machine))
-    noisy = simulate_group(view, moving, noise_seed=77 + r)
+    noisy = simulate_group(view, moving, noise_seed=77 + r).trace
     for name in moving:
         axis = view.machine.axis(name)
         for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):

@@ -31,7 +31,7 @@ from twin.gap import LEAST_NOISE, at_times, sensor_noise, simulated_period
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import ReducedPlant
-from twin.run import simulate
+from twin.run import Run, simulate
 from twin.trace import Trace
 
 REALISATIONS = 4
@@ -93,7 +93,7 @@ class Group:
                 view = self.views[channel.run]
                 moving = tuple(a for a in axes if view.moves(a))
                 noise = noise_seed(self.seed, channel.run) if shaken else None
-                trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise, record_noise=False)
+                trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise).without_noise
                 simulated[channel.run] = channels_of(trace, view, moving, gains)
             key = (channel.axis, channel.name)
             out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
@@ -145,8 +145,7 @@ def simulate_group(
     also: Sequence[str] = (),
     *,
     noise_seed: int | None = None,
-    record_noise: bool = True,
-) -> Trace:
+) -> Run:
     """Simulate some axes of a run by themselves in the reduced plant; at the times of the run's record."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
     changed = with_added(machine, settings)
@@ -162,16 +161,15 @@ def simulate_group(
     carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
     motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
     setpoints = view.setpoints.part(tuple(index))
-    simulated = simulate(
+    run = simulate(
         part,
         setpoints,
         sample_period=simulated_period(machine, view.trace.period),
         started_at=view.started_at,
         plant_of=lambda change: ReducedPlant(change, motion, machine.with_axes(carrying)),
         noise_seed=noise_seed,
-        record_noise=record_noise,
-    ).trace
-    return at_times(simulated, view.trace.time)
+    )
+    return replace(run, trace=at_times(run.trace, view.trace.time), without_noise=at_times(run.without_noise, view.trace.time))
 
 
 def channels_of(
@@ -236,12 +234,10 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             nominal.append({})
             shaken.append({})
             continue
-        nominal.append(channels_of(simulate_group(view, present), view, present))
-        clean, seen = [], []
-        for k in range(REALISATIONS):
-            drawn = noise_seed(seed, r, k)
-            seen.append(channels_of(simulate_group(view, present, noise_seed=drawn), view, present))
-            clean.append(channels_of(simulate_group(view, present, noise_seed=drawn, record_noise=False), view, present))
+        nominal.append(channels_of(simulate_group(view, present).trace, view, present))
+        drawn = [simulate_group(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)]
+        seen = [channels_of(run.trace, view, present) for run in drawn]
+        clean = [channels_of(run.without_noise, view, present) for run in drawn]
         shaken.append(clean[0])
         measured = channels_of(view.trace, view, present)
         for key, values in measured.items():
@@ -279,9 +275,9 @@ def rebased(group: Group, machine_of: Variant) -> Group:
             nominal.append({})
             shaken.append({})
             continue
-        nominal.append(channels_of(simulate_group(view, present), view, present))
-        noisy = simulate_group(view, present, noise_seed=noise_seed(group.seed, r), record_noise=False)
-        shaken.append(channels_of(noisy, view, present))
+        nominal.append(channels_of(simulate_group(view, present).trace, view, present))
+        noisy = simulate_group(view, present, noise_seed=noise_seed(group.seed, r))
+        shaken.append(channels_of(noisy.without_noise, view, present))
     channels = []
     for c in group.channels:
         key = (c.axis, c.name)
