@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import argparse
 import statistics
-from time import perf_counter
 
 import mujoco
 import numpy as np
 
-from twin.benchmark import BareEngine, moving_setpoints
+from twin.benchmark import BareEngine, in_turns, moving_setpoints
 from twin.effects import EFFECTS, apply_effects, with_effects
 from twin.machine import Machine, load_machine
 from twin.native import engine_function_address
 from twin.plant import build_plant
-from twin.run import STRETCH_TICKS, simulate
-from twin.setpoints import Setpoints
+from twin.run import STRETCH_TICKS
 
 TWO_EFFECTS = [
     {"name": "transmission_compliance", "axis": "X", "stiffness": 8e7},
@@ -64,20 +62,7 @@ def ratio(machine: Machine, seconds: float) -> tuple[float, float, float]:
     """Loop over engine, microseconds a tick of the loop, of the engine."""
     setpoints = moving_setpoints(machine, seconds)
     engine = EngineWithRotors(machine, np.array([0.05 if axis.kind == "linear" else 0.2 for axis in machine.axes]))
-    simulate(machine, Setpoints(setpoints.position[:50], setpoints.period))  # compile first
-    loop_times: list[float] = []
-    engine_times: list[float] = []
-    begin = perf_counter()
-
-    def turn(_done: float) -> None:
-        nonlocal begin
-        loop_times.append(perf_counter() - begin)
-        engine_times.append(engine.seconds(STRETCH_TICKS))
-        begin = perf_counter()
-
-    simulate(machine, setpoints, progress=turn)
-    # the first stretch builds the model, the last one is shorter
-    pairs = list(zip(loop_times, engine_times))[1:-1]
+    pairs = list(zip(*in_turns(machine, setpoints, engine)))
     tick = 1e6 / STRETCH_TICKS
     return (
         statistics.median(a / b for a, b in pairs),

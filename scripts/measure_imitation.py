@@ -4,8 +4,8 @@
 
 Each machine has its parameters within the tolerance and the plant's small imperfections. Printed is, per machine, the plausible effect with
 the most evidence on a group of axes as a share of what noise alone makes there: where its block is cut out of the loop, and where it is
-not; and the axis of which most above noise is left, as such a share. `IMPERFECT` and `IMPERFECT_UNCUT` of `twin.diagnose.left_out` and
-`NOTICED_EXCESS` of `twin.diagnose.verdict` must lie above these. These seeds are for development.
+not; and the axis of which most above noise is left, as such a share. `IMPERFECT` of `twin.diagnose.left_out` and `NOTICED_EXCESS` of
+`twin.diagnose.verdict` must lie above these. These seeds are for development.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     args = parser.parse_args()
     rows = []
-    worst, largest = {True: 0.0, False: 0.0}, 0.0
+    worst, largest = {True: 0.0, False: 0.0}, -1.0
     seeds = range(args.seed, args.seed + args.machines)
     with ProcessPoolExecutor(args.workers) as pool:
         for seed, (verdict, most, left) in zip(seeds, pool.map(functools.partial(imitated, signals=args.signals, runs=args.runs), seeds)):

@@ -95,14 +95,9 @@ def moving_setpoints(machine: Machine, seconds: float, period: float = 1e-3) -> 
     return Setpoints(np.column_stack(columns), period)
 
 
-def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
-    """Compare loop, engine and Python loop on `seconds` of machine time."""
-    machine = machine or load_machine()
-    setpoints = moving_setpoints(machine, seconds)
-    engine = BareEngine(machine, np.array([0.05 if axis.kind == "linear" else 0.2 for axis in machine.axes]))
+def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine) -> tuple[list[float], list[float]]:
+    """Seconds (stretch,) of the loop for STRETCH_TICKS ticks, and of the bare engine right after it for as many steps."""
     simulate(machine, Setpoints(setpoints.position[:50], setpoints.period))  # compile first
-
-    # the loop tells when a stretch is done; the engine then takes the same number of steps
     loop_times: list[float] = []
     engine_times: list[float] = []
     begin = perf_counter()
@@ -114,8 +109,15 @@ def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
         begin = perf_counter()
 
     simulate(machine, setpoints, progress=turn)
-    # the first stretch builds the model, the last one is shorter
-    loop_times, engine_times = loop_times[1:-1], engine_times[1:-1]
+    return loop_times[1:-1], engine_times[1:-1]  # the first stretch builds the model, the last one is shorter
+
+
+def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
+    """Compare loop, engine and Python loop on `seconds` of machine time."""
+    machine = machine or load_machine()
+    setpoints = moving_setpoints(machine, seconds)
+    engine = BareEngine(machine, np.array([0.05 if axis.kind == "linear" else 0.2 for axis in machine.axes]))
+    loop_times, engine_times = in_turns(machine, setpoints, engine)
     loop_us = statistics.median(loop_times) / STRETCH_TICKS * 1e6
     engine_us = statistics.median(engine_times) / STRETCH_TICKS * 1e6
 
