@@ -171,7 +171,7 @@ def _read_table(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
     try:
-        table = pyarrow.parquet.read_table(path) if path.suffix == ".parquet" else pyarrow.csv.read_csv(path)
+        table = pyarrow.parquet.ParquetFile(path).read() if path.suffix == ".parquet" else pyarrow.csv.read_csv(path)
     except PermissionError:
         raise InputError(f"{path}: cannot be read; check its permissions") from None
     except (pa.ArrowException, OSError, UnicodeError) as error:

@@ -18,7 +18,7 @@ def read(path: Path, how: How) -> Recording:
     if not starts_with(path, b"PAR1"):
         raise InputError(f"{path}: not a Parquet file; give it the ending of its true format")
     try:
-        table = pyarrow.parquet.read_table(path)
+        table = pyarrow.parquet.ParquetFile(path).read()
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path}: a damaged Parquet file ({str(error).splitlines()[0]}); export it again") from None
     columns: dict[str, tuple[np.ndarray, str]] = {}

@@ -168,7 +168,7 @@ def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, 
     path = Path(folder) / TABLE
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the --out folder of a finished `twin study`")
-    table = pyarrow.parquet.read_table(path)
+    table = pyarrow.parquet.ParquetFile(path).read()
     names = table.schema.metadata[b"factors"].decode().split("\n")
     if response not in table.column_names:
         raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")
