@@ -2,17 +2,20 @@
 
 A search explains as much as it can. Where an axis breaks away some milliseconds sooner than the twin says, a few samples are far
 off and depend steeply on everything: to follow them a fit bends all sizes. So the effects are fitted once more where what the fit
-leaves around a sample counts as doubt of the twin there, a fault that is the same in many samples (`Channel.weight`).
+leaves around a sample counts as doubt of the twin there, a fault that is the same in many samples (`Channel.weight`); and beside
+re-tuning as it acts on the machine that has the effects: a filter in the current and the damping of a drive train answer each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+import contextlib
 from dataclasses import replace
 
-from twin.diagnose.fit import SLOPE, fit_effects
+from twin.diagnose.fit import SLOPE, fit_effects, tuning_beside
 from twin.diagnose.found import Found, inflation
 from twin.diagnose.plausible import is_plausible
+from twin.errors import TwinError
 from twin.machine import Machine
 
 ROUNDS, STEPS = 2, 3
@@ -24,6 +27,8 @@ def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: i
     if not found.fit.settings:
         return found
     found = replace(found, answers={})
+    with contextlib.suppress(TwinError):  # next to unstable: the tuning as it acts without the effects
+        found.tuned_about(tuning_beside(found.group, found.fit, machine, mapper))
     change = found.fit.response / found.group.weights
     for _ in range(ROUNDS):
         weights = found.group.weights
