@@ -3,10 +3,15 @@
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from twin.diagnose import verdict
-from twin.diagnose.found import Candidate
+from twin.diagnose.channel import Channel
+from twin.diagnose.fit import no_effect
+from twin.diagnose.found import Candidate, Found
+from twin.diagnose.observe import Group
+from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import CONFIDENCE, probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
 from twin.effects import EFFECTS, Setting
@@ -18,7 +23,7 @@ def candidate(effect: str, evidence: float, needed: float, plausible: bool = Tru
 
 
 def holding(*candidates: Candidate) -> SimpleNamespace:
-    return SimpleNamespace(fit=SimpleNamespace(settings=[c.setting for c in candidates]))
+    return SimpleNamespace(keys={c.key for c in candidates})
 
 
 def test_an_effect_that_was_found_is_probable():
@@ -29,7 +34,7 @@ def test_an_effect_that_was_found_is_probable():
 
 
 def test_an_effect_without_the_evidence_it_needs_is_not():
-    """100 would be plenty for a block that is cut; where 130 are needed it is what a fault of the twin imitates."""
+    """100 would be plenty for a short campaign; where 130 are needed it is what a fault of the twin imitates."""
     p = probabilities_of([candidate("position_gain", 100.0, 130.0)], holding())
     assert p[0] < 1e-3
     p = probabilities_of([candidate("position_gain", 130.0, 130.0)], holding(candidate("position_gain", 130.0, 130.0)))
@@ -57,6 +62,18 @@ def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: py
     assert verdict.judged(before, None, map).unknown
     monkeypatch.setattr(verdict, "sized", lambda found, *_: found)
     assert not verdict.judged(before, None, map).unknown
+
+
+@pytest.mark.parametrize(("of_a", "of_c", "unknown"), [(1.3, 0.5, True), (1.0, 0.5, False), (1.0, 1.3, True), (1.0, 1.0, False)])
+def test_an_axis_with_less_noise_hides_nothing_of_the_next(monkeypatch: pytest.MonkeyPatch, of_a: float, of_c: float, unknown: bool):
+    """Axes that the mass matrix couples are searched together; what is left is asked of each."""
+    monkeypatch.setattr(Channel, "settled", lambda self, _: np.ones(len(self.residual), bool))
+    noise = np.random.default_rng(2).normal(size=(2, 3000))
+    channels = [Channel(0, axis, "velocity", size * rows, np.ones(3000), 1.0) for axis, size, rows in zip("AC", (of_a, of_c), noise)]
+    group = Group(("A", "C"), [None], channels, [{}], [{}], 0)
+    tuning = tuning_from((), np.zeros((group.size, 0)), 0.01)
+    fit = no_effect(group, tuning)
+    assert verdict.is_unknown(Found(group, group, tuning, fit, fit, 1.0)) is unknown
 
 
 def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -> dict:

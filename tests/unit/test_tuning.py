@@ -46,7 +46,8 @@ def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
     tuning = drawn[0]
     for deviations, explained in (((2.0, -1.0), True), ((2.0, 15.0), False)):
         rows = tuning.jacobian @ np.array(deviations)
-        group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS)
+        channel = SimpleNamespace(axis="X", rows=slice(0, ROWS))
+        group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS, axes=("X",), channels=[channel])
         found = SimpleNamespace(group=group, fit=no_effect(group, tuning))
-        assert sum(excess_of(group, found.fit).values()) < 0.0  # re-tuned without bounds it is gone
+        assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
         assert (beyond_tolerance(found) < 0.0) is explained
