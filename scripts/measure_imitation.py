@@ -4,8 +4,8 @@
 
 Each machine has its parameters within the tolerance and the plant's small imperfections. Printed is, per machine, the plausible effect with
 the most evidence on a group of axes as a share of what noise alone makes there: where its block is cut out of the loop, and where it is
-not; and the axis of which most above noise is left, as such a share. `IMPERFECT` of `twin.diagnose.left_out` and `NOTICED_EXCESS` of
-`twin.diagnose.verdict` must lie above these. These seeds are for development.
+not; and the axis of which most above noise is left, as such a share. `IMPERFECT` and `IMPERFECT_UNCUT` of `twin.diagnose.left_out` and
+`NOTICED_EXCESS` of `twin.diagnose.verdict` must lie above these. These seeds are for development.
 """
 
 from __future__ import annotations

@@ -9,10 +9,11 @@ import numpy as np
 import scipy.linalg
 
 from twin.diagnose.fit import Fit
-from twin.diagnose.found import Found
+from twin.diagnose.found import Found, is_cut
 from twin.diagnose.observe import Group
 from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST
 from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside
+from twin.effects import Setting
 
 FOLDS = 3
 """Parts into which the runs are divided; each is predicted by a fit of the others."""
@@ -25,6 +26,9 @@ EVIDENCE_IN_SAMPLE = 60.0
 
 IMPERFECT = 1.2e-3
 """Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate: `scripts/measure_imitation.py`."""
+
+IMPERFECT_UNCUT = 4e-3
+"""The same for a block that the recorded signals do not cut out of the loop."""
 
 ALONE = 0.99
 """Share of what is known of a parameter that one fold holds and from which the others cannot predict it."""
@@ -81,9 +85,13 @@ def beyond_tolerance(found: Found) -> float:
     return loss_within(found, found.fit, WIDEST * tolerance, normal=False) - 0.5 * float(found.group.credit @ found.group.expected)
 
 
-def evidence_needed(found: Found, folds: int) -> float:
-    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate."""
-    return (EVIDENCE if folds > 1 else EVIDENCE_IN_SAMPLE) + IMPERFECT * found.group.expected_loss
+def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
+    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate.
+
+    Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
+    """
+    least = EVIDENCE if folds > 1 else EVIDENCE_IN_SAMPLE
+    return least + (IMPERFECT if is_cut(found.group, setting) else IMPERFECT_UNCUT) * found.group.expected_loss
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:

@@ -92,7 +92,7 @@ def search(
         first = not found.fit.settings
         _accept(found, best.fit, machine, mapper)
         looked = False
-        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, len(folds)):
+        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, best.setting, len(folds)):
             found.doubt(np.zeros(found.group.size))
             found.accepted.clear()
             found.fit = found.retuned  # what is normal, seen better, explains it as well
@@ -200,9 +200,8 @@ def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> li
         evidence = gain / min(found.inflation, inflation(group, fit))
         last = fit.settings[-1]
         plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
-        candidates.append(
-            Candidate(fit, evidence, evidence_needed(found, len(folds)), plausible, closed_share(found, found.fit.loss - fit.loss))
-        )
+        needed = evidence_needed(found, last, len(folds))
+        candidates.append(Candidate(fit, evidence, needed, plausible, closed_share(found, found.fit.loss - fit.loss)))
     return sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9)))
 
 

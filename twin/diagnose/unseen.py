@@ -62,4 +62,4 @@ def _share(found: Found, settings: Sequence[Setting], folds: int) -> float:
     except TwinError:
         return math.inf
     left = [column - tuning.jacobian @ (tuning.inverse @ projected) for column, projected in answers]
-    return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, folds)
+    return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, settings[0], folds)

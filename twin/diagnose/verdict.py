@@ -120,7 +120,7 @@ def differs_between_runs(found: Found) -> bool:
                     steps.append(step)
                     gain += 0.5 * step**2 * known
         relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
-        earned = len(steps) > 1 and gain > evidence_needed(found, len(group.views))
+        earned = len(steps) > 1 and gain > evidence_needed(found, setting, len(group.views))
         if earned and (max(steps) - min(steps)) * relative > ONE_SIZE:
             return True
     return False
