@@ -156,7 +156,7 @@ class Diagnosis:
         index = of.settings.index(setting) if of is not None else None
         out = {}
         # the same weight that keeps the tolerance from being pulled by many samples keeps the interval from shrinking with them
-        covariance = of.covariance(of.about, PRIOR_WEIGHT * found.inflation) if of is not None else np.zeros((0, 0))
+        covariance = of.covariance(PRIOR_WEIGHT * found.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue

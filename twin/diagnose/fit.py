@@ -140,12 +140,13 @@ class Fit:
         tuning, loss = about.solve(left), about.loss(left)
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
-    def covariance(self, tuning: Tuning, inflation: float = 1.0) -> np.ndarray:
-        """Covariance of the free parameters in scale units, tuning eliminated."""
-        if not self.free:
-            return np.zeros((0, 0))
-        information = tuning.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
-        return np.linalg.pinv(information) * inflation
+    def information(self) -> np.ndarray:
+        """What the channels tell of the free parameters (free, free) in scale units, tuning eliminated."""
+        return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
+
+    def covariance(self, inflation: float = 1.0) -> np.ndarray:
+        """Covariance of the free parameters in scale units; noise has `inflation` times its power."""
+        return np.linalg.pinv(self.information()) * inflation
 
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:

@@ -11,15 +11,24 @@ from __future__ import annotations
 from collections.abc import Callable
 import contextlib
 from dataclasses import replace
+import math
 
+import numpy as np
+
+from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.fit import SLOPE, fit_effects, tuning_beside
 from twin.diagnose.found import Found, inflation
 from twin.diagnose.plausible import is_plausible
+from twin.diagnose.tuning import PRIOR_WEIGHT
+from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine import Machine
 
 ROUNDS, STEPS = 2, 3
 """Times that what is left is looked at, and steps of each fit."""
+
+UNTOLD = 5.0
+"""Half a 95 % interval over the size from which an effect has none: what may as well be nothing is not said to be there."""
 
 
 def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: ignore[type-arg]
@@ -44,11 +53,22 @@ def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: i
 
 
 def drop_implausible(found: Found, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
-    """Take out effects that, seen better than when they were accepted, have no size that is found on machines."""
-    rest = [s for s in found.fit.settings if is_plausible(s, machine)]
+    """Take out effects that, seen better than when they were accepted, have no size that is found on machines, or none at all."""
+    rest = [s for s in found.fit.settings if is_plausible(s, machine) and _has_size(found, s)]
     if len(rest) < len(found.fit.settings):
         fit = fit_effects(found.group, machine, found.tuning, rest, mapper, STEPS)
         if fit is not None:
             found.fit = fit
             found.accepted = [*found.accepted[: len(rest)][:-1], fit] if rest else []
             found.inflation = inflation(found.group, fit)
+
+
+def _has_size(found: Found, setting: Setting) -> bool:
+    """Is the size of an effect told, if what shapes it is known?"""
+    fit, size = found.fit, size_parameter(setting.effect)
+    told = np.diag(fit.information()) / (PRIOR_WEIGHT * found.inflation)
+    for free, known in zip(fit.free, told):
+        if free.parameter is size and fit.settings[free.setting] == setting:
+            relative = free.unit if free.logarithmic else free.unit / max(deviation_of(size, free.value(fit.settings)), 1e-30)
+            return 1.96 * relative < UNTOLD * math.sqrt(float(known))
+    return True
