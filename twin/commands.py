@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from twin.errors import InputError, SimulationError
-from twin.files import write_json
+from twin.files import output_folder, write_json
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.trace import Trace, with_program_columns
@@ -47,7 +47,7 @@ def run_command(args: argparse.Namespace) -> int:
         raise InputError(f"{source}: {warnings[0]}; slow the set points down or leave out --strict")
     for line in warnings:
         print(f"warning: {source.name}: {line}", file=sys.stderr)
-    out = _output_folder(args.out or Path("out") / source.stem)
+    out = output_folder(args.out or Path("out") / source.stem)
     period = args.sample_period_ms * 1e-3 if args.sample_period_ms else None
     feedforward = args.feedforward or (program.feedforward if program else None)
     with Progress(f"simulating {setpoints.duration:.1f} s") as bar:
@@ -170,15 +170,6 @@ def gap_command(args: argparse.Namespace) -> int:
     return 0
 
 
-def _output_folder(path: str | Path) -> Path:
-    out = Path(path)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
-    return out
-
-
 def diagnose_command(args: argparse.Namespace) -> int:
     """Diagnose a campaign; print the verdict and write the evidence."""
     from twin.campaign import read_campaign
@@ -187,7 +178,7 @@ def diagnose_command(args: argparse.Namespace) -> int:
 
     machine = _load(args)
     campaign = read_campaign(args.campaign, machine)
-    out = _output_folder(args.out)
+    out = output_folder(args.out)
     with Progress("diagnosing", total=None) as bar:
         diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say)
     document = write_diagnosis(diagnosis, out)

@@ -1,4 +1,4 @@
-"""Files as others read them: whole or not at all, JSON without NaN."""
+"""Files that commands write: whole or not at all, JSON without NaN, one line where a place cannot be written."""
 
 from __future__ import annotations
 
@@ -28,12 +28,34 @@ def write_json(content: Any, path: Path) -> None:
     Raises:
         InputError: the place cannot be written to.
     """
-    text = json.dumps(_finite(content), indent=2, allow_nan=False) + "\n"
+    write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", path)
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write a text file, and the folders to it that are not there.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+
+
+def output_folder(path: str | Path) -> Path:
+    """The folder of a command's output, made where it is not there.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    out = Path(path)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
+    return out
 
 
 def _finite(content: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
 from twin.diagnose.wording import place_text, unseen_text, verdict_sentence
+from twin.files import output_folder, write_json
 from twin.machine import write_machine
 from twin.trace import write_trace
 
@@ -19,8 +19,8 @@ from twin.trace import write_trace
 def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     """Write all files to a folder; returns the document of `diagnosis.json`."""
     document = diagnosis.document()
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "diagnosis.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    output_folder(out)
+    write_json(document, out / "diagnosis.json")
     write_machine(diagnosis.corrected, out / "machine.toml")
     write_proposal(diagnosis.proposal, out / "next_measurement.csv")
     with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time

@@ -12,7 +12,7 @@ from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stret
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
-from twin.errors import InputError
+from twin.files import write_text
 from twin.units import ARCSEC
 
 CANDIDATES_SHOWN = 12
@@ -21,10 +21,7 @@ STRETCHES_SHOWN = 3
 
 def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
     """Write the page; an unwritable place is an InputError."""
-    try:
-        path.write_text(report_page(diagnosis, document), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    write_text(report_page(diagnosis, document), path)
 
 
 def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:

@@ -161,11 +161,11 @@ def _closes_enough(found: Found, fit: Fit) -> bool:
 
 def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]
     group, tuning = found.group, found.tuning
-    accepted = found.fit.settings
+    accepted, taken = found.fit.settings, found.keys
     residual = group.residual - found.fit.response
     left = residual - tuning.jacobian @ tuning.solve(residual)
     asked = loud_axes(found) if quick else set(group.axes)  # an effect shows on its own axis
-    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in found.keys]
+    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]
     starts = [s for s in every if not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-import json
 import math
 from pathlib import Path
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from twin.campaign import MeasuredRun
 from twin.errors import InputError
+from twin.files import write_json
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Direct, direct_route
@@ -264,7 +264,7 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
             for p in plan.predicted
         ],
     }
-    (out / "plan.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    write_json(document, out / "plan.json")
     return [*files, out / "plan.json"]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import tempfile
 
 from twin.errors import InputError
+from twin.files import output_folder
 from twin.progress import Progress
 from twin.readers.formats import READERS, read_recording
 from twin.readers.mapping import Map, RunMap, read_map, runs_of
@@ -51,10 +52,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     names = [run.name for run, _ in runs]
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
+    output_folder(out)
     done, begun = [], _beginnings()
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:

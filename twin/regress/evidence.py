@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.files import output_folder
 from twin.machine import Machine
 from twin.regress.compare import Check, common, signal_unit
 from twin.regress.golden import Golden, golden_of, write_small
@@ -33,10 +33,7 @@ def write_evidence(
     folder: Path, case: Case, golden: Golden, outcome: Outcome, checks: Sequence[Check], place: Place | None, text: str
 ) -> Path:
     """Write the folder of a failed case; returns it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot make this folder ({error.strerror}); give another --out") from None
+    output_folder(folder)
     (folder / "sentence.txt").write_text(text + "\n", encoding="utf-8")
     (folder / "checks.json").write_text(json.dumps([check_table(c) for c in checks], indent=1) + "\n", encoding="utf-8")
     if golden.trace is None or outcome.trace is None or outcome.machine is None:

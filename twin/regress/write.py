@@ -12,7 +12,7 @@ import re
 from typing import Any
 from xml.etree import ElementTree
 
-from twin.errors import InputError
+from twin.files import write_text
 from twin.regress.evidence import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
@@ -122,11 +122,7 @@ def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path,
         (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
         (json_file, json.dumps(document(verdicts, seconds), indent=1, allow_nan=False) + "\n"),
     ):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+        write_text(text, path)
 
 
 def _plain(text: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import sqlite3
 
 from twin.errors import InputError
+from twin.files import output_folder
 from twin.study.evaluate import Answer
 
 FILE = "study.sqlite"
@@ -22,10 +23,7 @@ class Store:
 
     def __init__(self, folder: Path, fingerprint: str, resume: bool):
         self.path = folder / FILE
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot make this folder ({error.strerror}); give another --out") from None
+        output_folder(folder)
         with self._said():
             self.connection = sqlite3.connect(self.path, timeout=0.2, isolation_level=None)
         try:

@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 from twin.errors import InputError, nearest
-from twin.files import write_json
+from twin.files import output_folder, write_json
 from twin.machine import FEEDFORWARD, Machine, load_machine
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
@@ -60,7 +60,7 @@ def cut_command(args: argparse.Namespace) -> int:
         raise InputError(f"--zone-um {args.zone_um:g}: give a spacing above 0")
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
-    out = _folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
+    out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
     with Progress("tool paths") as bar:
         paths = paths_of(Path(args.input), machine, part, levels, words, progress=bar)
     with Progress("cutting") as bar:
@@ -191,15 +191,6 @@ def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:
 def _name(text: str) -> str:
     """A file or entity name without blanks and signs."""
     return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-
-
-def _folder(path: str | Path) -> Path:
-    out = Path(path)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
-    return out
 
 
 def main() -> int:
