@@ -148,7 +148,9 @@ def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-de
 def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
     error = state.speed_setpoint[a] - motor_speed
-    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) / drives.control_torque_constant[a]
+    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * (
+        1.0 / drives.control_torque_constant[a]
+    )
     limit = drives.peak_current[a]
     if wanted > limit or wanted < -limit:
         state.current_setpoint[a] = math.copysign(limit, wanted)
@@ -180,7 +182,7 @@ def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """Advance the current of axis `a` by one tick under held voltage and speed; its mean over the tick [A] makes the torque."""
     if not drives.current_loop[a]:
         return state.current[a]
-    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) / drives.resistance[a]
+    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * (1.0 / drives.resistance[a])
     away = state.current[a] - final
     state.current[a] = final + away * drives.decay[a]
     return final + away * drives.mean_decay[a]

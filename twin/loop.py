@@ -112,7 +112,7 @@ class Sensing(NamedTuple):
 def advance(engine, schedule, drives, state, terms, signals, command, sensing, first_tick, ticks, record, limited):  # type: ignore[no-untyped-def]
     """Advance by `ticks` ticks from `first_tick` on; returns -1, or tick * axes + axis where a run diverged.
 
-    command (3, cycle, axis): set point, velocity feedforward, torque feedforward of the position cycles of this stretch;
+    `command` is that of the position cycles of this stretch (`twin.setpoints.Command`);
     record (row, axis, channel) gets each record_ticks-th tick; limited (axis, 2) counts ticks at the current and voltage limit.
     `first_tick` is a multiple of the position cycle and of the record's.
     """
@@ -154,7 +154,7 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
             x = signals[a]
             scale = x[X_SCALE]
             motor_position = x[X_MOTOR_POSITION]
-            measured_speed = x[X_MOTOR_SPEED]
+            motor_speed = measured_speed = x[X_MOTOR_SPEED]
             current = state.current[a]
             measured_current = current
             if noisy:
@@ -167,21 +167,22 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 measured_speed += noise[1]
                 measured_current += noise[2]
 
-            # control: each loop at its own cycle
+            # control: each loop at its own cycle; what is constant is divided by first, for nothing waits for that
             if k % schedule.position_ticks == 0:
                 cycle = n // schedule.position_ticks
-                setpoint = command[0, cycle, a]
+                setpoint = command.setpoint[cycle, a]
                 if has_setpoint:
                     x[X_SETPOINT] = setpoint
                     call_axis_terms(terms, SETPOINT, signals, a)
                     setpoint = x[X_SETPOINT]
                 closed_on = motor_position if drives.on_motor_encoder[a] else scale
-                position_controller(a, drives, state, setpoint, command[1, cycle, a], command[2, cycle, a], closed_on)
+                fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
+                position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
             differentiated = drives.mean_cycles[a] > 0
             if k % schedule.speed_ticks == 0:
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
-                if speed_controller(a, drives, state, measured_speed / drives.ratio[a]):
+                if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])):
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
                 measured_speed = state.seen_speed[a]
@@ -200,7 +201,7 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 row = record[n // schedule.record_ticks, a]
                 row[0] = x[X_SCALE]
                 row[1] = x[X_MOTOR_POSITION]
-                row[2] = measured_speed if differentiated else x[X_MOTOR_SPEED]
+                row[2] = measured_speed if differentiated else motor_speed
                 row[3] = state.speed_setpoint[a] * drives.ratio[a]
                 row[4] = current
                 row[5] = state.current_setpoint[a]
@@ -208,11 +209,11 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 row[7] = state.torque_feedforward[a]
                 row[10] = scale
                 row[11] = motor_position
-                row[12] = measured_speed if noisy or differentiated else x[X_MOTOR_SPEED]
+                row[12] = measured_speed if noisy or differentiated else motor_speed
                 row[13] = measured_current
 
             # winding: the motor turns as fast as its encoder shows
-            torque = drives.torque_constant[a] * winding(a, drives, state, x[X_MOTOR_SPEED] / drives.ratio[a])
+            torque = drives.torque_constant[a] * winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = torque
 
         # step: forces beyond the model's own, then the engine

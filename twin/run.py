@@ -20,7 +20,7 @@ from twin.errors import InputError, SimulationError
 from twin.full_plant import FullPlant
 from twin.machine import Machine
 from twin.plant import home_inertia_at_motor
-from twin.setpoints import Command, Setpoints, command_of
+from twin.setpoints import Setpoints, command_of
 from twin.terms import SIGNAL_COUNT, X_LOAD_SPEED, term_table
 from twin.trace import Trace
 
@@ -126,7 +126,7 @@ def simulate(
             state,
             terms,
             signals,
-            _stacked(command),
+            command,
             _sensing(machine, rng, ticks),
             first,
             ticks,
@@ -196,10 +196,6 @@ def commissioned_inertia(machine: Machine) -> np.ndarray:
     if all(value is not None for value in known):
         return np.array(known, float)
     return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
-
-
-def _stacked(command: Command) -> np.ndarray:
-    return np.stack([command.setpoint, command.velocity_feedforward, command.torque_feedforward])
 
 
 def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int) -> loop.Sensing:

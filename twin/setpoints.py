@@ -12,8 +12,9 @@ lead-in: the axes come up from rest to the speed that they have at its first sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 import functools
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -31,6 +32,9 @@ _KEEP_SPLINE = 100_000
 
 _MOST_DELAYS = 64
 """Delays whose positions are remembered at once."""
+
+_MOST_COMMANDS = 8
+"""Commands of a whole run that are remembered at once."""
 
 TRAVEL_TOLERANCE = 1e-9
 """Set points may exceed the travel by rounding only [m or rad]."""
@@ -59,6 +63,7 @@ class Setpoints:
         self._all = self.position if before is None else np.concatenate([before, self.position])
         self._parts: dict[tuple[int, ...], Setpoints] = {}
         self._cycles: dict[tuple[float, float], np.ndarray] = {}
+        self._commands: dict[object, Command] = {}
 
     @property
     def duration(self) -> float:
@@ -87,18 +92,34 @@ class Setpoints:
         if self._spline is None:
             times = np.arange(first, first + count) * period
             return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
-        lead = round(self.lead / period)
+        lead, total = self._whole(period)
         out = []
         for delay in delays:
             known = self._cycles.get((period, delay))
             if known is None:
-                total = int(np.ceil(self.duration / period)) + 2
                 known = self.at(np.arange(-lead, total) * period - delay)
                 if len(self._cycles) >= _MOST_DELAYS:  # where the delay itself is varied or fitted
                     self._cycles.clear()
                 self._cycles[period, delay] = known
             out.append(known[lead + first : lead + first + count])
         return out
+
+    def command(self, key: object, period: float, first: int, count: int, of: Callable[[int, int], Command]) -> Command:
+        """A stretch of the command that `of(first, count)` gives; of short runs the whole is remembered under `key`."""
+        if self._spline is None:
+            return of(first, count)
+        lead, total = self._whole(period)
+        known = self._commands.get(key)
+        if known is None:
+            known = of(-lead, lead + total)
+            if len(self._commands) >= _MOST_COMMANDS:  # where what makes it is varied or fitted
+                self._commands.clear()
+            self._commands[key] = known
+        return Command(*(part[lead + first : lead + first + count] for part in known))
+
+    def _whole(self, period: float) -> tuple[int, int]:
+        """Position cycles of the lead-in, and those from the first sample to beyond the last one."""
+        return round(self.lead / period), int(np.ceil(self.duration / period)) + 2
 
     @functools.cached_property
     def _spline(self) -> CubicSpline | None:
@@ -126,8 +147,7 @@ class Setpoints:
         return CubicSpline(index, self._all[low : high + 1], axis=0, bc_type="natural")(at)
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What the position controllers of all axes get in a stretch of position cycles, each (cycle, axis)."""
 
     setpoint: np.ndarray  # delayed, m or rad
@@ -138,23 +158,45 @@ class Command:
 def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
     """The command of `count` position cycles from `first_cycle` on; `commissioned_inertia` (axis,) [kg m2 at the motor]."""
     tp = machine.position_cycle
-    out = np.zeros((3, count, len(machine.axes)))
-    # one spline evaluation for all axes, delays and steps back
-    delays = sorted({d for axis in machine.axes for d in (axis.loops.position_delay_s, *_steps_back(axis.loops.feedforward_delay_s, tp))})
-    at = dict(zip(delays, setpoints.at_cycles(first_cycle, count, tp, delays)))
-    for a, axis in enumerate(machine.axes):
-        loops = axis.loops
-        now, before, earlier = (at[d][:, a] for d in _steps_back(loops.feedforward_delay_s, tp))
-        out[0, :, a] = at[loops.position_delay_s][:, a]
-        out[1, :, a] = loops.velocity_feedforward * (now - before) / tp
-        acceleration = (now - 2.0 * before + earlier) / tp**2
-        out[2, :, a] = loops.torque_feedforward * commissioned_inertia[a] * acceleration / axis.ratio
-    return Command(*out)
+    laws = [
+        _Law(
+            axis.loops.position_delay_s,
+            axis.loops.feedforward_delay_s,
+            axis.loops.velocity_feedforward,
+            axis.loops.torque_feedforward * inertia,
+            axis.ratio,
+        )
+        for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
+    ]
+
+    def of(first: int, count: int) -> Command:
+        # one spline evaluation for all axes, delays and steps back
+        delays = sorted({d for law in laws for d in (law.delay, *law.steps_back(tp))})
+        at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
+        out = Command(*np.empty((3, count, len(laws))))
+        for a, law in enumerate(laws):
+            now, before, earlier = (at[d][:, a] for d in law.steps_back(tp))
+            out.setpoint[:, a] = at[law.delay][:, a]
+            out.velocity_feedforward[:, a] = law.velocity_feedforward * (now - before) / tp
+            acceleration = (now - 2.0 * before + earlier) / tp**2
+            out.torque_feedforward[:, a] = law.fed_inertia * acceleration / law.ratio
+        return out
+
+    return setpoints.command((tp, *laws), tp, first_cycle, count, of)
 
 
-def _steps_back(delay: float, cycle: float) -> tuple[float, float, float]:
-    """Delays of the three set points that a second difference takes."""
-    return delay, delay + cycle, delay + 2.0 * cycle
+class _Law(NamedTuple):
+    """What makes the command of an axis from its set points: delays [s], factor of the speed, inertia [kg m2 at the motor] and ratio."""
+
+    delay: float
+    feedforward_delay: float
+    velocity_feedforward: float
+    fed_inertia: float
+    ratio: float
+
+    def steps_back(self, cycle: float) -> tuple[float, float, float]:
+        """Delays of the three set points that a second difference takes."""
+        return self.feedforward_delay, self.feedforward_delay + cycle, self.feedforward_delay + 2.0 * cycle
 
 
 def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
