@@ -27,7 +27,7 @@ from twin import loop
 from twin.compiled import compiled, compiled_callback
 from twin.effects import Change
 from twin.machine import Machine
-from twin.native import call_address_2, call_address_3, engine_function_address
+from twin.native import call_address_2, call_address_3, call_address_4, engine_function_address
 from twin.plant import Plant, build_plant
 
 # constants: header, then per degree of freedom, then the series
@@ -204,7 +204,8 @@ def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np
     gear = model.actuator_gear[plant.actuator, 0]
     own = model.actuator_armature[plant.actuator] * gear**2 + model.dof_armature[plant.load_dof]
     _read_along(
-        engine_function_address("mj_forward"),
+        tuple(engine_function_address(name) for name in ("mj_kinematics", "mj_comPos", "mj_makeM", "mj_comVel")),
+        engine_function_address("mj_rne"),
         engine_function_address("mj_fullM"),
         model._address,
         data._address,
@@ -219,8 +220,8 @@ def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np
 
 
 @compiled
-def _read_along(forward, full_inertia, model, data, views, places, motion, own, inertia, bias):  # type: ignore[no-untyped-def]
-    """Fill inertia and bias (row, axis): the engine's forward dynamics at each row of the motion."""
+def _read_along(stages, forces, full_inertia, model, data, views, places, motion, own, inertia, bias):  # type: ignore[no-untyped-def]
+    """Fill inertia and bias (row, axis): of the engine's forward dynamics what these take, at each row of the motion."""
     qpos, qvel, engine_bias, full = views
     load_position, load_dof = places
     position, speed, acceleration = motion
@@ -228,7 +229,9 @@ def _read_along(forward, full_inertia, model, data, views, places, motion, own, 
         for a in range(len(own)):
             qpos[load_position[a]] = position[row, a]
             qvel[load_dof[a]] = speed[row, a]
-        call_address_2(forward, model, data)
+        for stage in stages:
+            call_address_2(stage, model, data)
+        call_address_4(forces, model, data, 0, engine_bias.ctypes.data)  # without accelerations
         call_address_3(full_inertia, model, data, full.ctypes.data)
         for a in range(len(own)):
             i = load_dof[a]
@@ -274,9 +277,9 @@ def reduced_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-d
         friction = 0.0
         if level > 0.0:
             inverse = 1.0 / mass
-            friction = -(free * inverse + constants[c + _REFERENCE] * v) / (inverse + constants[c + _SOFTNESS])
+            friction = -(free * inverse + constants[c + _REFERENCE] * v) * (1.0 / (inverse + constants[c + _SOFTNESS]))
             friction = min(max(friction, -level), level)
-        v += h * (free + friction) / (mass + h * viscous)
+        v += (free + friction) * (h / (mass + h * viscous))
         state[1 + _QVEL * n + i] = v
         state[1 + _QPOS * n + i] += h * v
         state[1 + _BIAS * n + i] = bias

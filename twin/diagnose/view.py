@@ -11,7 +11,7 @@ from twin.campaign import MeasuredRun
 from twin.effects import with_effects
 from twin.gap import SAME_PERIOD, at_times, is_moving, simulated_period
 from twin.machine import Axis, Machine
-from twin.reduced import Motion
+from twin.reduced import Motion, ReducedPlant
 from twin.run import simulate
 from twin.setpoints import Setpoints, recorded_setpoints
 from twin.trace import Trace
@@ -57,7 +57,10 @@ class RunView:
 
 
 def view_of(machine: Machine, run: MeasuredRun) -> RunView:
-    """A run with the nominal twin's own motion, along which the reduced plant is taken."""
+    """A run with the nominal twin's own motion, along which the reduced plant is taken.
+
+    Inertia and gravity depend on where rotary axes are: theirs is what the reduced plant itself makes along a first guess of it.
+    """
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     times = np.arange(len(setpoints.position)) * setpoints.period
@@ -66,17 +69,23 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
         # a linear axis follows its set point by the delay and, without feedforward, by 1 / Kv more
         lag = axis.loops.position_delay_s + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
         position[:, a] = setpoints.at(times - lag)[:, a]
-    speed = np.gradient(position, setpoints.period, axis=0)
+    motion = _motion(position, setpoints.period)
     rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")
     if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
-        # inertia and gravity depend on where rotary axes are: take their motion from the engine
-        names = [actual.axis_names[a] for a in rotary]
-        period = simulated_period(actual, setpoints.period)
-        nominal = at_times(simulate(actual.with_axes(names), setpoints.part(rotary), sample_period=period).trace, times)
-        position[:, rotary] = nominal.matrix("position", names)
-        speed[:, rotary] = nominal.matrix("velocity", names)
-    acceleration = np.gradient(speed, setpoints.period, axis=0)
-    return RunView(run.name, run.trace, actual, setpoints, Motion(position, speed, acceleration, setpoints.period), run.started_at)
+        nominal = simulate(
+            actual.with_axes([actual.axis_names[a] for a in rotary]),
+            setpoints.part(rotary),
+            sample_period=simulated_period(actual, setpoints.period),
+            plant_of=lambda change: ReducedPlant(change, motion.part(rotary)),
+        )
+        position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
+        motion = _motion(position, setpoints.period)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at)
+
+
+def _motion(position: np.ndarray, period: float) -> Motion:
+    speed = np.gradient(position, period, axis=0)
+    return Motion(position, speed, np.gradient(speed, period, axis=0), period)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:
