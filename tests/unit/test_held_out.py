@@ -17,9 +17,9 @@ def machines(monkeypatch):
     unstable = set()
 
     def predict_each(jobs, threads=None):
-        if any(machine in unstable for machine, _, _ in jobs):
+        if any(job.machine in unstable for job in jobs):
             raise SimulationError("simulation diverges")
-        return [f"{machine} on {run.name}" for machine, run, _ in jobs]
+        return [f"{job.machine} on {job.run.name}" for job in jobs]
 
     monkeypatch.setattr(corrected, "_fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
     monkeypatch.setattr(corrected, "predict_each", predict_each)
@@ -28,7 +28,7 @@ def machines(monkeypatch):
 
 
 def after(folds=FOLDS):
-    held_out = corrected.held_out_gaps(SimpleNamespace(runs=RUNS), "nominal", [], folds, False, 1)
+    held_out = corrected.held_out_gaps(RUNS, [None] * len(RUNS), "nominal", [], folds, engine=True, threads=1)
     assert held_out.gaps["before"]["second"] == "nominal on second"
     return [held_out.gaps["after"][run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.runs
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from twin.campaign import Campaign, MeasuredRun
+from twin.campaign import MeasuredRun
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import bounded, leave_out
 from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import SimulationError
-from twin.gap import REALISATIONS, Prediction, SignalGap, gap_of, predict_each
+from twin.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
 from twin.machine import Machine
+from twin.reduced import Motion
+
+FEWER_REALISATIONS = 2
+"""Realisations of noise where the reduced plant tells all."""
 
 
 def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
@@ -63,21 +67,28 @@ class HeldOut:
 
 
 def held_out_gaps(
-    campaign: Campaign, machine: Machine, found: Sequence[Found], folds: Sequence[Sequence[int]], quick: bool, threads: int
+    runs: Sequence[MeasuredRun],
+    motions: Sequence[Motion],
+    machine: Machine,
+    found: Sequence[Found],
+    folds: Sequence[Sequence[int]],
+    engine: bool,
+    threads: int,
 ) -> HeldOut:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo.
 
-    Where the machine fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one
-    fitted to all.
+    `motions` are the runs' nominal ones, for what noise makes; without `engine` the reduced plant along them tells all. Where the machine
+    fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one fitted to all.
     """
-    of_nominal, of_corrected = (1, 2) if quick else (REALISATIONS, REALISATIONS)
-    runs = list(campaign.runs)
     left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
-    nominal = [(machine, run, of_nominal) for run in runs]
+    realisations = REALISATIONS if engine else FEWER_REALISATIONS
+    nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
-    def corrected() -> list[tuple[Machine, MeasuredRun, int]]:
+    def corrected() -> list[Job]:
         variants = [_fitted_without(machine, found, without) for without in left_out]
-        return [(variant, runs[i], of_corrected) for variant, fold in zip(variants, folds) for i in fold]
+        return [
+            Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for variant, fold in zip(variants, folds) for i in fold
+        ]
 
     jobs = nominal + corrected()
     try:
@@ -90,19 +101,16 @@ def held_out_gaps(
         jobs = nominal + corrected()
         simulated = predict_each(jobs, threads=threads)
     predictions = {
-        which: {run.name: prediction for (_, run, _), prediction in zip(jobs[part], simulated[part])}
+        which: {job.run.name: prediction for job, prediction in zip(jobs[part], simulated[part])}
         for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
     }
-    if quick:  # one realisation has no scatter of its own
-        scatter = {name: prediction.scatter for name, prediction in predictions["after"].items()}
-        predictions["before"] = {name: replace(p, scatter=scatter[name]) for name, p in predictions["before"].items()}
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in predictions.items()}
     return HeldOut(gaps, predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
 
 
 def _can_run(machine: Machine, runs: Sequence[MeasuredRun], fold: Sequence[int], threads: int) -> bool:
     try:
-        predict_each([(machine, runs[i], 1) for i in fold], threads=threads)
+        predict_each([Job(machine, runs[i], 1) for i in fold], threads=threads)
     except SimulationError:
         return False
     return True

@@ -286,7 +286,7 @@ def diagnose(
             group = observe(views, axes, seed)
             if not group.size:
                 return None
-            return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper)
+            return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
 
         views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
         groups = axis_groups(machine_without, measured)
@@ -297,10 +297,11 @@ def diagnose(
     settings = named(found)
     corrected = corrected_machine(machine, found)
     say("simulating the runs left out")
-    held_out = held_out_gaps(campaign, machine_without, found, folds, quick, threads)
+    motions = [view.motion for view in views]
+    held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     notes = notes_of(campaign, machine)
     if quick:
-        notes.append("a quick look: which effects these runs would not show was not asked")
+        notes.append("a quick look: gaps are the reduced plant's, not MuJoCo's; which effects these runs would not show was not asked")
     if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
         notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
     verdict = verdict_of(found, settings)

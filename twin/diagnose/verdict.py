@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import math
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.found import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.diagnose.left_out import beyond_tolerance, evidence_needed
+from twin.diagnose.observe import Mapper
 from twin.diagnose.sizes import drop_implausible, sized
 from twin.effects import Setting
 from twin.machine import Machine
@@ -66,10 +67,12 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
     return sorted(out, key=lambda item: -strength[id(item[1])])
 
 
-def judged(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: ignore[type-arg]
-    """What a search found, without effects of sizes that no machine has, sized, and told whether it leaves something unknown."""
+def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) -> Found:
+    """What a search found, without effects of sizes that no machine has, told whether it leaves something unknown; and sized, unless `quick`."""
     drop_implausible(found, machine, mapper)
     found.unknown = is_unknown(found)
+    if quick:
+        return found
     final = sized(found, machine, mapper)
     if len(final.fit.settings) < len(found.fit.settings):  # what was explained by one that is gone is left again
         final.unknown = final.unknown or is_unknown(final)
