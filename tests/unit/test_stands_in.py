@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Free
+from twin.diagnose.fit import Free, no_effect
 from twin.diagnose.found import is_systematic, loud_axes
+from twin.diagnose.search import loud_near_tolerance
+from twin.diagnose.tolerance import UNIFORM, Nuisance
+from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import differs_between_runs
 from twin.effects import EFFECTS, Setting
 
 SAMPLES, RUNS = 400, 3
+TOLERANCE = 0.01
 SETTING = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
 
 
@@ -30,6 +34,7 @@ def found_with(left, slope):
             expected_loss=0.5 * rows.size,
             views=[None] * RUNS,
             weights=np.ones(rows.size),
+            residual=rows,
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
@@ -86,6 +91,18 @@ def test_only_axes_above_their_noise_are_loud():
     for channel, axis in zip(found.group.channels, "XYZ"):
         channel.axis = axis
     found.group.credit = np.ones(found.group.size)
-    assert loud_axes(found) == {"Y"}
+    assert loud_axes(found.group, found.group.residual) == {"Y"}
     found.group.credit[found.group.channels[1].rows] = 0.03  # the axis was stuck
-    assert loud_axes(found) == set()
+    assert loud_axes(found.group, found.group.residual) == set()
+
+
+@pytest.mark.parametrize(("size", "loud"), [(30.0, {"X"}), (3.0, set())])
+def test_what_only_a_far_off_machine_explains_is_loud(size, loud):
+    """A friction of many times the tolerance leaves noise alone, and is no re-tuning; `size` in noise, of which the tolerance makes 3."""
+    wave = np.where(np.arange(RUNS * SAMPLES) % 40 < 20, 1.0, -1.0)
+    tuning = tuning_from([Nuisance("X", "coulomb_friction")], 3.0 * wave[:, None] * UNIFORM, TOLERANCE * UNIFORM)
+    found = found_with(noise(5), np.ones((RUNS, SAMPLES)))
+    group = found.group
+    group.credit, group.residual = np.ones(group.size), group.residual + size * wave
+    found.fit = no_effect(group, tuning)
+    assert loud_near_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud

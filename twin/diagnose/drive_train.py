@@ -6,13 +6,12 @@ decides how much. A size scaled from another one says nothing there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 import math
 
 import numpy as np
 
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import NORMAL_MODE_HZ, UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
 from twin.errors import TwinError
@@ -84,7 +83,7 @@ def with_drive_train(
     axis: str,
     linear: Trial,
     residual: np.ndarray,
-    mapper: Callable,  # type: ignore[type-arg]
+    mapper: Mapper,
 ) -> Tuning:
     """The tuning with elasticity of an axis' drive train, and its damping where that earns its place, each in proportion about its size.
 

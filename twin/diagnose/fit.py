@@ -10,16 +10,15 @@ what re-tuning cannot explain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.candidates import size_parameter
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Group, Mapper, in_turn
 from twin.diagnose.tolerance import LEAST_IMPERFECTION, NORMAL
 from twin.diagnose.tuning import NEARBY, Tuning, beside, tuning_from
 from twin.effects import Setting
@@ -159,7 +158,7 @@ def fit_effects(
     machine: Machine,
     tuning: Tuning,
     settings: Sequence[Setting],
-    mapper: Callable,  # type: ignore[type-arg]
+    mapper: Mapper,
     steps: int = STEPS,
     narrowest: float = NARROW,
 ) -> Fit | None:
@@ -171,7 +170,7 @@ def fit_effects(
     if not settings:
         return no_effect(group, tuning)
     try:
-        (response,) = mapper(functools.partial(answer, group), [settings])
+        response = answer(group, settings, mapper)
     except TwinError:
         return None
     best = tuning.loss(group.residual - response)
@@ -179,8 +178,7 @@ def fit_effects(
     columns, reach = np.zeros((group.size, len(free))), np.full(len(free), SLOPE)
     for step in range(steps):
         try:
-            taken = mapper(functools.partial(_slope, group, settings, response), zip(free, reach))
-            slopes = beside(*(column[:, None] for column in taken))
+            slopes = beside(*(_slope(group, settings, response, f, r, mapper)[:, None] for f, r in zip(free, reach)))
         except TwinError:
             return None
         columns = slopes if step == 0 else columns
@@ -215,7 +213,7 @@ def _lower(
     free: Sequence[Free],
     move: np.ndarray,
     best: float,
-    mapper: Callable,  # type: ignore[type-arg]
+    mapper: Mapper,
 ) -> _Lower | None:
     """Where a move, or a part of it, leaves less than `best`."""
     for part in (1.0, 0.4, 0.1):
@@ -223,7 +221,7 @@ def _lower(
         for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
-            (response,) = mapper(functools.partial(answer, group), [tried])
+            response = answer(group, tried, mapper)
         except TwinError:
             continue
         loss = tuning.loss(group.residual - response)
@@ -232,24 +230,26 @@ def _lower(
     return None
 
 
-def answer(group: Group, settings: Sequence[Setting]) -> np.ndarray:
-    """Simulated change of the group's channels by these effects (row,)."""
+def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
+    """Simulated change of the group's channels by these effects (row,); `mapper` maps over runs."""
     also = [s.from_axis for s in settings if s.from_axis]
-    # in the reduced plant an effect changes its own axis only, unless it edits bodies that several axes carry
-    own = {s.axis for s in settings}
-    if any(s.effect.edits_bodies for s in settings):
-        own = set(group.axes)
-    return group.response(None, settings, [a for a in group.axes if a in own], also)
+    own = _moved_by(settings, group)
+    return group.response(None, settings, [a for a in group.axes if a in own], also, mapper=mapper)
 
 
-def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable, only: Collection[str] = ()) -> Tuning:  # type: ignore[type-arg]
+def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
+    """Axes that effects change: in the reduced plant their own only, unless they edit bodies that several axes carry."""
+    return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
+
+
+def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
     """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides.
 
     Or that of these quantities `only`.
     """
     if not fit.about.nuisances:
         return fit.about
-    tuning, own = fit.about, {s.axis for s in fit.settings}
+    tuning, own = fit.about, _moved_by(fit.settings, group)
     also = [s.from_axis for s in fit.settings if s.from_axis]
 
     def column(i: int) -> np.ndarray:
@@ -271,14 +271,13 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Callable, on
     )
 
 
-def _slope(group: Group, settings: tuple[Setting, ...], response: np.ndarray, over: tuple[Free, float]) -> np.ndarray:
+def _slope(group: Group, settings: tuple[Setting, ...], response: np.ndarray, f: Free, reach: float, mapper: Mapper) -> np.ndarray:
     """Change per scale unit of a parameter, over a step of so many, towards the inside of the bounds."""
-    f, reach = over
     for step in (reach, -reach):
         moved = f.moved(settings, step)
         actual = _distance(f, settings, moved)
         if abs(actual) > 1e-6:
-            return (answer(group, moved) - response) / actual
+            return (answer(group, moved, mapper) - response) / actual
     return np.zeros(group.size)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,14 @@ class Candidate:
         return self.setting.key
 
 
+class Answer(NamedTuple):
+    """What a start changes, remembered by a tuning, and the weights of its rows."""
+
+    remembered: tuple[np.ndarray, np.ndarray]
+    weights: np.ndarray
+    tuning: Tuning
+
+
 @dataclass
 class Found:
     """Result for one group: the final fit, the candidates of each round, and what is left."""
@@ -68,23 +77,28 @@ class Found:
     screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)  # in the first round
     # effects that would not show, with the usual sizes from which they would; None: not asked
     unseen: dict[tuple[str, str, str | None], float] | None = None
-    answers: dict[str, tuple[np.ndarray, np.ndarray]] = field(
-        default_factory=dict, repr=False
-    )  # simulated answers of starts, for later rounds
+    answers: dict[str, Answer] = field(default_factory=dict, repr=False)  # of starts, for later rounds
 
     @property
     def keys(self) -> set[tuple[str, str, str | None]]:
         """Effects of the final fit, each with its axis."""
         return {s.key for s in self.fit.settings}
 
-    def tuned_about(self, tuning: Tuning) -> None:
-        """Take another tuning; what was simulated before is remembered with it."""
-        self.tuning = tuning
-        self.answers = {key: tuning.remembered(column) for key, (column, _) in self.answers.items()}
+    def remembered(self, key: str, simulate: Callable[[], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """What a start changes (row,), simulated once, weighted as now and with its projection on the tuning."""
+        known = self.answers.get(key)
+        if known is None or known.weights is not self.group.weights or known.tuning is not self.tuning:
+            if known is None:
+                column = simulate().astype(np.float32)
+            elif known.weights is self.group.weights:
+                column = known.remembered[0]
+            else:
+                column = (known.remembered[0] * (self.group.weights / known.weights)).astype(np.float32)
+            known = self.answers[key] = Answer(self.tuning.remembered(column), self.group.weights, self.tuning)
+        return known.remembered
 
     def doubt(self, change: np.ndarray, left: np.ndarray | None = None) -> None:
-        """Doubt what effects change by `change` (row,), and where they leave `left` (row,), both weighted; all that is remembered
-        weighs accordingly."""
+        """Doubt what effects change by `change` (row,), and where they leave `left` (row,), both weighted; fits weigh accordingly."""
         old = self.group.weights
         left = np.zeros(self.group.size) if left is None else left
         self.rigid, self.group = self.rigid.doubted(change, left), self.group.doubted(change, left)
@@ -93,8 +107,7 @@ class Found:
         shared = {id(t): t for t in (self.tuning, *(f.about for f in fits))}
         tunings = {key: tuning.reweighed(scale) for key, tuning in shared.items()}
         self.fit, *self.accepted = (f.reweighed(scale, tunings[id(f.about)], self.group.residual) for f in fits)
-        self.answers = {key: ((column * scale).astype(np.float32), a) for key, (column, a) in self.answers.items()}
-        self.tuned_about(tunings[id(self.tuning)])
+        self.tuning = tunings[id(self.tuning)]
         self.retuned = no_effect(self.group, self.tuning)
 
 
@@ -169,10 +182,9 @@ def unexplained(found: Found) -> float:
     return max(sum(excess_of(found.group, found.fit).values()), standing_out)
 
 
-def loud_axes(found: Found) -> set[str]:
-    """Axes of which the fit leaves more than noise in some channel. Where an axis was stuck counts as little as for evidence."""
-    group = found.group
-    left = found.fit.left(group) / group.weights
+def loud_axes(group: Group, left: np.ndarray) -> set[str]:
+    """Axes of which `left` (row,), weighted, is more than noise in some channel. Where an axis was stuck counts as little as for evidence."""
+    left = left / group.weights
     loud = set()
     for c in group.channels:
         if c.name == "controller":

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from twin.diagnose.drive_train import EARNED, with_drive_train
-from twin.diagnose.observe import Group, rebased
+from twin.diagnose.observe import Group, Mapper, rebased
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of, tuning_from
 from twin.errors import TwinError
@@ -29,7 +29,7 @@ UNCHANGED = 0.15
 """A size that a fit moves by less than this (relative) needs no new simulation."""
 
 
-def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
     """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
 
     Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that or the
@@ -46,8 +46,8 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     wanted = [Nuisance(a, "elasticity") for a in giving] + [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
     current = plain
     for nuisance in wanted:
-        trial = functools.partial(_at_share, current, group, machine, nuisance, residual)
-        best = max((t for t in mapper(trial, SHARES) if t is not None), key=lambda t: t.gain, default=None)
+        trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)
+        best = max((t for share in SHARES if (t := trial(share)) is not None), key=lambda t: t.gain, default=None)
         if best is None or not 0.0 < best.size < 1.0 or best.gain < EARNED:
             continue
         if nuisance.quantity == "elasticity":
@@ -72,7 +72,7 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[flo
     return tuning.with_column(slip, best.column)
 
 
-def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> tuple[Group, Tuning]:
+def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
     """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
 
     A force on a drive train that gives also winds it up; nothing of that is in a sum of both. Two stiff springs may ring together in the
@@ -87,7 +87,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
         part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread)
         try:
-            there, about = moved_to(group, part, theta[kept])
+            there, about = moved_to(group, part, theta[kept], mapper)
         except TwinError:
             return math.inf, group, part
         return about.loss(there.residual - explained), there, about
@@ -100,22 +100,25 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     return best[1:]
 
 
-def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
+def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
     """Group and tuning about the machine whose normal imperfections are a tuning (nuisance,) further, from the one without any."""
     normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
     if not normal.any():
         return rigid, tuning
     base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
-    return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
+    return rebased(rigid, tuned(tuning.nuisances, base), mapper), replace(tuning, base=base)
 
 
-def _at_share(tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, share: float) -> Trial | None:
+def _at_share(
+    tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, share: float
+) -> Trial | None:
     """A nuisance simulated at this share of what is normal; None where it cannot be simulated."""
     try:
         answer = group.response(
             lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
             axes=(nuisance.owner,),
             shaken=nuisance.quantity == "slip",
+            mapper=mapper,
         )
     except TwinError:
         return None

@@ -64,19 +64,24 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
     return theta
 
 
-def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> float:
-    """Half the squares that a fit leaves when the nuisances cost nothing inside the tolerance and cannot leave it.
+def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
+    """What a fit leaves (row,), weighted, when the nuisances cost nothing inside the tolerance and cannot leave it.
 
     `normal` False: normal imperfections are as free as they were found.
     """
     tuning = fit.about
     residual = found.group.residual - fit.response
-    if tuning.nuisances:
-        bound = np.full(len(tuning.nuisances), tolerance / tuning.spread)
-        if not normal:
-            bound[[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
-        residual = residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
-    return 0.5 * float(found.group.credit @ residual**2)
+    if not tuning.nuisances:
+        return residual
+    bound = np.full(len(tuning.nuisances), tolerance / tuning.spread)
+    if not normal:
+        bound[[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
+    return residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
+
+
+def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> float:
+    """Half the squares of that, counted as evidence."""
+    return 0.5 * float(found.group.credit @ left_within(found, fit, tolerance, normal) ** 2)
 
 
 def beyond_tolerance(found: Found) -> float:

@@ -15,9 +15,10 @@ Axes that the mass matrix does not couple are looked at apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,18 +28,24 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import LEAST_NOISE, at_times, sensor_noise, simulated_period
+from twin.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
 from twin.machine import Axis, Machine
 from twin.plant import build_plant, full_inertia
 from twin.reduced import ReducedPlant
 from twin.run import Run, simulate
 from twin.trace import Trace
 
-REALISATIONS = 4
-"""Runs of the nominal twin with noise in the loop, from which expectation and scatter are taken."""
-
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
+
+Mapper = Callable[..., list[Any]]
+"""Maps a function over items, in their order; on threads where it is not `in_turn`."""
+
+
+def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """Map on the calling thread."""
+    return [function(item) for item in items]
+
 
 ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
@@ -74,29 +81,39 @@ class Group:
         self.residual = np.concatenate([c.residual for c in self.channels]) * self.weights if self.channels else np.zeros(0)
         self.expected = np.concatenate([c.spread**2 for c in self.channels]) * self.weights**2 if self.channels else np.zeros(0)
 
-    def response(  # type: ignore[no-untyped-def]
-        self, machine_of, settings: Sequence[Setting] = (), axes: Sequence[str] = (), also: Sequence[str] = (), shaken: bool = False
+    def response(
+        self,
+        machine_of: Variant | None,
+        settings: Sequence[Setting] = (),
+        axes: Sequence[str] = (),
+        also: Sequence[str] = (),
+        *,
+        shaken: bool = False,
+        mapper: Mapper = in_turn,
     ) -> np.ndarray:
         """Weighted change of all channels against the nominal twin (row,): the variant's simulation minus the nominal's.
 
         `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group); `also` names
         axes that must move along. `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
+        `mapper` maps over the runs.
         """
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
         gains = {s.axis: s.parameters["factor"] for s in settings if s.effect.name == "position_gain"}
-        simulated: dict[int, dict[tuple[str, str], np.ndarray]] = {}
-        for channel in self.channels:
-            if channel.axis not in axes:
-                continue
-            if channel.run not in simulated:
-                view = self.views[channel.run]
-                moving = tuple(a for a in axes if view.moves(a))
-                noise = noise_seed(self.seed, channel.run) if shaken else None
-                trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise).without_noise
-                simulated[channel.run] = channels_of(trace, view, moving, gains)
+        mine = [channel for channel in self.channels if channel.axis in axes]
+
+        def simulated(run: int) -> dict[tuple[str, str], np.ndarray]:
+            view = self.views[run]
+            moving = tuple(a for a in axes if view.moves(a))
+            noise = noise_seed(self.seed, run) if shaken else None
+            trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise).without_noise
+            return channels_of(trace, view, moving, gains)
+
+        runs = sorted({channel.run for channel in mine})
+        of_run = dict(zip(runs, mapper(simulated, runs)))
+        for channel in mine:
             key = (channel.axis, channel.name)
-            out[channel.rows] = simulated[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
+            out[channel.rows] = of_run[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
 
     def doubted(self, change: np.ndarray, left: np.ndarray) -> Group:
@@ -264,20 +281,21 @@ def _least(machine: Machine, axis: Axis, channel: str) -> float:
     return LEAST_NOISE["position" if channel == "windup" else channel]
 
 
-def rebased(group: Group, machine_of: Variant) -> Group:
+def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
     """The group about another machine: the same channels, residuals of that machine's nominal motion."""
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
-    nominal: list[dict[tuple[str, str], np.ndarray]] = []
-    shaken: list[dict[tuple[str, str], np.ndarray]] = []
-    for r, view in enumerate(views):
+
+    def simulated(job: tuple[int, bool]) -> dict[tuple[str, str], np.ndarray]:
+        run, noisy = job
+        view = views[run]
         present = tuple(a for a in group.axes if view.moves(a))
         if not present:
-            nominal.append({})
-            shaken.append({})
-            continue
-        nominal.append(channels_of(simulate_group(view, present).trace, view, present))
-        noisy = simulate_group(view, present, noise_seed=noise_seed(group.seed, r))
-        shaken.append(channels_of(noisy.without_noise, view, present))
+            return {}
+        noise = noise_seed(group.seed, run) if noisy else None
+        return channels_of(simulate_group(view, present, noise_seed=noise).without_noise, view, present)
+
+    both = mapper(simulated, [(run, noisy) for noisy in (False, True) for run in range(len(views))])
+    nominal, shaken = both[: len(views)], both[len(views) :]
     channels = []
     for c in group.channels:
         key = (c.axis, c.name)

@@ -52,7 +52,4 @@ def screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) ->
 
 def remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
     """What a setting changes (row,), simulated once, with its projection on the tuning."""
-    key = repr(setting.table())
-    if key not in found.answers:
-        found.answers[key] = found.tuning.remembered(answer(found.group, [setting]).astype(np.float32))
-    return found.answers[key]
+    return found.remembered(repr(setting.table()), lambda: answer(found.group, [setting]))

@@ -12,8 +12,8 @@ from twin.diagnose.candidates import is_scaled, size_parameter, starts_of
 from twin.diagnose.fit import STEPS, Fit, fit_effects, no_effect, tuning_beside
 from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, localised_on, loud_axes, unexplained
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
-from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, loss_within
-from twin.diagnose.observe import Group, with_noise_about
+from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, left_within, loss_within
+from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.screen import screen
 from twin.diagnose.tolerance import NORMAL, WIDEST
@@ -52,7 +52,7 @@ def search(
     group: Group,
     machine: Machine,
     folds: Sequence[Sequence[int]],
-    mapper: Callable,  # type: ignore[type-arg]
+    mapper: Mapper,
     progress: Callable[[str], None],
     quick: bool = False,
 ) -> Found:
@@ -62,7 +62,7 @@ def search(
     """
     rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
-    group, tuning = on_imperfect_machine(group, tuning, group.residual)
+    group, tuning = on_imperfect_machine(group, tuning, group.residual, mapper)
     if group is not rigid:
         weights = group.weights
         rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).left(group))
@@ -77,9 +77,10 @@ def search(
         if not looked and (found.fit.loss > (1.0 + NEAR_NOISE) * found.group.expected_loss or localised_on(found)):
             _look_again(found, machine, mapper)
             looked = True
-        if len(found.fit.settings) == MOST_EFFECTS or (quick and not loud_axes(found)):
+        asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
+        if len(found.fit.settings) == MOST_EFFECTS or not asked:
             break
-        candidates = _round(found, machine, folds, mapper, progress, quick)
+        candidates = _round(found, machine, folds, mapper, progress, asked, quick)
         best = next((c for c in candidates if c.plausible), None)
         earned = best is not None and best.evidence >= best.needed and _closes_enough(found, best.fit)
         if earned and not looked:
@@ -101,24 +102,24 @@ def search(
     return found
 
 
-def _accept(found: Found, fit: Fit, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
+def _accept(found: Found, fit: Fit, machine: Machine, mapper: Mapper) -> None:
     """Take an effect; it is trusted to a share of what it changes, and what is normal besides it is seen better now."""
     found.fit = fit
     found.doubt(fit.response)
     fit = fit_effects(found.group, machine, found.tuning, fit.settings, mapper, REFIT_STEPS) or found.fit
     left = found.rigid.residual - fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
-    group, tuning = on_imperfect_machine(found.rigid, tuning, left)
+    group, tuning = on_imperfect_machine(found.rigid, tuning, left, mapper)
     again = fit_effects(group, machine, tuning, fit.settings, mapper, REFIT_STEPS) if group is not found.group else None
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
-        found.tuned_about(tuning)
+        found.tuning = tuning
     found.fit = fit
     found.accepted.append(fit)
     found.inflation = inflation(found.group, fit)
 
 
-def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # type: ignore[type-arg]
+def _look_again(found: Found, machine: Machine, mapper: Mapper) -> bool:
     """Fit effects and what is normal together, all as it acts on the machine that has them; did that close more?
 
     An effect found on a machine whose drive train is not yet right is bent by that, and the drive train by the effect.
@@ -134,16 +135,16 @@ def _look_again(found: Found, machine: Machine, mapper: Callable) -> bool:  # ty
             break
         gain = found.fit.loss - again.loss
         found.fit = again
-        found.tuned_about(tuning)
+        found.tuning = tuning
         try:
-            nearer, tuning = moved_to(found.rigid, tuning, again.tuning)
+            nearer, tuning = moved_to(found.rigid, tuning, again.tuning, mapper)
         except TwinError:
             break
         moved = fit_effects(nearer, machine, tuning, again.settings, mapper, REFIT_STEPS) if nearer is not found.rigid else None
         if moved is not None and moved.loss < again.loss + EVIDENCE:
             gain += again.loss - moved.loss
             found.fit, found.group = moved, nearer
-            found.tuned_about(tuning)
+            found.tuning = tuning
         if gain < EVIDENCE:
             break
     if found.group is not group:
@@ -159,13 +160,17 @@ def _closes_enough(found: Found, fit: Fit) -> bool:
     return left < NEAR_NOISE * found.group.expected_loss or found.fit.loss - fit.loss > LEAST_SHARE * left
 
 
-def _round(found: Found, machine: Machine, folds, mapper, progress, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]
+def loud_near_tolerance(found: Found, machine: Machine) -> set[str]:
+    """Axes that keep more than noise, whatever machine near the tolerance this is; what is far off it is no re-tuning."""
+    return loud_axes(found.group, left_within(found, found.fit, WIDEST * machine.parameter_tolerance, normal=False))
+
+
+def _round(found: Found, machine: Machine, folds, mapper, progress, asked, quick) -> list[Candidate]:  # type: ignore[no-untyped-def]
     group, tuning = found.group, found.tuning
     accepted, taken = found.fit.settings, found.keys
     residual = group.residual - found.fit.response
     left = residual - tuning.jacobian @ tuning.solve(residual)
-    asked = loud_axes(found) if quick else set(group.axes)  # an effect shows on its own axis
-    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]
+    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]  # an effect shows on its own axis
     starts = [s for s in every if not is_ruled_out(group, s)]
     progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
     target = tuning.remembered(residual)
@@ -210,7 +215,7 @@ def _is_linear(setting: Setting) -> bool:
     return is_scaled(size) and setting.effect.name != "backlash"
 
 
-def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Callable) -> None:  # type: ignore[type-arg]
+def _try_removals(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Mapper) -> None:
     """Drop an accepted effect that the later ones have made superfluous."""
     while len(found.fit.settings) > 1:
         full = held_out_loss(found, found.fit, folds)

@@ -8,7 +8,6 @@ re-tuning as it acts on the machine that has the effects: a filter in the curren
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import contextlib
 from dataclasses import replace
 import math
@@ -18,6 +17,7 @@ import numpy as np
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.fit import SLOPE, fit_effects, tuning_beside
 from twin.diagnose.found import Found, inflation
+from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.effects import Setting
@@ -31,13 +31,13 @@ UNTOLD = 5.0
 """Half a 95 % interval over the size from which an effect has none: what may as well be nothing is not said to be there."""
 
 
-def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: ignore[type-arg]
+def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
     """What was found with its effects fitted where the twin is right; itself where there is none."""
     if not found.fit.settings:
         return found
     found = replace(found, answers={})
     with contextlib.suppress(TwinError):  # next to unstable: the tuning as it acts without the effects
-        found.tuned_about(tuning_beside(found.group, found.fit, machine, mapper))
+        found.tuning = tuning_beside(found.group, found.fit, machine, mapper)
     change = found.fit.response / found.group.weights
     for _ in range(ROUNDS):
         weights = found.group.weights
@@ -52,7 +52,7 @@ def sized(found: Found, machine: Machine, mapper: Callable) -> Found:  # type: i
     return found
 
 
-def drop_implausible(found: Found, machine: Machine, mapper: Callable) -> None:  # type: ignore[type-arg]
+def drop_implausible(found: Found, machine: Machine, mapper: Mapper) -> None:
     """Take out effects that, seen better than when they were accepted, have no size that is found on machines, or none at all."""
     rest = [s for s in found.fit.settings if is_plausible(s, machine) and _has_size(found, s)]
     if len(rest) < len(found.fit.settings):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.machine import Machine
 
@@ -63,7 +63,7 @@ class Tuning:
         return replace(tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread), base=self.base)
 
 
-def tuning_of(group: Group, machine: Machine, mapper: Callable) -> Tuning:  # type: ignore[type-arg]
+def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
     """Simulate each toleranced parameter at its spread; `mapper` maps over threads."""
     nuisances = nuisances_of(machine, group.axes)
     spread = machine.parameter_tolerance * UNIFORM

@@ -8,7 +8,7 @@ needs from sqrt(needed / s) times the usual size on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -17,6 +17,7 @@ import numpy as np
 from twin.diagnose.candidates import Start
 from twin.diagnose.found import Found
 from twin.diagnose.left_out import evidence_needed
+from twin.diagnose.observe import Mapper
 from twin.diagnose.screen import remembered_answer
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -31,7 +32,7 @@ def unseen_effects(
     starts: Sequence[Start],
     machine: Machine,
     folds: int,
-    mapper: Callable,  # type: ignore[type-arg]
+    mapper: Mapper,
 ) -> dict[tuple[str, str, str | None], float]:
     """Effects that would not show at their usual size, each with the multiple of it from which it would (inf: at no size).
 
