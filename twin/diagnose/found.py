@@ -183,14 +183,15 @@ def unexplained(found: Found) -> float:
 
 
 def loud_axes(group: Group, left: np.ndarray) -> set[str]:
-    """Axes of which `left` (row,), weighted, is more than noise in some channel. Where an axis was stuck counts as little as for evidence."""
+    """Axes of which `left` (row,), weighted, is more than noise and doubt in some channel. Where an axis was stuck counts as little as for
+    evidence."""
     left = left / group.weights
     loud = set()
     for c in group.channels:
         if c.name == "controller":
             if not replace(c, residual=left[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.sigma) - 1.0))) > QUIET:
+        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.spread) - 1.0))) > QUIET:
             loud.add(c.axis)
     return loud
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 
@@ -91,6 +92,9 @@ def search(
         if best is None or not earned:
             break
         first = not found.fit.settings
+        if quick and best.fit.loss < (1.0 + NEAR_NOISE) * found.group.expected_loss and not localised_on(replace(found, fit=best.fit)):
+            _take(found, best.fit)  # what is left is noise: finer sizes are all that is to be had
+            break
         _accept(found, best.fit, machine, mapper)
         looked = False
         if first and found.retuned.loss - found.fit.loss < evidence_needed(found, best.setting, len(folds)):
@@ -100,6 +104,12 @@ def search(
             break
     _try_removals(found, machine, folds, mapper)
     return found
+
+
+def _take(found: Found, fit: Fit) -> None:
+    found.fit = fit
+    found.accepted.append(fit)
+    found.inflation = inflation(found.group, fit)
 
 
 def _accept(found: Found, fit: Fit, machine: Machine, mapper: Mapper) -> None:
@@ -114,9 +124,7 @@ def _accept(found: Found, fit: Fit, machine: Machine, mapper: Mapper) -> None:
     if again is not None:
         fit, found.group, found.retuned = again, group, no_effect(group, tuning)
         found.tuning = tuning
-    found.fit = fit
-    found.accepted.append(fit)
-    found.inflation = inflation(found.group, fit)
+    _take(found, fit)
 
 
 def _look_again(found: Found, machine: Machine, mapper: Mapper) -> bool:
