@@ -16,10 +16,13 @@ import tempfile
 import time
 import tomllib
 
+from threadpoolctl import threadpool_limits
+
 from twin.campaign import read_campaign
 from twin.diagnose.diagnosis import folds_of
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
+from twin.diagnose.verdict import judged
 from twin.diagnose.view import view_of
 from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign
 from twin.exam.parameters import Richness
@@ -42,7 +45,11 @@ def main() -> None:
         axes_of.setdefault(effect, []).append(axis)
     rng = random.Random(args.seed)
     rows, right, first = [], 0, 0
-    with ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor() as pool, threadpool_limits(limits=1, user_api="blas"):
+
+        def mapper(function, items):  # type: ignore[no-untyped-def]
+            return list(pool.map(function, items))
+
         for i, (effect, axes) in enumerate(sorted(axes_of.items())):
             axis = rng.choice(axes)
             if args.effects and effect not in args.effects:
@@ -56,7 +63,7 @@ def main() -> None:
             start = time.perf_counter()
             views = [view_of(machine, run) for run in runs]
             group = observe(views, next(g for g in axis_groups(machine, machine.axis_names) if axis in g))
-            found = search(group, machine, folds_of(len(views)), lambda f, items: list(pool.map(f, items)), lambda _: None)
+            found = judged(search(group, machine, folds_of(len(views)), mapper, lambda _: None), machine, mapper)
             named = [(s.effect.name, s.axis) for s in found.fit.settings]
             first += named[:1] == [(effect, axis)]
             right += named == [(effect, axis)]
