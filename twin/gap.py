@@ -67,9 +67,9 @@ def predict(
     machine: Machine,
     run: MeasuredRun,
     realisations: int = REALISATIONS,
-    seed: int = 0,
     motion: Motion | None = None,
     engine: bool = True,
+    seed: int = 0,
 ) -> Prediction:
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 
@@ -107,7 +107,6 @@ class Job(NamedTuple):
     machine: Machine
     run: MeasuredRun
     realisations: int = REALISATIONS
-    seed: int = 0
     motion: Motion | None = None
     engine: bool = True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import itertools
 from typing import Any
 
 import numpy as np
@@ -84,21 +85,17 @@ def held_out_gaps(
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
-    def corrected() -> list[Job]:
-        variants = [_fitted_without(machine, found, without) for without in left_out]
-        return [
-            Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for variant, fold in zip(variants, folds) for i in fold
-        ]
+    def corrected(without: Sequence[int], fold: Sequence[int]) -> list[Job]:
+        variant = _fitted_without(machine, found, without)
+        return [Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for i in fold]
 
-    jobs = nominal + corrected()
+    by_fold = [corrected(without, fold) for without, fold in zip(left_out, folds)]
+    jobs = [*nominal, *itertools.chain(*by_fold)]
     try:
         simulated = predict_each(jobs, threads=threads)
     except SimulationError:
-        left_out = [
-            without if _can_run(_fitted_without(machine, found, without), runs, fold, threads) else []
-            for without, fold in zip(left_out, folds)
-        ]
-        jobs = nominal + corrected()
+        left_out = [without if _can_run(of_fold, threads) else [] for without, of_fold in zip(left_out, by_fold)]
+        jobs = [*nominal, *itertools.chain(*(corrected(without, fold) for without, fold in zip(left_out, folds)))]
         simulated = predict_each(jobs, threads=threads)
     predictions = {
         which: {job.run.name: prediction for job, prediction in zip(jobs[part], simulated[part])}
@@ -108,9 +105,9 @@ def held_out_gaps(
     return HeldOut(gaps, predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
 
 
-def _can_run(machine: Machine, runs: Sequence[MeasuredRun], fold: Sequence[int], threads: int) -> bool:
+def _can_run(jobs: Sequence[Job], threads: int) -> bool:
     try:
-        predict_each([Job(machine, runs[i], 1) for i in fold], threads=threads)
+        predict_each([job._replace(realisations=1) for job in jobs], threads=threads)
     except SimulationError:
         return False
     return True

@@ -41,12 +41,6 @@ Variant = Callable[[Machine], Machine]
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""
 
-
-def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-    """Map on the calling thread."""
-    return [function(item) for item in items]
-
-
 ENOUGH = 50
 """Moving samples from which a channel is worth looking at."""
 
@@ -58,6 +52,11 @@ LONGEST_CORRELATION = 150
 
 NOISIER = 5.0
 """A record this much rougher than expected is no longer taken for sensor noise."""
+
+
+def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """Map on the calling thread."""
+    return [function(item) for item in items]
 
 
 @dataclass

@@ -26,7 +26,7 @@ from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.fit import answer
 from twin.diagnose.left_out import EVIDENCE
 from twin.diagnose.next_measurement import KINDS, move_of
-from twin.diagnose.observe import Group, axis_groups, observe
+from twin.diagnose.observe import Group, Mapper, axis_groups, observe
 from twin.diagnose.tuning import PRIOR_WEIGHT, tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError
@@ -84,7 +84,7 @@ class Answers:
         )
 
 
-def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapper: Callable[..., list[Any]]) -> Answers:
+def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
     """Simulate every toleranced parameter and every start on the runs of a group."""
     tuning = tuning_of(group, machine, mapper)
     simulated = mapper(lambda s: _columns(group, s), starts.values())
