@@ -16,14 +16,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from twin.campaign import read_campaign
 from twin.diagnose import diagnose
 from twin.diagnose.output import summary_text, write_diagnosis
 from twin.exam.draw import SIGNALS, Case, columns_of, draw_case, simulate
-from twin.exam.parameters import AXES
+from twin.exam.plant.parameters import AXES
 from twin.exam.programme import TestRun
-from twin.machine import default_machine_path, load_machine
-from twin.moves import moves_in_turn
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import default_machine_path, load_machine
+from twin.recordings.campaign import read_campaign
 
 
 def short_runs(axis: str) -> list[TestRun]:

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from twin.effects import load_inertia, with_effects
-from twin.machine import Machine, load_machine, write_machine
-from twin.moves import moves_in_turn
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import Machine, load_machine, write_machine
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 CLEARANCE = 15e-6
 BACKLASH = {"name": "backlash", "axis": "X", "clearance": CLEARANCE}

@@ -17,16 +17,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from twin.campaign import read_campaign
 from twin.exam.draw import SIGNALS, Case, columns_of, draw_case, simulate
-from twin.exam.parameters import AXES
+from twin.exam.plant.parameters import AXES
 from twin.exam.programme import TestRun
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.plan import Plan, plan_campaign, write_plan
 from twin.identify.report import write_report
 from twin.identify.write import write_identified
-from twin.machine import default_machine_path, load_machine
-from twin.summary import table
+from twin.machine.machine import default_machine_path, load_machine
+from twin.recordings.campaign import read_campaign
+from twin.simulation.summary import table
 
 OFF = 0.1
 

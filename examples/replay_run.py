@@ -13,11 +13,11 @@ import tempfile
 
 import numpy as np
 
-from twin.kinematics import kinematics_of
-from twin.machine import Machine, load_machine
+from twin.geometry.kinematics import kinematics_of
+from twin.machine.machine import Machine, load_machine
 from twin.replay import open_viewer, screenshot, write_recording
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 PERIOD = 1e-3
 

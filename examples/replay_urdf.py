@@ -14,8 +14,8 @@ import tempfile
 
 import numpy as np
 
-from twin.replay import add_replay_arguments, replay_command
-from twin.trace import Trace, write_trace
+from twin.recordings.trace import Trace, write_trace
+from twin.cli.replay import add_replay_arguments, replay_command
 
 GANTRY = Path(__file__).resolve().parent / "gantry" / "gantry.urdf"
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.machine import Machine, load_machine
-from twin.setpoints import Setpoints
+from twin.machine.machine import Machine, load_machine
+from twin.simulation.setpoints import Setpoints
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"

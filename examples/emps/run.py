@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from twin.campaign import MeasuredRun, read_campaign
-from twin.cli import main as twin
+from twin.cli.parser import main as twin
 from twin.diagnose.tolerance import with_added
 from twin.effects.effect import check_setting
 from twin.errors import TwinError
-from twin.gap import Prediction, gap_of, predict
 from twin.identify.single_axis import Record, fit_single_axis, read_emps
-from twin.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.report import new_figure, save_png
-from twin.summary import table
+from twin.simulation.gap import Prediction, gap_of, predict
+from twin.simulation.summary import table
 
 HERE = Path(__file__).resolve().parent
 MACHINE = HERE / "axis.toml"

@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.cli import main
-from twin.diagnose.left_out import EVIDENCE
+from twin.cli.parser import main
+from twin.diagnose.cross_validation import EVIDENCE
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.errors import InputError
-from twin.exam.effects import LIBRARY
-from twin.exam.foresee import Answers, outlooks
+from twin.exam.detectability import Answers, outlooks
 from twin.exam.mark import NOT_DIAGNOSED, mark_answer
+from twin.exam.plant.effects import LIBRARY
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, wilson
-from twin.exam.sitting import draw, is_answered, same_examination, seal, sit, unseal
-from twin.machine import default_machine_path, load_machine
+from twin.exam.session import draw, is_answered, same_examination, seal, sit, unseal
+from twin.machine.machine import default_machine_path, load_machine
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
 PLANT = ("control", "draw", "effects", "friction", "measurement", "mechanics", "outside", "parameters", "paths", "plant", "programme",
@@ -333,7 +333,7 @@ def asked(tmp_path: Path) -> tuple[Any, Any, str]:
 def test_a_diagnosis_that_fails_is_an_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     question, case, folder = asked(tmp_path)
     ended = subprocess.CompletedProcess([], 2, "", "something else\ntwin: it cannot be\n")
-    monkeypatch.setattr("twin.exam.sitting.subprocess.run", lambda *_, **__: ended)
+    monkeypatch.setattr("twin.exam.session.subprocess.run", lambda *_, **__: ended)
     sit(question, case, folder, str(default_machine_path()), True)
     assert is_answered(folder)
     assert (tmp_path / "answer" / "failed.txt").read_text(encoding="utf-8") == "twin: it cannot be\n"
@@ -341,7 +341,7 @@ def test_a_diagnosis_that_fails_is_an_answer(tmp_path: Path, monkeypatch: pytest
 
 def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     question, case, folder = asked(tmp_path)
-    monkeypatch.setattr("twin.exam.sitting.subprocess.run", lambda *_, **__: subprocess.CompletedProcess([], -9, "", ""))
+    monkeypatch.setattr("twin.exam.session.subprocess.run", lambda *_, **__: subprocess.CompletedProcess([], -9, "", ""))
     with pytest.raises(InputError, match="killed"):
         sit(question, case, folder, str(default_machine_path()), True)
     assert not is_answered(folder)

@@ -28,15 +28,15 @@ from twin.exam.draw import (
     truth_toml,
     write_campaign,
 )
-from twin.exam.effects import LIBRARY, DrawContext, apply_effect, draw_effect
-from twin.exam.friction import bristle_force
-from twin.exam.mechanics import COULOMB, CURRENT, KT, MOTOR_MASS, QM, STATES, STEADY_FORCE, STIFFNESS, VISCOUS, VM, Q, V, advance
-from twin.exam.outside import OUTSIDE
-from twin.exam.parameters import AXES, Richness, settings_of, unit_factors
 from twin.exam.paths import limits_of, within_limits
-from twin.exam.plant import PlantError, mechanics_of, run
+from twin.exam.plant.effects import LIBRARY, DrawContext, apply_effect, draw_effect
+from twin.exam.plant.friction import bristle_force
+from twin.exam.plant.mechanics import COULOMB, CURRENT, KT, MOTOR_MASS, QM, STATES, STEADY_FORCE, STIFFNESS, VISCOUS, VM, Q, V, advance
+from twin.exam.plant.outside import OUTSIDE
+from twin.exam.plant.parameters import AXES, Richness, settings_of, unit_factors
+from twin.exam.plant.plant import PlantError, mechanics_of, run
+from twin.exam.plant.tilting_pair import energy, holding_torque, pair_terms
 from twin.exam.programme import TestRun, programme
-from twin.exam.tilting_pair import energy, holding_torque, pair_terms
 
 MACHINE = tomllib.loads(SHIPPED_MACHINE.read_text())
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "campaigns"

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.machine import Machine, load_machine
-from twin.run import simulate
-from twin.setpoints import Setpoints
-from twin.trace import Trace, write_trace
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.trace import Trace, write_trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 HERE = Path(__file__).parent
 TRACE, VERSIONS = HERE / "five_axes.parquet", HERE / "versions.json"

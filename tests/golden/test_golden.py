@@ -5,8 +5,8 @@ import json
 import numpy as np
 
 from tests.golden.freeze import TRACE, VERSIONS, frozen_run, versions
-from twin.machine import Machine
-from twin.trace import read_trace
+from twin.machine.machine import Machine
+from twin.recordings.trace import read_trace
 
 TOLERANCE = {
     "setpoint": 1e-12,

@@ -14,21 +14,21 @@ import pyarrow.parquet as pq
 import pytest
 
 from examples.diagnose import record, short_runs
-from twin.campaign import read_campaign
 from twin.diagnose import diagnose
 from twin.diagnose.diagnosis import AMBIGUOUS
-from twin.diagnose.found import settled_channels
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.sizes import sized
+from twin.diagnose.state import settled_channels
 from twin.diagnose.tolerance import NORMAL_MODE_HZ
 from twin.diagnose.verdict import is_unknown
 from twin.diagnose.view import view_of
 from twin.exam.draw import draw_case
-from twin.exam.parameters import AXES, Richness
+from twin.exam.plant.parameters import AXES, Richness
 from twin.exam.programme import TestRun
-from twin.machine import default_machine_path, load_machine
-from twin.moves import moves_in_turn
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import default_machine_path, load_machine
+from twin.recordings.campaign import read_campaign
 
 SEED = 5
 RIGID = Richness.off()

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from tests.builders.script import script
 from tests.conftest import SHARED
-from tests.script import script
 from twin.diagnose.tolerance import with_added
 from twin.effects.effect import check_setting
-from twin.machine import load_machine
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.machine.machine import load_machine
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 CONTROL = ("position controller", "speed controller")
 RECORD = SHARED / "data" / "emps" / "DATA_EMPS.mat"

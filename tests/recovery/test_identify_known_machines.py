@@ -15,26 +15,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from devtools.identification_score import LIMITS, Judged
+from tests.builders.identify_campaigns import QUICK, campaign, recorded, usual_runs
+from tests.builders.script import script
 from tests.conftest import ROOT, SHARED
-from tests.identify_campaigns import QUICK, campaign, recorded, usual_runs
-from tests.script import script
-from twin.campaign import read_campaign
-from twin.cli import main
+from twin.cli.parser import main
 from twin.exam.programme import programme
 from twin.identify.campaign_fit import identify_campaign
-from twin.identify.judge import LIMITS, Judged
 from twin.identify.plan import Plan, _acceleration_runs, _check_runs, _predict, plan_campaign, write_plan
 from twin.identify.write import machine_comments, write_identified
-from twin.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.program import interpolate, read_program
-from twin.setpoints import limit_warnings
-from twin.trace import read_trace, write_trace
+from twin.recordings.campaign import read_campaign
+from twin.recordings.trace import read_trace, write_trace
+from twin.simulation.setpoints import limit_warnings
 
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    """scripts/measure_identification.py: the same campaigns and judgement as the long study."""
-    return script("scripts/measure_identification.py", "measure_identification")
+    """devtools/measure_identification.py: the same campaigns and judgement as the long study."""
+    return script("devtools/measure_identification.py", "measure_identification")
 
 
 def check(judged: list[Judged]) -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from examples.diagnose import short_runs
 from tests.recovery.test_diagnosis import campaign_of, group_of, observed, run_of, searched, travel
-from twin.campaign import read_campaign
-from twin.cli import main
+from twin.cli.parser import main
 from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
@@ -21,9 +20,10 @@ from twin.diagnose.view import view_of
 from twin.diagnose.where import _gather, _lead
 from twin.effects import EFFECTS, Setting
 from twin.exam.questions import RICHNESS
-from twin.machine import load_machine
-from twin.run import simulate
-from twin.setpoints import recorded_setpoints
+from twin.machine.machine import load_machine
+from twin.recordings.campaign import read_campaign
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import recorded_setpoints
 
 FOLDS = [[0], [1], [2]]
 

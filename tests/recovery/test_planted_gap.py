@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import swings
-from twin.cli import main
-from twin.machine import Machine
-from twin.run import simulate
-from twin.setpoints import Setpoints
-from twin.trace import write_trace
+from twin.cli.parser import main
+from twin.machine.machine import Machine
+from twin.recordings.trace import write_trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 RUNS = {"slow": ("velocity", 0.7), "fast": ("velocity+torque", 1.0)}
 

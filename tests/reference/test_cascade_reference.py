@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
-from tests.small_machine import write_small_machine
-from twin.cascade_reference import CHANNELS, simulate_reference
-from twin.machine import Machine, load_machine
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.machine.machine import Machine, load_machine
+from twin.simulation.cascade_reference import CHANNELS, simulate_reference
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 ROUNDING = {"position": 1e-14, "velocity": 2e-12, "velocity_setpoint": 2e-12, "current": 5e-10, "current_setpoint": 5e-10}
 """Largest difference of two orders of summing, amplified by the loops [m or rad, per s, A]."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.one_axis import NO_COULOMB, axis_of, follow, integrated_axis, steady, swing, total_inertia
+from tests.builders.one_axis import NO_COULOMB, axis_of, follow, integrated_axis, steady, swing, total_inertia
 
 SPEED = 0.1
 POSITION_TOLERANCE = 5e-8

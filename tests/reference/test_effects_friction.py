@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.one_axis import TICK, axis_of, follow, missing_force, steady, swing, total_inertia
+from tests.builders.one_axis import TICK, axis_of, follow, missing_force, steady, swing, total_inertia
 
 TOLERANCE = 2e-3
 """Of the Coulomb level: what is left of accelerating at the end of a steady move."""

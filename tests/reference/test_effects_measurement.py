@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from tests.one_axis import TICK, follow, steady, there_and_back
+from tests.builders.one_axis import TICK, follow, steady, there_and_back
 
 
 def scale_minus_motor(trace, axis):

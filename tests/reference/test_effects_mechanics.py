@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from tests.one_axis import MACHINE, NO_COULOMB, TICK, axis_of, follow, missing_force, steady, swing, there_and_back, total_inertia
+from tests.builders.one_axis import MACHINE, NO_COULOMB, TICK, axis_of, follow, missing_force, steady, swing, there_and_back, total_inertia
 from twin.effects import with_effects
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 G = 9.81
 
@@ -94,7 +94,7 @@ def test_table_unbalance_is_inertia_too():
     import mujoco
 
     from twin.effects import apply_effects
-    from twin.plant import build_plant, full_inertia
+    from twin.simulation.plant_spec import build_plant, full_inertia
 
     two = MACHINE.with_axes(["A", "C"])
     table = {"name": "table_unbalance", "axis": "A", "mass_kg": 40.0, "radius_m": 0.15, "angle_rad": 0.8, "height_m": 0.12}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import chirp
 
-from tests.one_axis import MACHINE, NO_COULOMB, TICK, axis_of, follow, steady, there_and_back
+from tests.builders.one_axis import MACHINE, NO_COULOMB, TICK, axis_of, follow, steady, there_and_back
 from twin.effects import apply_effects, load_inertia, with_effects
 
 AXES = ("X", "Y", "A", "C")

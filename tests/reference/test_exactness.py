@@ -7,10 +7,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tests.conftest import swings
-from twin import cascade
-from twin.machine import Machine
-from twin.plant import build_plant
-from twin.run import simulate
+from twin.machine.machine import Machine
+from twin.simulation import cascade
+from twin.simulation.plant_spec import build_plant
+from twin.simulation.run import simulate
 
 
 def test_position_at_the_tick_is_exact_under_constant_force(mikron: Machine) -> None:

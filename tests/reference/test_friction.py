@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from twin.friction_check import SLIDING, push
-from twin.machine import Machine
-from twin.plant import compile_model
-from twin.run import simulate
-from twin.setpoints import Setpoints
+from devtools.friction_check import SLIDING, push
+from twin.machine.machine import Machine
+from twin.simulation.plant_spec import compile_model
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 CREEP = {"linear": 0.1e-6, "rotary": 0.1e-6 / 0.3}
 """Largest creep at 95 % of break-away: 0.1 um/s, for rotary axes at the rim of the table (0.3 m)."""

@@ -1,25 +1,22 @@
 """The interpolator against its claims: limits, tolerance, smoothness, time optimality, long programs, error budget.
 
-Everything here is a shortened version of scripts/measure_interpolator.py, which prints the figures at full size.
+Everything here is a shortened version of devtools/measure_interpolator.py, which prints the figures at full size.
 """
 
 import math
 from pathlib import Path
-import sys
 
 import numpy as np
 import pytest
-from random_programs import check, random_program
 
+from devtools import measure_interpolator as measure
+from tests.builders.random_programs import check, random_program
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program import error_budget, interpolate, interpolator, lookahead, read_program
-from twin.trace import Trace
+from twin.recordings.trace import Trace
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import measure_interpolator as measure  # noqa: E402
 
 
 def write(folder: Path, text: str) -> Path:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.other_structures import slides
+from tests.builders.other_structures import slides
 from twin.effects import with_effects
-from twin.machine import Axis, Machine
-from twin.machines.loops import Loop, first_mode, loops_of, margins_of
-from twin.plant import home_inertia_at_motor
+from twin.machine.loops import Loop, first_mode, loops_of, margins_of
+from twin.machine.machine import Axis, Machine
+from twin.simulation.plant_spec import home_inertia_at_motor
 
 control = pytest.importorskip("control")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::FutureWarning")
@@ -127,9 +127,9 @@ def test_speed_filter_and_scale_behind_a_spring(mikron: Machine) -> None:
 
 def test_the_loop_of_the_twin_itself(mikron: Machine) -> None:
     """The simulated axis answers a swinging set point as the closed position loop says: amplitude and phase at 5 Hz."""
-    from tests.one_axis import swing
-    from twin.run import simulate
-    from twin.setpoints import Setpoints
+    from tests.builders.one_axis import swing
+    from twin.simulation.run import simulate
+    from twin.simulation.setpoints import Setpoints
 
     machine = with_effects(mikron.with_axes(["X"]), [{"name": "coulomb_friction", "axis": "X", "factor": 0.0}])
     machine = machine.with_feedforward("off").with_axis("X", position_delay_s=0.0)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import SHARED
-from twin.machine import Machine, default_machine_path
-from twin.plant import build_plant, compile_model, full_inertia, home_inertia_at_motor
+from twin.machine.machine import Machine, default_machine_path
+from twin.simulation.plant_spec import build_plant, compile_model, full_inertia, home_inertia_at_motor
 
 EXACT = 1e-12
 """Closed forms and MuJoCo differ by rounding only (relative)."""

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from twin.campaign import read_campaign
-from twin.gap import SignalGap, gap_of_campaign
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.campaign import read_campaign
+from twin.simulation.gap import SignalGap, gap_of_campaign
 
 POSITION_RMS = {"um": 0.2, "arcsec": 0.5}
 POSITION_MAX = 2.0  # um or arcsec

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from twin.machine import Machine
-from twin.moves import jerk_limited_move
-from twin.run import Run, simulate
-from twin.setpoints import Setpoints
+from twin.geometry.scurve import jerk_limited_move
+from twin.machine.machine import Machine
+from twin.simulation.run import Run, simulate
+from twin.simulation.setpoints import Setpoints
 
 SPEED = np.array([0.1, 0.1, 0.05, 0.3, 0.5])  # m/s and rad/s
 

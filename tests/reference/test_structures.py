@@ -5,19 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders.other_structures import machine_text, slides, write_slides
 from tests.conftest import swings
-from tests.other_structures import machine_text, slides, write_slides
-from twin.campaign import MeasuredRun
-from twin.cascade_reference import CHANNELS, simulate_reference
-from twin.full_plant import FullPlant
-from twin.gap import gap_of, predict
+from twin.geometry.scurve import moves_in_turn
 from twin.identify.single_axis import Record, resimulate
-from twin.machine import Machine, load_machine
-from twin.moves import moves_in_turn
-from twin.reduced import Motion, ReducedPlant
-from twin.run import simulate
-from twin.setpoints import Setpoints, setpoints_of
-from twin.trace import Trace
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.cascade_reference import CHANNELS, simulate_reference
+from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.gap import gap_of, predict
+from twin.simulation.mujoco_plant import FullPlant
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints, setpoints_of
 
 ROUNDING = {"position": 1e-13, "velocity_setpoint": 1e-10, "current": 1e-9}
 """Another order of summing, amplified by differentiation over half a millisecond and by the gains [m or rad, per s, the command]."""

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from study_files import rows_of, write_move, write_spec
 
-from twin.machine import load_machine
-from twin.plant import home_inertia_at_motor
+from tests.builders.study_files import rows_of, write_move, write_spec
+from twin.machine.machine import load_machine
+from twin.simulation.plant_spec import home_inertia_at_motor
 
 X = load_machine().axis("X")
 KP, KV = X.loops.speed_gain_nm_s_per_rad, X.loops.position_gain_per_s

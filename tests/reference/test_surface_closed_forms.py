@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from twin.surface.dexels import box_dexels, cut_dexels
+from twin.surface.height_rays import Nails, grid_nails
 from twin.surface.metrology import scallop_height, section
-from twin.surface.nails import Nails, grid_nails
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between
 from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.kinematics import kinematics_of
-from twin.machine import Machine
+from twin.geometry.kinematics import kinematics_of
+from twin.geometry.tool_path import ToolPath, axes_of_trace, contour_error
+from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
 from twin.surface.levels import axis_path, programmed_path
 from twin.surface.steps import steps_of
-from twin.toolpath import ToolPath, axes_of_trace, contour_error
 
 REACH = 0.04
 HEAD = "G17 G71 G90 G94 G64\nCYCLE832(0.01,3)\n"

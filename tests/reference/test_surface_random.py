@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.surface.nails import grid_nails
+from twin.surface.height_rays import grid_nails
 from twin.surface.removal import cut
 from twin.surface.steps import steps_between
 from twin.surface.tools import ball_end, bull_nose, flat_end, revolution

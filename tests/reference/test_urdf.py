@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.script import script
-from twin.machine import Machine, load_machine
-from twin.machines.urdf import spec_of_urdf
-from twin.plant import build_plant
+from tests.builders.script import script
+from twin.machine.machine import Machine, load_machine
+from twin.machine.urdf import spec_of_urdf
+from twin.simulation.plant_spec import build_plant
 
 TOLERANCE = 1e-9
 """Joint accelerations [m/s2, rad/s2], which reach some 100."""
@@ -20,7 +20,7 @@ TOLERANCE = 1e-9
 @pytest.fixture(scope="module")
 def urdf(mikron: Machine, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("urdf") / "mikron_ucp710.urdf"
-    script("scripts/export_urdf.py", "export_urdf").export_urdf(mikron, path)
+    script("devtools/export_urdf.py", "export_urdf").export_urdf(mikron, path)
     return path
 
 

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from twin.machine import Machine
-from twin.plant import compile_model
+from twin.machine.machine import Machine
+from twin.simulation.plant_spec import compile_model
 
 ROUNDING = 1e-14
 """The XML holds 16 to 17 digits; the machine file's values are computed from the data sheet (relative)."""

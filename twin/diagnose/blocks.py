@@ -17,16 +17,16 @@ import functools
 
 import numpy as np
 
-from twin.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
-from twin.compiled import compiled
+from twin.compiled_functions import compiled
 from twin.diagnose.observe import Group, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects, with_effects
-from twin.machine import Axis, Machine
-from twin.reduced import loads_along
-from twin.run import commissioned_inertia
-from twin.setpoints import command_of
-from twin.trace import Trace
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
+from twin.simulation.decoupled_plant import loads_along
+from twin.simulation.run import commissioned_inertia
+from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")
 """Signals any of which tells the motion of an axis."""

@@ -16,7 +16,7 @@ import numpy as np
 from twin.diagnose.observe import Group
 from twin.effects import EFFECTS, Effect, Setting
 from twin.effects.effect import Parameter
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 PEAKS = 2
 """Spectral lines that are tried for an effect that repeats along position or time."""

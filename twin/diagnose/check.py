@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.campaign import Campaign
 from twin.errors import InputError
-from twin.gap import COMPARED
-from twin.machine import Axis, Machine
-from twin.setpoints import check_travel, setpoints_of
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import Campaign
+from twin.simulation.gap import COMPARED
+from twin.simulation.setpoints import check_travel, setpoints_of
 
 BEYOND = 0.2
 """A position gap above this share of the motion belongs to another machine."""

@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 
 from twin.diagnose.view import RunView
-from twin.gap import SAME_PERIOD
-from twin.machine import Axis
-from twin.trace import Trace
+from twin.machine.machine import Axis
+from twin.recordings.trace import Trace
+from twin.simulation.gap import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
 FLOOR = 0.01

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from twin.campaign import MeasuredRun
-from twin.diagnose.found import Found
-from twin.diagnose.left_out import bounded, leave_out
+from twin.diagnose.cross_validation import bounded, leave_out
+from twin.diagnose.state import Found
 from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import SimulationError
-from twin.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
-from twin.machine import Machine
-from twin.reduced import Motion
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.decoupled_plant import Motion
+from twin.simulation.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
 """Realisations of noise where the reduced plant tells all."""

@@ -13,26 +13,26 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.campaign import Campaign
 from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.evidence import retuning_share, waterfall
 from twin.diagnose.fit import Fit
-from twin.diagnose.found import Found
-from twin.diagnose.left_out import FOLDS
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
+from twin.diagnose.state import Found
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, with_effects
 from twin.errors import InputError
-from twin.gap import COMPARED, Prediction, SignalGap
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.campaign import Campaign
+from twin.simulation.gap import COMPARED, Prediction, SignalGap
 
 AMBIGUOUS = 10.0
 """Evidence by which a rival may lie behind and still be named as possible."""

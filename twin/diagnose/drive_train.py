@@ -15,7 +15,7 @@ from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import NORMAL_MODE_HZ, UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 EARNED = 14.0
 """Log likelihood that a normal imperfection must bring to be looked at."""

@@ -16,13 +16,13 @@ import numpy as np
 
 from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
+from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.fit import Fit
-from twin.diagnose.found import Found
-from twin.diagnose.left_out import retuned_within
+from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.where import STRETCH_S
 from twin.diagnose.wording import effect_title
-from twin.gap import COMPARED
+from twin.simulation.gap import COMPARED
 
 if TYPE_CHECKING:
     from twin.diagnose.diagnosis import Diagnosis

@@ -24,7 +24,7 @@ from twin.diagnose.tuning import NEARBY, Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 STEPS = 8
 """Gauss-Newton steps at most."""

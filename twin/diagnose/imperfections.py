@@ -14,7 +14,7 @@ from twin.diagnose.observe import Group, Mapper, rebased
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of, tuning_from
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 SHARES = (0.05, 0.2, 0.8)
 """Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""

@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from twin.diagnose.found import Found
-from twin.machine import Axis, Machine
-from twin.moves import moves_in_turn
-from twin.trace import Trace
+from twin.diagnose.state import Found
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
 
 PERIOD = 1e-3
 

@@ -28,12 +28,12 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
-from twin.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
-from twin.machine import Axis, Machine
-from twin.plant import build_plant, full_inertia
-from twin.reduced import ReducedPlant
-from twin.run import Run, simulate
-from twin.trace import Trace
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+from twin.simulation.decoupled_plant import ReducedPlant
+from twin.simulation.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
+from twin.simulation.plant_spec import build_plant, full_inertia
+from twin.simulation.run import Run, simulate
 
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""

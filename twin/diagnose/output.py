@@ -12,8 +12,8 @@ from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
 from twin.diagnose.wording import place_text, unseen_text, verdict_sentence
 from twin.files import output_folder, write_json
-from twin.machine import write_machine
-from twin.trace import write_trace
+from twin.machine.machine import write_machine
+from twin.recordings.trace import write_trace
 
 
 def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:

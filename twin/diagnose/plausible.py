@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 from twin.diagnose.candidates import Start, size_parameter
-from twin.diagnose.found import SHOWS_IN, Found
 from twin.diagnose.observe import Group
+from twin.diagnose.state import SHOWS_IN, Found
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
 from twin.effects.change import load_inertia
 from twin.effects.mechanics import upward
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 SMALLEST, LARGEST = 0.12, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""

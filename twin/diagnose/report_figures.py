@@ -17,10 +17,10 @@ import numpy as np
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import percent, times
-from twin.gap import gap_unit, is_moving, sensor_noise
-from twin.machine import Axis
+from twin.machine.machine import Axis
+from twin.recordings.trace import Trace
 from twin.report import figure_svg
-from twin.trace import Trace
+from twin.simulation.gap import gap_unit, is_moving, sensor_noise
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, combine, is_lag, is_scaled, is_spring, size_parameter, softened
 from twin.diagnose.fit import answer
-from twin.diagnose.found import Found
+from twin.diagnose.state import Found
 from twin.effects import Setting
 from twin.errors import TwinError
 

@@ -10,19 +10,19 @@ from dataclasses import replace
 import numpy as np
 
 from twin.diagnose.candidates import is_scaled, size_parameter, starts_of
+from twin.diagnose.cross_validation import EVIDENCE, evidence_needed, held_out_loss, left_within, loss_within
 from twin.diagnose.fit import STEPS, Fit, fit_effects, no_effect, tuning_beside
-from twin.diagnose.found import NEAR_NOISE, Candidate, Found, closed_share, inflation, localised_on, loud_axes, unexplained
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
-from twin.diagnose.left_out import EVIDENCE, evidence_needed, held_out_loss, left_within, loss_within
 from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.screen import screen
+from twin.diagnose.state import NEAR_NOISE, Candidate, Found, closed_share, inflation, localised_on, loud_axes, unexplained
 from twin.diagnose.tolerance import NORMAL, WIDEST
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.unseen import unseen_effects
 from twin.effects import Setting
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 MOST_EFFECTS = 3
 """Effects that one group of axes can be found to have."""

@@ -16,13 +16,13 @@ import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.fit import SLOPE, fit_effects, tuning_beside
-from twin.diagnose.found import Found, inflation
 from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible
+from twin.diagnose.state import Found, inflation
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.effects import Setting
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 ROUNDS, STEPS = 2, 3
 """Times that what is left is looked at, and steps of each fit."""

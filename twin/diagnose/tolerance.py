@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 PRIOR_WEIGHT = 50.0
 """Weight w of the tolerance against the samples: a parameter at the edge of its tolerance costs 75 of log likelihood."""

@@ -15,13 +15,13 @@ import math
 import numpy as np
 
 from twin.diagnose.candidates import Start
-from twin.diagnose.found import Found
-from twin.diagnose.left_out import evidence_needed
+from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.observe import Mapper
 from twin.diagnose.screen import remembered_answer
+from twin.diagnose.state import Found
 from twin.effects import Setting
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 NOTHING = 1e-9
 """Share of the evidence needed below which an effect changes nothing at all."""

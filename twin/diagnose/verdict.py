@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
-from twin.diagnose.found import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
-from twin.diagnose.left_out import beyond_tolerance, evidence_needed
+from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.observe import Mapper
 from twin.diagnose.sizes import drop_implausible, sized
+from twin.diagnose.state import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 TEMPERATURE = 3.0
 """Divides the evidence before it becomes a probability: models are never quite right."""

@@ -7,14 +7,14 @@ import functools
 
 import numpy as np
 
-from twin.campaign import MeasuredRun
 from twin.effects import with_effects
-from twin.gap import SAME_PERIOD, at_times, is_moving, simulated_period
-from twin.machine import Axis, Machine
-from twin.reduced import Motion, ReducedPlant
-from twin.run import simulate
-from twin.setpoints import Setpoints, recorded_setpoints
-from twin.trace import Trace
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.gap import SAME_PERIOD, at_times, is_moving, simulated_period
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 BREAK_AWAY_S = 0.06
 """Time after break-away in which a position still shows where it was stuck."""

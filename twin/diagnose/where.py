@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.blocks import REGIMES, BlockResidual, block_residuals, regime_masks, scaling
-from twin.diagnose.found import Found
-from twin.diagnose.left_out import retuned_within
+from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.observe import Group
+from twin.diagnose.state import Found
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 NOTICED = 1.6
 """Mean square of a block's residual over noise from which a block is a place of the gap."""

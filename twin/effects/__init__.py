@@ -3,7 +3,7 @@
 EFFECTS          all effects by name (found in the modules of this package: adding one is adding its unit)
 with_effects     a machine with a list of effects
 parse_setting    an effect from the command line
-apply_effects    what the effects change: used by `twin.run.simulate`
+apply_effects    what the effects change: used by `twin.simulation.run.simulate`
 """
 
 import importlib

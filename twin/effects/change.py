@@ -12,9 +12,9 @@ import numpy as np
 
 from twin.effects.effect import EFFECTS, Setting, settings_of
 from twin.errors import InputError
-from twin.machine import Axis, Machine
-from twin.plant import ModelEdit, build_plant, full_inertia
-from twin.terms import FORCE, X_LOAD_FORCE, Term, arrays, term
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import FORCE, X_LOAD_FORCE, Term, arrays, term
+from twin.simulation.plant_spec import ModelEdit, build_plant, full_inertia
 
 FASTEST_MODE = 1.5
 """Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""

@@ -7,8 +7,8 @@ import math
 from twin.effects.change import Change, held_force
 from twin.effects.effect import Parameter, effect
 from twin.errors import InputError
-from twin.machine import Axis, Machine
-from twin.terms import CURRENT, SETPOINT, X_CURRENT_SETPOINT, X_SETPOINT, arrays, term
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import CURRENT, SETPOINT, X_CURRENT_SETPOINT, X_SETPOINT, arrays, term
 
 
 def _factor(low: float, high: float, usual: tuple[float, float]) -> Parameter:

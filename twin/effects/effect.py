@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from twin.errors import InputError, nearest
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 BLOCKS = ("position controller", "speed controller", "current loop", "mechanics", "transmission", "measurement")
 

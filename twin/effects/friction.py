@@ -7,8 +7,8 @@ import math
 from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
 from twin.errors import InputError
-from twin.machine import Axis, Machine
-from twin.terms import (
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import (
     FORCE,
     X_FRICTION_FORCE,
     X_FRICTION_LEVEL,

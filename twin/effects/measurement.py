@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 from twin.effects.change import Change
 from twin.effects.effect import Parameter, effect
-from twin.machine import Axis
-from twin.terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
+from twin.machine.machine import Axis
+from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
 from twin.units import ARCSEC
 
 

@@ -9,9 +9,8 @@ import mujoco
 from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
 from twin.errors import InputError
-from twin.machine import Axis, Machine
-from twin.plant import frames_of_model
-from twin.terms import (
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import (
     FORCE,
     X_LOAD_ACCELERATION,
     X_LOAD_FORCE,
@@ -22,6 +21,7 @@ from twin.terms import (
     arrays,
     term,
 )
+from twin.simulation.plant_spec import frames_of_model
 
 
 @effect(block="current loop", parameters=(Parameter("factor", "number", 0.3, 1.5, (0.88, 0.95), neutral=1.0, logarithmic=True),))

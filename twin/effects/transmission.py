@@ -6,8 +6,8 @@ import math
 
 from twin.effects.change import Change, load_inertia
 from twin.effects.effect import Parameter, effect
-from twin.machine import Axis, Machine
-from twin.terms import (
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import (
     MEASURE,
     X_LOAD_FORCE,
     X_LOAD_MIDDLE,

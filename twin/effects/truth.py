@@ -11,7 +11,7 @@ import tomllib
 from typing import Any
 
 from twin.effects.change import with_effects
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 _AXIS_KEYS = {
     "torque_constant": ("motor.torque_constant_nm_per_a",),

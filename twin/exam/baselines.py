@@ -20,10 +20,10 @@ import numpy as np
 from twin.diagnose.candidates import starts_of
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import answer
-from twin.diagnose.found import Found
 from twin.diagnose.observe import Group
+from twin.diagnose.state import Found
 from twin.errors import TwinError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 NOTICED = 0.12
 """Excess of the mean square over noise from which these methods say that something is there."""

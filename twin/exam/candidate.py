@@ -12,11 +12,11 @@ import json
 from pathlib import Path
 import sys
 
-from twin.campaign import read_campaign
 from twin.diagnose import diagnose
 from twin.errors import TwinError
 from twin.files import write_whole
-from twin.machine import load_machine, write_machine
+from twin.machine.machine import load_machine, write_machine
+from twin.recordings.campaign import read_campaign
 
 from .baselines import baselines_of
 

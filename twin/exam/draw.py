@@ -22,13 +22,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .effects import LIBRARY, DrawContext, apply_effect, draw_effect
-from .outside import OUTSIDE
-from .parameters import AXES, Richness, Settings, draw_factors, load_of, pair_of, settings_of
 from .paths import limits_of, path_of, together
-from .plant import SUBSTEPS, PlantError, Trace, run
+from .plant.effects import LIBRARY, DrawContext, apply_effect, draw_effect
+from .plant.outside import OUTSIDE
+from .plant.parameters import AXES, Richness, Settings, draw_factors, load_of, pair_of, settings_of
+from .plant.plant import SUBSTEPS, PlantError, Trace, run
+from .plant.richness import apply_richness
 from .programme import TestRun, programme
-from .richness import apply_richness
 
 KINDS = ("single", "pair", "triple", "healthy", "outside")
 EFFECTS = LIBRARY | OUTSIDE

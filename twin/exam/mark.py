@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from twin.campaign import MeasuredRun, read_campaign
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
 from twin.errors import TwinError
 from twin.files import write_whole
-from twin.gap import Prediction, SignalGap, gap_of, predict_campaign
-from twin.machine import Machine, load_machine
-from twin.trace import Trace
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.trace import Trace
+from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 
 from .draw import Case, truth_of, write_campaign
 from .questions import Question

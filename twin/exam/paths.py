@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .parameters import AXES
+from .plant.parameters import AXES
 
 PERIOD = 1e-3  # s, of recorded set points
 MARGIN = 0.97  # of every limit: set points stay inside after rounding

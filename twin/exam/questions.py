@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .effects import LIBRARY
-from .outside import OUTSIDE
-from .parameters import Richness
+from .plant.effects import LIBRARY
+from .plant.outside import OUTSIDE
+from .plant.parameters import Richness
 
 RICHNESS = {"off": Richness.off(), "small": Richness.small(), "full": Richness()}
 

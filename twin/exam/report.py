@@ -90,7 +90,7 @@ def _asked(targets: Sequence[Document]) -> list[Document]:
 
 
 def _target_table(targets: Sequence[Document]) -> Table:
-    from .command import target_text
+    from twin.cli.exam import target_text
 
     rows = []
     for t in targets:

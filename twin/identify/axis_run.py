@@ -17,10 +17,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import firwin
 
-from twin.campaign import MeasuredRun
 from twin.errors import InputError
 from twin.identify.between_samples import SETTLED_CYCLES, measured_ripple
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
 
 BAND_HZ = 20.0
 """Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""

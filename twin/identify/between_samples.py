@@ -20,7 +20,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 SETTLED_CYCLES = 48
 """Length of the convolution: the speed loop's integral has decayed by then (96 ms, some ten integral times)."""
@@ -83,7 +83,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     """Current [A] and motor speed [rad/s], each (cycle, tick), after a unit step of the speed set point [rad/s] and of the torque
     feedforward [Nm].
 
-    The law is that of twin.cascade without its limits; between ticks the winding and the two masses are solved exactly.
+    The law is that of twin.simulation.cascade without its limits; between ticks the winding and the two masses are solved exactly.
     """
     h = loop.tick
     load = min(loop.load, 0.95 * loop.inertia)

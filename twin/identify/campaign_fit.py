@@ -11,9 +11,7 @@ import time
 
 import numpy as np
 
-from twin.campaign import Campaign, MeasuredRun
 from twin.errors import InputError, TwinError
-from twin.gap import gap_of, predict_campaign
 from twin.identify.axis_run import axis_run
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.noise import measured_noise
@@ -21,9 +19,11 @@ from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, paramet
 from twin.identify.products import split_machine, split_products
 from twin.identify.recording import prepared
 from twin.identify.result import Identification
-from twin.machine import Machine
-from twin.run import simulate
-from twin.setpoints import AT_REST, recorded_setpoints
+from twin.machine.machine import Machine
+from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.simulation.gap import gap_of, predict_campaign
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import AT_REST, recorded_setpoints
 
 
 def identify_campaign(

@@ -16,7 +16,7 @@ from twin.identify.drive_balance import NAMES as LINEAR_NAMES
 from twin.identify.least_squares import Fit
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.speed_control import SpeedControl, fit_speed_control
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 Runs = Mapping[str, Sequence[AxisRun | None]]
 """Axis -> its runs in the order of the campaign, None where the axis has no measured motion."""

@@ -28,7 +28,7 @@ from twin.identify.between_samples import (
     sawtooth_of,
 )
 from twin.identify.least_squares import Fit, regress
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 EVERY = 4

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.campaign import MeasuredRun
-from twin.machine import Axis, Machine
-from twin.run import simulate
-from twin.setpoints import Setpoints
-from twin.trace import Trace
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 REST_S = 0.08
 """Standstill shorter than this is not used."""

@@ -13,8 +13,8 @@ from twin.identify.direct import Direct
 from twin.identify.findings import Finding
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
-from twin.machine import Axis, Machine
-from twin.plant import home_inertia_at_motor
+from twin.machine.machine import Axis, Machine
+from twin.simulation.plant_spec import home_inertia_at_motor
 
 LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
 

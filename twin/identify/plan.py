@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.campaign import MeasuredRun
 from twin.errors import InputError
 from twin.files import write_json
+from twin.geometry.scurve import jerk_limited_move, phases_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Direct, direct_route
 from twin.identify.parameters import parameters_of
 from twin.identify.products import split_products
 from twin.identify.result import Parameter
-from twin.machine import Axis, Machine
-from twin.moves import jerk_limited_move, phases_of_move
-from twin.run import simulate
-from twin.setpoints import Setpoints, check_travel
-from twin.trace import Trace, write_trace
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace, write_trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints, check_travel
 from twin.units import AXIS_UNITS
 
 SHARE = 0.9

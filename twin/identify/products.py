@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from twin.effects.mechanics import upward
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
 
 FLOOR = 2e-4
 """Relative deviation below which no product is believed: laws hold no better."""

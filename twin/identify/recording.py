@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.campaign import Campaign, MeasuredRun
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Runs
@@ -22,7 +21,8 @@ from twin.identify.findings import (
     shifted_setpoint,
     unusable_channels,
 )
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.campaign import Campaign, MeasuredRun
 
 SHORT_S = 0.5
 """A run shorter than this tells nothing below 20 Hz: it is left out."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from twin.identify.direct import Direct
 from twin.identify.findings import Finding, Late
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ With A about x, C about the table's normal z, moments of all that turns with C t
     C: Mcc C" + Mac A" - 1/2 Maa' A'^2 + g sin A (mx cos C - my sin C) + friction = Kt i / r
     Maa = Maa0 + b (cos 2C - 1) + s sin 2C,   Mac = -zx cos C + zy sin C,   ' = d/dC
 
-(the derivation stands in twin.exam.tilting_pair; the twin itself takes all this from the bodies). Everything is linear in the ten
+(the derivation stands in twin.exam.plant.tilting_pair; the twin itself takes all this from the bodies). Everything is linear in the ten
 inertial numbers PAIR, the four of friction and two of skew; one regression on the rows of both motors finds them, each row in units of its scatter.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
 from twin.identify.least_squares import Fit, regress
-from twin.machine import Body, Machine
+from twin.machine.machine import Body, Machine
 
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")

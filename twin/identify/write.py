@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.identify.result import Identification, Parameter, Range
-from twin.machine import Machine, write_machine
+from twin.machine.machine import Machine, write_machine
 
 
 def machine_comments(result: Identification) -> dict[str, str]:

@@ -16,7 +16,7 @@ import re
 import numpy as np
 
 from twin.errors import nearest
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from twin.kinematics import Kinematics
+from twin.geometry.kinematics import Kinematics
 
 
 class Frames(NamedTuple):

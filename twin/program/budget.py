@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program.curve import nearest_along, programmed_curve
 from twin.program.interpolator import AXES
 from twin.program.moves import Program
-from twin.trace import PROGRAM, Trace
+from twin.recordings.trace import PROGRAM, Trace
 
 SEARCH_BACK, SEARCH_AHEAD = 15e-3, 3e-3
 """The actual position is looked for this far behind and ahead of its set point along the path [m]: more than any following error."""

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.kinematics import Kinematics, kinematics_of
-from twin.machine import Machine
+from twin.geometry.kinematics import Kinematics, kinematics_of
+from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.orientation import OK, choose_angles, unreachable_text
 from twin.units import AXIS_UNITS, rad_from_deg

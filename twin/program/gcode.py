@@ -14,7 +14,7 @@ import re
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, NO_RADIUS_COMPENSATION, Collector

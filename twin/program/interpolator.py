@@ -15,13 +15,13 @@ import math
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program import blend, lookahead, sampling, timelaw
 from twin.program.axis_path import frames_of
 from twin.program.collect import travel_text
 from twin.program.moves import Program
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
-from twin.trace import PROGRAM, Trace
+from twin.recordings.trace import PROGRAM, Trace
 
 REST = 0.1
 """Time [s] at rest after the last move."""

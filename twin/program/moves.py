@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.kinematics import Kinematics
+from twin.geometry.kinematics import Kinematics
 
 RAPID, LINE, ARC, DWELL = 0, 1, 2, 3
 KIND_NAMES = ("rapid", "line", "arc", "dwell")

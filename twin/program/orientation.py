@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from twin.errors import InputError
-from twin.kinematics import Kinematics
+from twin.geometry.kinematics import Kinematics
 
 OK, UNREACHABLE, OUTSIDE_TRAVEL = 0, 1, 2
 TRAVEL_TOLERANCE = 1e-9

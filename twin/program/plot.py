@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.errors import TwinError
 from twin.program.budget import QUANTITIES, ErrorBudget
-from twin.trace import PROGRAM, Trace
+from twin.recordings.trace import PROGRAM, Trace
 
 MM_PER_MIN = 60e3
 

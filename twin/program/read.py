@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.errors import InputError, nearest
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program.moves import Program
 
 GCODE = (".mpf", ".spf", ".ngc", ".nc", ".iso")

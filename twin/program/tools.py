@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from twin.errors import nearest
-from twin.machine import Machine
+from twin.machine.machine import Machine
 from twin.program.collect import Collector
 from twin.program.words import Word, WordError
 

@@ -5,7 +5,3 @@ runners   how each kind of case is run             golden    the kept result, wi
 compare   outcome against golden, within tolerance where     which block of which axis left its law first
 run_suite all cases in parallel                    write     table, JUnit XML, JSON, a folder for each failure
 """
-
-from twin.regress.command import add_regress_arguments, regress_command
-
-__all__ = ["add_regress_arguments", "regress_command"]

@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.regress.golden import Golden
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
 from twin.replay.events import Event
-from twin.trace import OTHER_UNITS, Trace
 from twin.units import ARCSEC, AXIS_UNITS
 
 TIME_TOLERANCE_S = 1e-9

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from twin.files import output_folder
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common, signal_unit
 from twin.regress.golden import Golden, golden_of, write_small
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
 from twin.regress.where import Place
-from twin.trace import Trace
 
 PLOTTED = ("setpoint", "position", "velocity", "current", "voltage", "torque")
 
@@ -69,8 +69,8 @@ def check_table(check: Check) -> dict[str, Any]:
 
 def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, place: Place | None, text: str, path: Path) -> None:
     """Golden and new over each other, and their difference with the tolerance, signal by signal of one axis."""
-    from twin.colours import axis_colour, hexadecimal
     from twin.report import new_figure, save_png
+    from twin.report.colours import axis_colour, hexadecimal
     from twin.report.figure import RED, SOFT
 
     above: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "ncols": 3}

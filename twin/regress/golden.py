@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError
+from twin.recordings.trace import Trace, read_trace, unit_of
 from twin.regress.outcome import Feature, Outcome, kept_trace
 from twin.regress.suite import Case
 from twin.replay.events import Event
-from twin.trace import Trace, read_trace, unit_of
 
 FORMAT = 1
 """Of the files; a golden result of another format cannot be read."""

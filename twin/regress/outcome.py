@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.regress.suite import SIGNAL_UNITS
 from twin.replay.events import Event
-from twin.trace import Trace
 
 Value = float | str
 """A number, or a word that must stay the same."""

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from twin.campaign import Campaign, read_campaign
 from twin.errors import InputError, nearest
-from twin.machine import FEEDFORWARD, Machine, default_machine_path
-from twin.moves import moves_in_turn
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path
+from twin.recordings.campaign import Campaign, read_campaign
 from twin.regress.suite import Case
-from twin.setpoints import Setpoints
+from twin.simulation.setpoints import Setpoints
 from twin.tables import is_number, known_keys
 from twin.units import factor_to_si
 
@@ -82,7 +82,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
 
     from twin.exam.draw import AXES, SIGNALS, columns_of, draw_case
     from twin.exam.draw import simulate as record
-    from twin.exam.parameters import Richness
+    from twin.exam.plant.parameters import Richness
     from twin.exam.programme import TestRun
 
     table = case.table["recorded"]

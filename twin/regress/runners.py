@@ -9,14 +9,14 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from twin.campaign import Campaign, read_campaign
 from twin.effects import settings_of, with_effects
 from twin.errors import InputError, SimulationError
-from twin.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import Campaign, read_campaign
+from twin.recordings.trace import Trace, with_program_columns
 from twin.regress.outcome import Feature, Outcome, flat
 from twin.regress.recorded import recorded_campaign, setpoints_of_moves
 from twin.regress.suite import Case
-from twin.trace import Trace, with_program_columns
 
 
 class Skip(Exception):
@@ -53,9 +53,9 @@ _SUMMARY_UNITS = {"a": "A", "v": "V", "nm": "Nm", "s": "s"}
 
 def _run(case: Case, machine: Machine) -> Outcome:
     from twin.replay.events import find_events
-    from twin.run import simulate
-    from twin.setpoints import check_travel, setpoints_of
-    from twin.summary import summary_of
+    from twin.simulation.run import simulate
+    from twin.simulation.setpoints import check_travel, setpoints_of
+    from twin.simulation.summary import summary_of
 
     program: Any = None
     commanded: Any = None
@@ -106,7 +106,7 @@ def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
 
 def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
     from twin.program import PROGRAM_ENDINGS, interpolate, read_program
-    from twin.trace import read_trace
+    from twin.recordings.trace import read_trace
 
     source = case.path("input")
     if source.suffix.lower() not in PROGRAM_ENDINGS:
@@ -150,7 +150,7 @@ def _campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
 
 
 def _gap(case: Case, machine: Machine) -> Outcome:
-    from twin.gap import gap_of_campaign
+    from twin.simulation.gap import gap_of_campaign
 
     with tempfile.TemporaryDirectory() as folder:
         gaps = gap_of_campaign(machine, _campaign(case, machine, Path(folder)))
@@ -195,8 +195,8 @@ _STUDY_UNITS = {"um": "um", "arcsec": "arcsec", "a": "A", "w": "W", "s": "s", "m
 
 
 def _study(case: Case, machine: Machine) -> Outcome:
-    from twin.study.carry_out import carry_out, fingerprint, threads_here
     from twin.study.design import variants_of
+    from twin.study.execution import carry_out, fingerprint, threads_here
     from twin.study.spec import read_study
     from twin.study.store import Store
 

@@ -16,7 +16,7 @@ import tomllib
 from typing import Any
 
 from twin.errors import InputError, nearest
-from twin.machine import FEEDFORWARD
+from twin.machine.machine import FEEDFORWARD
 from twin.tables import is_number, known_keys
 
 KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")

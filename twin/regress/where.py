@@ -26,10 +26,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from twin.effects import apply_effects
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
-from twin.run import commissioned_inertia
-from twin.trace import Trace
+from twin.simulation.run import commissioned_inertia
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
 """What a block makes of its inputs: the output that a stated law gives (sample,), or the rows of a regressed one (sample, column);

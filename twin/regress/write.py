@@ -16,7 +16,7 @@ from twin.files import write_text
 from twin.regress.evidence import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
-from twin.summary import table
+from twin.simulation.summary import table
 
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 

@@ -9,14 +9,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.replay.command import add_replay_arguments, replay_command
     from twin.replay.recording import Written, write_motion, write_recording
     from twin.replay.viewer import open_viewer, screenshot, serve
 
-__all__ = ["Written", "add_replay_arguments", "open_viewer", "replay_command", "screenshot", "serve", "write_motion", "write_recording"]
+__all__ = ["Written", "open_viewer", "screenshot", "serve", "write_motion", "write_recording"]
 
 _HOMES = {
-    **dict.fromkeys(("add_replay_arguments", "replay_command"), "command"),
+    **dict.fromkeys(("replay_command"), "command"),
     **dict.fromkeys(("Written", "write_motion", "write_recording"), "recording"),
     **dict.fromkeys(("open_viewer", "screenshot", "serve"), "viewer"),
 }

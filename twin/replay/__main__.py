@@ -2,6 +2,6 @@
 
 import sys
 
-from twin.replay.command import main
+from twin.cli.replay import main
 
 sys.exit(main())

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from twin.colours import DIFFERENCE_COLOUR, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, lighter
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.names import CONTOUR_ERROR, axis_entity, entity
-from twin.trace import POSITIONS, Trace
+from twin.report.colours import DIFFERENCE_COLOUR, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, lighter
 from twin.units import AXIS_UNITS
 
 SAME_TIME = 1e-9

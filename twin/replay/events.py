@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.machine import Axis, Machine
-from twin.machine_keys import EFFORTS
-from twin.trace import PROGRAM, Trace
+from twin.machine.keys import EFFORTS
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import PROGRAM, Trace
 from twin.units import ARCSEC, AXIS_UNITS, rad_from_deg
 
 TELLING = "telling stretch"

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
-from twin.machine import Machine
-from twin.machine_keys import EFFORTS
+from twin.machine.keys import EFFORTS
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.replay.curves import following_error
 from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
-from twin.trace import Trace
+from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
 from twin.units import AXIS_UNITS
 
 _MARKS: dict[str, Any] = {

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.recordings.trace import read_trace
 from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf
-from twin.trace import read_trace
 
 SWEEP_SECONDS = 4.0
 """Time that a sweep gives each joint."""

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.colours import ERROR_BANDS, Colour
-from twin.poses import IDENTITY, Pose, body_poses, site_pose
+from twin.geometry.body_poses import IDENTITY, Pose, body_poses, site_pose
+from twin.geometry.polyline import keep_shape
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene
-from twin.simplify import keep_shape
+from twin.report.colours import ERROR_BANDS, Colour
 
 MAGNIFICATIONS = (1, 100, 1000)
 PATH_TOLERANCE = 2e-6

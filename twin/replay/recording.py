@@ -11,8 +11,9 @@ import numpy as np
 import rerun as rr
 
 from twin.errors import InputError
-from twin.machine import Machine
-from twin.poses import local_poses
+from twin.geometry.body_poses import local_poses
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.replay.blueprint import Content, layout
 from twin.replay.curves import Curve, axis_curves, contour_curve, following_error
 from twin.replay.decimate import decimate
@@ -23,7 +24,6 @@ from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, path_extent, tool_paths_of
-from twin.trace import Trace
 
 POSES_PER_SECOND = 50.0
 """Poses of the bodies; the viewer shows the latest one."""

@@ -13,10 +13,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from twin.machine import Machine
-from twin.plant import compiled_spec, frames_of_model, load_spec
-from twin.poses import rotate
+from twin.geometry.body_poses import rotate
+from twin.machine.machine import Machine
 from twin.replay.names import entity
+from twin.simulation.plant_spec import compiled_spec, frames_of_model, load_spec
 
 ROOT = "machine"
 LAST_SEEN_GROUP = 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.poses import Pose
+from twin.geometry.body_poses import Pose
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.machine import Machine
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.replay.curves import following_error, not_recorded, setpoint_difference
 from twin.replay.events import KINDS, MOST_EVENTS, Event
-from twin.trace import Trace
 from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:

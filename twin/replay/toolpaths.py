@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 import rerun as rr
 
-from twin.colours import ERROR_BANDS, PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour, lighter
-from twin.machine import Machine
+from twin.geometry.tool_path import Contour, contour_of, search_window
+from twin.machine.machine import Machine
+from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.blueprint import PathView
 from twin.replay.curves import Curve
 from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
 from twin.replay.paths import MAGNIFICATIONS, ErrorScale, error_scale, log_growing_path, log_legend, log_whole_path, tool_point
 from twin.replay.scene import Scene
-from twin.toolpath import Contour, contour_of, search_window
-from twin.trace import POSITIONS, Trace
+from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour, lighter
 from twin.units import AXIS_UNITS
 
 SECOND_RUN_COLOUR = (190, 70, 190)

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from twin.errors import InputError
-from twin.machine import Machine
-from twin.machine_keys import EFFORTS
-from twin.plant import home_inertia_at_motor
-from twin.run import commissioned_inertia
+from twin.machine.keys import EFFORTS
+from twin.machine.machine import Machine
+from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.run import commissioned_inertia
 from twin.study.paths import number_at, with_numbers
 from twin.study.spec import INERTIA, Factor, Study
 

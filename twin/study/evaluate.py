@@ -25,17 +25,17 @@ import numpy as np
 import twin
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError, TwinError
-from twin.kinematics import kinematics_of
-from twin.machine import Machine
-from twin.model_file import files_of
+from twin.geometry.kinematics import kinematics_of
+from twin.geometry.tool_path import ToolPath, contour_error, path_of_axes, search_window, tool_path_of
+from twin.machine.machine import Machine
+from twin.machine.model_file import files_of
 from twin.program.read import PROGRAM_ENDINGS
-from twin.run import Run, simulate
-from twin.setpoints import Setpoints, check_travel, setpoints_of
+from twin.recordings.trace import Trace, read_trace
+from twin.simulation.run import Run, simulate
+from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 from twin.study.design import machine_of
 from twin.study.spec import Study, StudyRun
 from twin.surface.part import Part, read_part
-from twin.toolpath import ToolPath, contour_error, path_of_axes, search_window, tool_path_of
-from twin.trace import Trace, read_trace
 from twin.units import AXIS_UNITS
 
 SETTLED = {"linear": 1e-6, "rotary": math.radians(1.0 / 3600.0)}

@@ -10,14 +10,14 @@ import pyarrow.parquet
 
 from twin.errors import InputError, TwinError
 from twin.files import write_json
-from twin.machine import Machine, write_machine
-from twin.run import simulate
+from twin.machine.machine import Machine, write_machine
+from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
 from twin.study.design import machine_of
 from twin.study.evaluate import Source, motion_of, work_of
 from twin.study.report import write_report
 from twin.study.results import TABLE, Answers, table_of
 from twin.study.spec import Study
-from twin.trace import Trace
 
 BEST_MACHINE = "best_machine.toml"
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 
 def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:

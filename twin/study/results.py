@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from twin.errors import InputError, nearest
-from twin.study.answers import (
+from twin.study.design import problem_of
+from twin.study.outcomes import (
     Effect,
     Surrogate,
     Swing,
@@ -24,7 +25,6 @@ from twin.study.answers import (
     swings_of,
     without_effect,
 )
-from twin.study.design import problem_of
 from twin.study.spec import Study
 from twin.study.store import Row
 

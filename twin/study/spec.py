@@ -41,7 +41,7 @@ import tomllib
 from typing import Any
 
 from twin.errors import InputError, nearest
-from twin.machine import FEEDFORWARD, Machine, load_machine
+from twin.machine.machine import FEEDFORWARD, Machine, load_machine
 from twin.study.paths import matching_paths, number_at, with_numbers
 from twin.tables import is_number, known_keys
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.surface.nails import Nails
+from twin.surface.height_rays import Nails
 
 if TYPE_CHECKING:
     import rerun as rr

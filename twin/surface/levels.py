@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.kinematics import Kinematics, kinematics_of
-from twin.machine import Machine
+from twin.geometry.kinematics import Kinematics, kinematics_of
+from twin.geometry.tool_path import ToolPath, axes_of_trace, contour_error, path_of_axes, search_window
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.surface.steps import GAP_LENGTH, STEP_TOLERANCE, bend_of, refined_axes
 from twin.surface.tools import Tool
-from twin.toolpath import ToolPath, axes_of_trace, contour_error, path_of_axes, search_window
-from twin.trace import Trace
 
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
 LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
@@ -87,8 +87,8 @@ def levels_of_program(
 ) -> list[Level]:
     """Programmed, commanded and followed paths of a program; the run is simulated once for each feedforward word."""
     from twin.program import interpolate, read_program
-    from twin.run import simulate
-    from twin.setpoints import setpoints_of
+    from twin.simulation.run import simulate
+    from twin.simulation.setpoints import setpoints_of
 
     program = read_program(path, machine)
     kinematics = kinematics_of(machine).with_tool_length(tool.length)

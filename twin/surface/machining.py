@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.surface.height_rays import Nails
 from twin.surface.levels import PROGRAMMED, Level
 from twin.surface.metrology import Mark, areal, mark, scallop_height
-from twin.surface.nails import Nails
 from twin.surface.part import Part, Surface
 from twin.surface.removal import CutStatistics, cut
 from twin.surface.shapes import MeshFile

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.nails import Nails
+from twin.surface.height_rays import Nails
 from twin.units import UNITS
 
 if TYPE_CHECKING:

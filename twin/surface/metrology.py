@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.nails import Nails
+from twin.surface.height_rays import Nails
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.surface.nails import Nails, grid_nails
+from twin.surface.height_rays import Nails, grid_nails
 from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
 from twin.surface.tools import Tool, tool_from_table
 from twin.tables import known, limits, listed, number, numbers, positive

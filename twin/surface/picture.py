@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
+from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
 from twin.surface.export import COLOUR_MAP
+from twin.surface.height_rays import Nails
 from twin.surface.machining import CutSurface, Machining
 from twin.surface.metrology import mark
-from twin.surface.nails import Nails
 
 INK, QUIET = "#1c2733", "#5c6b7a"
 LIGHT = (-0.42, 0.5, 0.757)

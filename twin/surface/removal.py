@@ -19,8 +19,8 @@ import os
 
 import numpy as np
 
+from twin.surface.height_rays import TILE, Nails, tile_bounds, tiles_of
 from twin.surface.kernels import kernel
-from twin.surface.nails import TILE, Nails, tile_bounds, tiles_of
 from twin.surface.steps import Steps
 from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_rim, swept_sphere
 from twin.surface.tools import Tool

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.toolpath import ToolPath
+from twin.geometry.tool_path import ToolPath
 
 STEP_TOLERANCE = 5e-9
 """How far any point of the tool may be from its recorded way [m]."""
@@ -107,7 +107,7 @@ def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
 
 def kept_poses(path: ToolPath, reach: float, tolerance: float = STEP_TOLERANCE) -> np.ndarray:
     """Indices of the poses that hold the motion within a tolerance, of the tip and of the point `reach` above it."""
-    from twin.simplify import keep_shape
+    from twin.geometry.polyline import keep_shape
 
     keep = np.zeros(len(path.tip), bool)
     keep[::LONGEST_PIECE] = True

@@ -1,0 +1,187 @@
+"""How fast the twin runs: the compiled loop against bare `mj_step`, against real time and against a plain Python loop.
+
+Loop and engine take turns in one run, in blocks of a tenth of a second or less, and the medians are compared, so that
+another load on the machine does not decide. The loop's share is all of `simulate`: set points, control, engine, record.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+import json
+import os
+from pathlib import Path
+import statistics
+import subprocess
+import sys
+import tempfile
+from time import perf_counter
+
+import mujoco
+from numba import njit
+import numpy as np
+
+from twin.machine.machine import Machine, load_machine
+from twin.simulation.cascade_reference import ReferenceSimulation
+from twin.simulation.engine_calls import call_address_2, engine_function_address
+from twin.simulation.plant_spec import Plant, build_plant
+from twin.simulation.run import STRETCH_TICKS, simulate
+from twin.simulation.setpoints import Setpoints
+
+PYTHON_TICKS = 1_600
+ENGINE_BLOCK_TICKS = 1_600
+"""The bare engine starts again from the moving state after this many ticks, so that no axis comes to rest."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Results; the startup times are those of `twin run` on a short trace, process start to exit (nan: not measured)."""
+
+    loop_over_engine: float
+    realtime_factor: float
+    python_loop_over_engine: float
+    engine_us_per_step: float
+    loop_us_per_step: float
+    startup_cold_s: float = float("nan")
+    startup_warm_s: float = float("nan")
+
+
+@njit(cache=True, nogil=True)
+def _bare_steps(step, model, data, count):  # type: ignore[no-untyped-def]
+    for _ in range(count):
+        call_address_2(step, model, data)
+
+
+class BareEngine:
+    """The machine's compiled model, all axes sliding at a steady speed, advanced by `mj_step` and nothing else."""
+
+    def __init__(self, machine: Machine, velocity: np.ndarray):
+        self.plant: Plant = build_plant(machine)
+        model, data = self.plant.model, self.plant.data
+        data.qvel[self.plant.load_dof] = velocity
+        mujoco.mj_forward(model, data)
+        ratio = np.array([axis.ratio for axis in machine.axes])
+        # the motors carry gravity and friction, so that the speed stays
+        friction = np.sign(velocity) * self.plant.coulomb - data.qfrc_passive[self.plant.load_dof]
+        data.ctrl[self.plant.actuator] = (data.qfrc_bias[self.plant.load_dof] + friction) * ratio
+        self.start = mujoco.MjData(model)
+        mujoco.mj_copyData(self.start, model, data)
+        self.step = engine_function_address("mj_step")
+        self.seconds(100)
+
+    def seconds(self, ticks: int) -> float:
+        """Time that this many steps take; putting the state back is not counted."""
+        spent = 0.0
+        for done in range(0, ticks, ENGINE_BLOCK_TICKS):
+            mujoco.mj_copyData(self.plant.data, self.plant.model, self.start)
+            begin = perf_counter()
+            _bare_steps(self.step, self.plant.model._address, self.plant.data._address, min(ENGINE_BLOCK_TICKS, ticks - done))
+            spent += perf_counter() - begin
+        return spent
+
+
+def moving_setpoints(machine: Machine, seconds: float, period: float = 1e-3) -> Setpoints:
+    """All axes swing at once, each at its own frequency, from rest on."""
+    t = np.arange(round(seconds / period) + 1) * period
+    # amplitude and frequency: at most 6 m/min, 20 degrees a second
+    swing = {"linear": 0.04, "rotary": 0.3}
+    columns = []
+    for a, axis in enumerate(machine.axes):
+        omega = 2.0 * np.pi * (0.3 + 0.02 * a)
+        middle = float(np.clip(0.0, axis.travel[0] + swing[axis.kind], axis.travel[1] - swing[axis.kind]))
+        ease = np.minimum(t, 1.0) ** 2 * (3.0 - 2.0 * np.minimum(t, 1.0))
+        columns.append(middle + swing[axis.kind] * ease * np.sin(omega * t))
+    return Setpoints(np.column_stack(columns), period)
+
+
+def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine) -> tuple[list[float], list[float]]:
+    """Seconds (stretch,) of the loop for STRETCH_TICKS ticks, and of the bare engine right after it for as many steps."""
+    simulate(machine, Setpoints(setpoints.position[:50], setpoints.period))  # compile first
+    loop_times: list[float] = []
+    engine_times: list[float] = []
+    begin = perf_counter()
+
+    def turn(_done: float) -> None:
+        nonlocal begin
+        loop_times.append(perf_counter() - begin)
+        engine_times.append(engine.seconds(STRETCH_TICKS))
+        begin = perf_counter()
+
+    simulate(machine, setpoints, progress=turn)
+    return loop_times[1:-1], engine_times[1:-1]  # the first stretch builds the model, the last one is shorter
+
+
+def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
+    """Compare loop, engine and Python loop on `seconds` of machine time."""
+    machine = machine or load_machine()
+    setpoints = moving_setpoints(machine, seconds)
+    engine = BareEngine(machine, np.array([0.05 if axis.kind == "linear" else 0.2 for axis in machine.axes]))
+    loop_times, engine_times = in_turns(machine, setpoints, engine)
+    loop_us = statistics.median(loop_times) / STRETCH_TICKS * 1e6
+    engine_us = statistics.median(engine_times) / STRETCH_TICKS * 1e6
+
+    # the same law as a Python loop, in turns too
+    reference = ReferenceSimulation(machine, Setpoints(setpoints.position, setpoints.period), 10 * PYTHON_TICKS)
+    python_ratios = []
+    for block in range(10):
+        begin = perf_counter()
+        reference.run(block * PYTHON_TICKS, PYTHON_TICKS)
+        python_ratios.append((perf_counter() - begin) / engine.seconds(PYTHON_TICKS))
+    return Speed(
+        loop_over_engine=statistics.median(a / b for a, b in zip(loop_times, engine_times)),
+        realtime_factor=machine.base_tick / (loop_us * 1e-6),
+        python_loop_over_engine=statistics.median(python_ratios),
+        engine_us_per_step=engine_us,
+        loop_us_per_step=loop_us,
+    )
+
+
+def startup_seconds() -> tuple[float, float]:
+    """Seconds from the start of `twin run` on a short trace to its end: compiled code not yet on disk, and on disk."""
+    from twin.cli.demo import paper_test
+    from twin.recordings.trace import write_trace
+
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "x_200mm.csv"
+        write_trace(paper_test(load_machine()), source)
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "numba")}
+        times = []
+        for _ in range(3):
+            begin = perf_counter()
+            command = [sys.executable, "-m", "twin", "run", str(source), "--out", str(Path(folder) / "out")]
+            subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+            times.append(perf_counter() - begin)
+    return times[0], min(times[1:])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="machine time to simulate (default: 60, at least 8)")
+    parser.add_argument("--no-startup", action="store_true", help="do not measure the start-up times")
+    args = parser.parse_args(arguments)
+    speed = measure(seconds=max(args.seconds, 8.0))
+    if not args.no_startup:
+        cold, warm = startup_seconds()
+        speed = Speed(**{**asdict(speed), "startup_cold_s": cold, "startup_warm_s": warm})
+    numbers = {k: round(v, 4) for k, v in asdict(speed).items() if v == v}
+    if args.json:
+        print(json.dumps(numbers))
+        return 0
+    texts = {
+        "loop_over_engine": "loop with everything, over bare mj_step",
+        "realtime_factor": "times real time, five axes, 125 us, one core",
+        "python_loop_over_engine": "the same law as a Python loop, over bare mj_step",
+        "engine_us_per_step": "us a step, bare mj_step",
+        "loop_us_per_step": "us a step, loop",
+        "startup_cold_s": "s for a first short `twin run`, nothing compiled yet",
+        "startup_warm_s": "s for the next one",
+    }
+    for key, value in numbers.items():
+        print(f"{value:8.2f}  {texts[key]}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

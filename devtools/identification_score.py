@@ -1,0 +1,110 @@
+"""How well an identification found what is known of a machine: errors and intervals by group, for studies and tests only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.identify import tilting_pair
+from twin.identify.result import Identification, Range
+from twin.machine.machine import Machine
+
+GROUPS = {
+    "inertia": ("inertia",),
+    "Coulomb": ("coulomb_friction",),
+    "viscous": ("viscous_friction",),
+    "table moments": ("moment_y", "moment_z", "table_x", "table_y"),
+    "gravity torque": ("gravity_torque",),
+    "delays": ("position_delay_s", "feedforward_delay_s"),
+    "velocity feedforward": ("velocity_feedforward",),
+    "torque feedforward": ("torque_feedforward",),
+    "position gain": ("position_gain_per_s",),
+    "speed gain": ("speed_gain_nm_s_per_rad",),
+    "integral time": ("speed_integral_time_s",),
+}
+LIMITS = {
+    "inertia": 0.005,
+    "Coulomb": 0.01,
+    "viscous": 0.03,
+    "table moments": 0.01,
+    "delays": 20e-6,
+    "velocity feedforward": 0.002,
+    "torque feedforward": 0.002,
+}
+"""Median errors allowed: relative, delays in seconds."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One parameter against the truth: group, relative error (delays: seconds), half interval in the same, and whether it holds the truth."""
+
+    axis: str
+    name: str
+    group: str
+    error: float
+    half: float
+    holds: bool
+
+
+def judge(result: Identification, truth: Machine, products: Sequence[str] = (), refined: bool = False) -> list[Judged]:
+    """Compare with the true machine; of the axes in `products` the products with the torque constant, of the others the values.
+
+    `refined` judges what re-simulation made of the parameters that it has.
+    """
+    pair = tilting_pair.pair_numbers(truth)
+    of_pair = dict(zip("AC", pair))
+    out = []
+    for p in result.parameters:
+        group = next((g for g, names in GROUPS.items() if p.name in names), None)
+        if group is None:
+            continue
+        axis = truth.axis(p.axis)
+        true = {
+            # closed form: a drawn machine need not be one that can be built (its Y may weigh less than the X that it carries)
+            "inertia": of_pair[p.axis] * axis.ratio**2
+            if p.axis in of_pair
+            else axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2,
+            "coulomb_friction": axis.coulomb_friction_nm,
+            "viscous_friction": axis.viscous_friction_nm_s_per_rad,
+            "gravity_torque": (axis.moving_mass_kg or 0.0) * truth.gravity * axis.ratio,
+        }.get(p.name)
+        if p.name in tilting_pair.PAIR:
+            true = float(pair[tilting_pair.PAIR.index(p.name)])
+        if true is None:
+            true = getattr(axis.loops, p.name)
+        found: Range = p.refined if refined and p.refined is not None else p.value
+        if p.product and p.axis in products and not refined:
+            found = p.estimate
+            true *= result.before.axis(p.axis).motor.torque_constant_nm_per_a / axis.motor.torque_constant_nm_per_a
+        scale = 1.0 if group == "delays" else abs(true)
+        error, half = float(found.value - true) / scale, found.half / scale
+        out.append(Judged(p.axis, p.name, group, float(error), float(half), found.holds(true)))
+    return out
+
+
+def summary(judged: Sequence[Judged]) -> list[list[str]]:
+    """Rows of a table: group, count, median error, limit, 95th percentile, share of intervals that hold the truth."""
+    rows = []
+    for group in GROUPS:
+        items = [j for j in judged if j.group == group]
+        if not items:
+            continue
+        errors = np.abs([j.error for j in items])
+        unit, factor = ("us", 1e6) if group == "delays" else ("%", 100.0)
+        limit = LIMITS.get(group)
+        held = float(np.mean([j.holds for j in items]))
+        cells = [
+            f"{np.median(errors) * factor:.3g} {unit}",
+            f"{limit * factor:g} {unit}" if limit else "-",
+            f"{np.percentile(errors, 95) * factor:.3g} {unit}",
+        ]
+        bad = limit is not None and np.median(errors) > limit
+        rows.append([group, str(len(items)), *cells, f"{100 * held:.1f} %", "MISSED" if bad else ""])
+    held = float(np.mean([j.holds for j in judged])) if judged else 0.0
+    rows.append(["all", str(len(judged)), "", "", "", f"{100 * held:.1f} %", "" if 0.90 <= held <= 0.99 else "MISSED"])
+    return rows
+
+
+HEADING = ["group", "count", "median error", "limit", "95th percentile", "intervals that hold", ""]

@@ -1,0 +1,360 @@
+"""What a design study costs and survives: throughput, kills, memory, and its numbers against closed forms.
+
+    python devtools/measure_study.py throughput [--seconds 20]    two threads over one; steps a second over bare mj_step on all cores
+    python devtools/measure_study.py thousand [--variants 1000]   a whole `twin study` of that many 2 s moves, and its memory
+    python devtools/measure_study.py kills [--kills 20]           kill -9 at random moments, resume, compare with the undisturbed table
+    python devtools/measure_study.py closed_forms                 error against inertia, matching optimum, time of a rapid move
+
+Throughput is measured in turns of a second or so (one thread, all threads, bare engine), and the medians of their ratios are
+printed, so that another load on the machine weighs on all alike; the load average stands beside them. The same ratios follow without
+the time that threads were ready and had no core, as Linux tells it: what idle cores would give, but for caches. Waits for each other stay in.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+import math
+import os
+from pathlib import Path
+import random
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+from time import perf_counter, sleep
+
+import numpy as np
+import pyarrow.parquet
+
+from devtools.benchmark import BareEngine, moving_setpoints
+from twin.geometry.scurve import phases_of_move
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.trace import Trace, write_trace
+from twin.study.design import machine_of, variants_of
+from twin.study.evaluate import evaluate, work_of
+from twin.study.paths import with_numbers
+from twin.study.results import surrogate_from
+from twin.study.spec import read_study
+
+Rates = tuple[float, float]
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "studies"
+MOVE_S = 2.0
+SPEC = """
+[[run]]
+input = "move.parquet"
+[[factor]]
+name = "X mass"
+path = "axis.X.moving_mass_kg"
+range = [500.0, 900.0]
+[[factor]]
+name = "gain"
+path = "axis.*.loops.position_gain_per_s"
+relative = true
+range = [0.8, 1.2]
+[design]
+kind = "latin_hypercube"
+count = {count}
+"""
+
+
+def write_example(folder: Path, count: int, seconds: float = MOVE_S) -> Path:
+    """A study of `count` variants in which all five axes move for that long."""
+    machine = load_machine()
+    setpoints = moving_setpoints(machine, seconds)
+    signals = {(a.name, "setpoint"): setpoints.position[:, i] for i, a in enumerate(machine.axes)}
+    write_trace(Trace(np.arange(len(setpoints.position)) * setpoints.period, signals, machine.kinds), folder / "move.parquet")
+    spec = folder / "study.toml"
+    spec.write_text(SPEC.format(count=count), encoding="utf-8")
+    return spec
+
+
+def throughput(seconds: float) -> None:
+    """Variants a second on one and on all threads, and simulated steps a second against bare `mj_step`."""
+    cores = len(os.sched_getaffinity(0))
+    with tempfile.TemporaryDirectory() as folder:
+        study = read_study(write_example(Path(folder), 4096))
+        rows = iter(variants_of(study).tolist() * 100)
+        work = work_of(study)
+    machine = study.machine
+    ticks = round(MOVE_S / machine.base_tick)
+    engines = [BareEngine(machine, np.array([0.05 if a.kind == "linear" else 0.2 for a in machine.axes])) for _ in range(cores)]
+    evaluate(work, tuple(next(rows)))  # compile first
+    lock = threading.Lock()
+
+    def rates(threads: int, span: float, step: Callable[[int], float]) -> Rates:
+        """Steps a second of threads that repeat `step` (thread) -> steps; the second rate leaves out waits for a core."""
+        end = perf_counter() + span
+
+        def worker(thread: int) -> Rates:
+            begin, waited, done = perf_counter(), waited_s(), 0.0
+            while perf_counter() < end:
+                done += step(thread)
+            took = perf_counter() - begin
+            return done / took, done / (took - (waited_s() - waited))
+
+        with ThreadPoolExecutor(threads) as pool:
+            wall, own = zip(*pool.map(worker, range(threads)))
+        return sum(wall), sum(own)
+
+    def variant(_: int) -> float:
+        with lock:
+            row = tuple(next(rows))
+        evaluate(work, row)
+        return ticks
+
+    def bare(thread: int) -> float:
+        engines[thread].seconds(1600)
+        return 1600
+
+    turns = []
+    begin = perf_counter()
+    while perf_counter() - begin < seconds:
+        turns.append([rates(1, 1.0, variant), rates(cores, 1.0, variant), rates(1, 1.0, bare), rates(cores, 1.0, bare)])
+    print(f"load average {os.getloadavg()[0]:.1f} on {cores} cores; medians of {len(turns)} turns")
+    for clock, words in enumerate(("by the clock", "without what threads waited for a core that another program had")):
+        one, every, bare_one, bare_every = np.array([[rate[clock] for rate in turn] for turn in turns]).T
+        print(f"{words}:")
+        print(
+            f"  variants of a {MOVE_S:g} s move a second: {np.median(one) / ticks:.2f} on one thread, {np.median(every) / ticks:.2f} on {cores}"
+        )
+        print(f"  {cores} threads over one: {told(every / one)}; of bare mj_step, which shares nothing: {told(bare_every / bare_one)}")
+        print(f"  steps a second: {np.median(every):,.0f} in the study, {np.median(bare_every):,.0f} bare mj_step on {cores} threads")
+        print(f"  study over bare mj_step: {told(every / bare_every)}")
+
+
+def told(ratios: np.ndarray) -> str:
+    """Median and range of the turns."""
+    return f"{np.median(ratios):.2f} (turns: {ratios.min():.2f} to {ratios.max():.2f})"
+
+
+def waited_s() -> float:
+    """How long this thread has been ready to run without a core so far; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/self/task/{threading.get_native_id()}/schedstat").read_text().split()[1]) * 1e-9
+    except (OSError, IndexError):
+        return 0.0
+
+
+def thousand(variants: int) -> None:
+    """A whole command with so many variants: its time, and its memory from the first tenth to the end."""
+    with tempfile.TemporaryDirectory() as folder:
+        spec = write_example(Path(folder), variants)
+        command = [sys.executable, "-m", "twin", "study", str(spec), "--out", f"{folder}/out", "--no-replay"]
+        begin = perf_counter()
+        sizes: list[tuple[float, float]] = []
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            page = resource.getpagesize()
+            while process.poll() is None:
+                fields = Path(f"/proc/{process.pid}/statm").read_text().split()
+                if len(fields) > 1:
+                    sizes.append((perf_counter() - begin, int(fields[1]) * page / 2**20))
+                sleep(0.25)
+            took = perf_counter() - begin
+            text = process.stdout.read() if process.stdout else ""
+        rows = pyarrow.parquet.read_table(f"{folder}/out/table.parquet").num_rows
+    print(text.splitlines()[0])
+    print(f"{rows} variants of a {MOVE_S:g} s move in {took:.1f} s, load average {os.getloadavg()[0]:.1f}: the whole command")
+    running = [m for t, m in sizes if 0.15 * took < t < 0.9 * took]
+    print(
+        f"resident memory while variants run: {min(running):.0f} to {max(running):.0f} MB; {running[-1] - running[0]:+.1f} MB from first to last"
+    )
+
+
+def kills(count: int, variants: int = 400) -> None:
+    """Kill the command at random moments until it was killed so often, resume each time, and compare; a study that ends begins anew."""
+    draw = random.Random(4)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = [sys.executable, "-m", "twin", "study", str(write_example(folder, variants, seconds=0.4)), "--no-replay", "--out"]
+        begin = perf_counter()
+        subprocess.run([*command, str(folder / "whole")], check=True, stdout=subprocess.DEVNULL)
+        whole = perf_counter() - begin
+        begin = perf_counter()
+        subprocess.run([*command, str(folder / "whole"), "--resume"], check=True, stdout=subprocess.DEVNULL)
+        idle = perf_counter() - begin  # start and report, nothing to simulate
+        undisturbed = pyarrow.parquet.read_table(folder / "whole" / "table.parquet")
+        killed, fine = 0, True
+        for study in range(count):
+            out = folder / f"killed{study}"
+            came, ended = [0], False
+            while not ended and killed < count:
+                with subprocess.Popen([*command, str(out), "--resume"], stdout=subprocess.DEVNULL) as process:
+                    sleep(draw.uniform(0.3 * idle, idle + 1.5 * (whole - idle) / count))
+                    ended = process.poll() is not None
+                    process.send_signal(signal.SIGKILL)
+                killed += not ended
+                came.append(rows_in(out / "study.sqlite"))
+                fine &= came[-1] >= came[-2]  # no row is lost
+            subprocess.run([*command, str(out), "--resume"], check=True, stdout=subprocess.DEVNULL)
+            table = pyarrow.parquet.read_table(out / "table.parquet")
+            once = table.column("variant").to_pylist() == list(range(variants))
+            equal = table.equals(undisturbed)
+            fine &= once and equal
+            print(f"study {study + 1}: variants done at each kill: {', '.join(map(str, came[1:]))}; then {variants}")
+            print(f"  every variant exactly once: {once}; table equal to the undisturbed one, number by number: {equal}")
+            if killed >= count:
+                break
+        print(f"killed -9 {killed} times, load average {os.getloadavg()[0]:.1f}: {'nothing lost, nothing twice' if fine else 'FAILED'}")
+        sys.exit(not fine)
+
+
+def rows_in(file: Path) -> int:
+    """Variants in the database of a study that was killed."""
+    if not file.exists():
+        return 0
+    store = sqlite3.connect(file)
+    try:
+        tables = store.execute("SELECT count(*) FROM sqlite_master WHERE name = 'variant'").fetchone()[0]
+        return store.execute("SELECT count(*) FROM variant").fetchone()[0] if tables else 0
+    finally:
+        store.close()
+
+
+def closed_forms() -> None:
+    """Run the worked studies and hold them against what theory says."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("corner_mass", "table_payload", "inertia_matching"):
+            command = [sys.executable, "-m", "twin", "study", str(EXAMPLES / f"{name}.toml"), "--out", f"{folder}/{name}", "--no-replay"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        corner(Path(folder) / "corner_mass")
+        friction_share()
+        payload(Path(folder) / "table_payload")
+        matching(Path(folder) / "inertia_matching")
+
+
+def corner(out: Path) -> None:
+    """A speed controller with integral time Tn leaves J Tn jerk / (Kp Kv) at constant jerk: what a kilogram costs follows."""
+    machine = load_machine()
+    nominal = {"X mass": 700.0, "Y saddle": 1050.0, "position gain": 1.0}
+    print("control deviation for 100 kg more, um: study, and r^2 Tn jerk / (Kp Kv)")
+    for axis, factor in (("X", "X mass"), ("Y", "Y saddle")):
+        predict = surrogate_from(out, f"control_deviation_max_{axis}_um")
+        more = predict({**nominal, factor: nominal[factor] + 100.0})[0] - predict({**nominal, factor: nominal[factor] - 100.0})[0]
+        a = machine.axis(axis)
+        theory = 100.0 * a.ratio**2 * a.loops.speed_integral_time_s * a.max_jerk
+        theory /= a.loops.speed_gain_nm_s_per_rad * a.loops.position_gain_per_s
+        share = 700.0 * a.ratio**2 / a.commissioned_inertia if axis == "X" else 1050.0 * a.ratio**2 / a.commissioned_inertia
+        print(f"  {axis}: {more / 2:.4f}, {theory * 1e6:.4f}; the moved mass is {100 * share:.0f} % of the inertia at the motor")
+
+
+def friction_share() -> None:
+    """The nominal corner with and without Coulomb friction on X and Y."""
+    study = read_study(EXAMPLES / "corner_mass.toml")
+    smooth = with_numbers(study.machine, {f"axis.{axis}.coulomb_friction_nm": 0.0 for axis in "XY"})
+    print("corner of the machine as it is, um: deviation of X, contour error")
+    for words, machine in (("with Coulomb friction", study.machine), ("without", smooth)):
+        found = evaluate(replace(work_of(study), study=replace(study, machine=machine)), (700.0, 1050.0, 1.0)).responses
+        print(f"  {words}: {found['control_deviation_max_X_um']:.2f}, {found['contour_error_max_um']:.2f}")
+
+
+def least_at(out: Path, response: str, rotor: float, low: float, high: float) -> tuple[float, float]:
+    """Lead [m] and value at the least of a response on the study's surrogate."""
+    predict = surrogate_from(out, response)
+    leads = np.linspace(low, high, 2001)
+    values = [predict({"screw lead": float(lead), "rotor inertia": rotor})[0] for lead in leads]
+    i = int(np.argmin(values))
+    return float(leads[i]), values[i]
+
+
+def rigid_body_current(machine: Machine, tilt: np.ndarray, turn: np.ndarray, period: float) -> np.ndarray:
+    """Current of A (sample,) that rigid bodies ask for: m g y + I alpha + friction, with y and I of every body at A and C."""
+    a = machine.axis("A")
+    speed = np.gradient(tilt, period)
+    acceleration = np.gradient(speed, period)
+    torque = a.coulomb_friction * np.sign(speed) + a.viscous_friction * speed + a.reflected_inertia * acceleration
+    for body in machine.bodies:
+        c = np.zeros(len(turn)) if body.name == "cradle" else turn
+        x, y, z = body.centre_of_mass_m
+        y_turned = x * np.sin(c) + y * np.cos(c)
+        inertia = body.inertia_kg_m2[0] * np.cos(c) ** 2 + body.inertia_kg_m2[1] * np.sin(c) ** 2 + body.mass_kg * (y_turned**2 + z**2)
+        torque += body.mass_kg * machine.gravity * (y_turned * np.cos(tilt) - z * np.sin(tilt)) + inertia * acceleration
+    return torque * a.ratio / a.motor.torque_constant_nm_per_a
+
+
+def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Largest current of A of every variant (variant,): as simulated, and of rigid bodies."""
+    study = read_study(EXAMPLES / "table_payload.toml")
+    setpoints = work_of(study).sources[0].setpoints
+    if setpoints is None:
+        raise AssertionError("the path is the same for all variants")
+    tilt, turn = setpoints.position[:, 3], setpoints.position[:, 4]
+    rows = pyarrow.parquet.read_table(out / "table.parquet").to_pylist()
+    machines = [machine_of(study, np.array([row[f.name] for f in study.factors])) for row in rows]
+    theory = [float(np.abs(rigid_body_current(m, tilt, turn, setpoints.period)).max()) for m in machines]
+    return np.array([row["current_max_A_a"] for row in rows]), np.array(theory)
+
+
+def payload(out: Path) -> None:
+    """The largest current of A against that of rigid bodies."""
+    found, theory = payload_currents(out)
+    error = found - theory
+    print(f"largest current of A, A: study {found.min():.2f} to {found.max():.2f}, rigid bodies {theory.min():.2f} to {theory.max():.2f}")
+    print(f"  difference over {len(found)} variants: mean {error.mean():+.3f}, RMS about it {error.std():.3f}")
+
+
+def matching(out: Path) -> None:
+    """Torque over acceleration (J + m r^2) / r is least at r = sqrt(J / m); viscous friction b v adds b v / a to J."""
+    machine = load_machine()
+    x = machine.axis("X")
+    jerk, speed = 5.0, 0.25
+    a_peak = math.sqrt(speed * jerk)  # the move of x_200mm.csv is too slow for its acceleration limit: constant jerk up and down
+    print("lead of least current, mm: study, sqrt(J / m), and with viscous friction at half speed")
+    for rotor in (0.5, 1.0, 2.0):
+        inertia = rotor * x.rotor_inertia_kg_m2
+        plain = math.sqrt(inertia / x.moving_mass_kg)
+        friction = math.sqrt((inertia + x.viscous_friction_nm_s_per_rad * 0.5 * speed / a_peak) / x.moving_mass_kg)
+        lead, value = least_at(out, "set_points.current_max_X_a", rotor, 0.01, 0.06)
+        cost = (inertia / friction + x.moving_mass_kg * friction) * a_peak + x.coulomb_friction_nm
+        cost += x.viscous_friction_nm_s_per_rad * 0.5 * speed / friction
+        torque = cost / x.motor.torque_constant_nm_per_a
+        print(
+            f"  rotor x {rotor:g}: {lead * 1e3:.1f}, {plain * 2e3 * math.pi:.1f}, {friction * 2e3 * math.pi:.1f}; "
+            f"current {value:.2f} A, torque of the law over Kt {torque:.2f} A"
+        )
+    print("lead of the shortest rapid move, mm, and its time, s: study, jerk-limited moves in closed form")
+    for rotor in (0.5, 1.0, 2.0):
+        leads = np.linspace(0.01, 0.06, 501)
+        times = [rapid_time(machine, rotor, float(lead)) for lead in leads]
+        i = int(np.argmin(times))
+        lead, value = least_at(out, "rapid.cycle_time_s", rotor, 0.01, 0.06)
+        print(f"  rotor x {rotor:g}: {lead * 1e3:.1f} ({value:.3f}), {leads[i] * 1e3:.1f} ({times[i]:.3f} without pauses at the stops)")
+
+
+def rapid_time(machine: Machine, rotor: float, lead: float) -> float:
+    """Two moves of 600 mm with the limits of the study."""
+    x = machine.axis("X")
+    nominal_inertia = x.rotor_inertia_kg_m2 + x.moving_mass_kg * x.ratio**2
+    ratio = lead / (2.0 * math.pi * x.ratio)
+    inertia = rotor * x.rotor_inertia_kg_m2 + x.moving_mass_kg * (lead / (2.0 * math.pi)) ** 2
+    force = ratio * nominal_inertia / inertia
+    t_j, t_a, t_v = phases_of_move(0.6, 22.0 / 60.0 * ratio, x.max_acceleration * force, 50.0 * force)
+    return 2.0 * (4.0 * t_j + 2.0 * t_a + t_v)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True, dest="what")
+    commands.add_parser("throughput").add_argument("--seconds", type=float, default=20.0)
+    commands.add_parser("thousand").add_argument("--variants", type=int, default=1000)
+    commands.add_parser("kills").add_argument("--kills", type=int, default=20)
+    commands.add_parser("closed_forms")
+    args = parser.parse_args()
+    if args.what == "throughput":
+        throughput(args.seconds)
+    elif args.what == "thousand":
+        thousand(args.variants)
+    elif args.what == "kills":
+        kills(args.kills)
+    else:
+        closed_forms()
+
+
+if __name__ == "__main__":
+    main()

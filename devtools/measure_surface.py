@@ -1,0 +1,204 @@
+"""Every figure of the cut surface: speed beside plain numpy, the whole of part 1, and the table beside the paper's figures.
+
+    python devtools/measure_surface.py                    everything, about two minutes
+    python devtools/measure_surface.py --only speed       kernels alone; --only parts, --only geometry
+
+CPU time of one core is counted, so that other work on the computer does not matter; wall time stands beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+import numpy as np
+
+from twin.machine.machine import load_machine
+from twin.simulation.summary import table
+from twin.surface.height_rays import Nails, grid_nails
+from twin.surface.levels import levels_of_program
+from twin.surface.machining import machine_part, report_of
+from twin.surface.paper_parts import PARTS, TangentPlanes, VerticalCorner
+from twin.surface.part import read_part
+from twin.surface.removal import cut
+from twin.surface.steps import Steps, steps_between
+from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
+
+WANTED_RATE = 20.0
+"""Million nail-step tests a second and core."""
+
+
+def patch(spacing: float = 2e-5) -> Nails:
+    """4 mm x 2 mm of a plane."""
+    u, v = np.arange(0.0, 4e-3, spacing), np.arange(0.0, 2e-3, spacing)
+    point = np.stack([*np.meshgrid(u, v), np.zeros((len(v), len(u)))], axis=-1)
+    return grid_nails("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 5e-5, 1e-3)
+
+
+def raster(tool: Tool, turning: bool, passes: int = 16) -> Steps:
+    """Parallel passes 0.25 mm apart over the patch, upright or with an axis that sways by 3 degrees."""
+    tips = [np.column_stack([np.linspace(-2e-3, 6e-3, 40), np.full(40, -1e-3 + k * 0.25e-3), np.zeros(40)]) for k in range(passes)]
+    lifted = [np.array([[6e-3, t[0, 1], 2e-3], [-2e-3, t[0, 1] + 0.25e-3, 2e-3]]) for t in tips]
+    tip = np.concatenate([np.vstack(pair) for pair in zip(tips, lifted)])
+    sway = 0.05 * np.sin(0.2 * np.arange(len(tip))) if turning else np.zeros(len(tip))
+    return steps_between(tip, np.column_stack([sway, 0.0 * sway, np.ones(len(tip))]), tool.reach)
+
+
+def plain_numpy(nails: Nails, steps: Steps, radius: float) -> np.ndarray:
+    """The straightforward way: every step against all nails at once, ball only, no culling; heights (nail,)."""
+    height = nails.height.copy()
+    n = nails.direction
+    for tip, way, axis in zip(steps.tip, steps.way, steps.axis):
+        y = nails.point - tip - radius * axis
+        a, b, g = way @ way, -(n @ way), -(y @ way)
+        e, f = np.einsum("ij,ij->i", y, n), np.einsum("ij,ij->i", y, y) - radius**2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            cc, ee = 1.0 - b * b / a, e - b * g / a
+            t = (-ee - np.sqrt(ee * ee - cc * (f - g * g / a))) / cc
+            s = np.clip(np.where(np.isfinite(t), -(b * t + g) / a, 0.0), 0.0, 1.0)
+            es = e + s * b
+            t = -es - np.sqrt(es * es - (f + s * (2.0 * g + s * a)))
+        np.fmin(height, np.where(np.isfinite(t), t, np.inf), out=height)
+    return height
+
+
+def measure_speed() -> int:
+    """Tests a second of every tool, and numpy on the same job."""
+    nails, rows, missed = patch(), [], 0
+    cone = revolution([(0.0, 0.0), (3e-3, 1e-3), (5e-3, 8e-3), (5e-3, 0.04)], name="cone")
+    for tool in (ball_end(10e-3), flat_end(10e-3), bull_nose(10e-3, 1e-3), cone):
+        for turning in (False, True):
+            steps = raster(tool, turning, 2 if turning else 16)
+            cut(nails, steps_between(steps.tip[:3], steps.axis[:3], tool.reach), tool, threads=1)  # compiled
+            cpu, wall = time.process_time(), time.perf_counter()
+            _, work = cut(nails, steps, tool, threads=1)
+            cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+            rate = work.tests / cpu / 1e6
+            missed += rate < WANTED_RATE
+            rows.append(
+                [tool.name, "turning" if turning else "straight", f"{work.pairs / 1e6:.0f}", f"{work.tests / 1e6:.1f}",
+                 f"{cpu:.2f}", f"{wall:.2f}", f"{rate:.1f}",
+                 f"{work.pairs / cpu / 1e6:.0f}", "" if rate >= WANTED_RATE else "below"]
+            )  # fmt: skip
+    print(f"nail-step tests, one thread, {len(nails)} nails; tested: after culling; wanted {WANTED_RATE:g} million a second and core")
+    print(table(["tool", "axis", "pairs M", "tested M", "cpu s", "wall s", "tested M/s", "pairs M/s", ""], rows, left=2))
+    # side by side: the ball alone, 5 um nails would only make numpy wait longer
+    ball = replace(ball_end(10e-3), elements=ball_end(10e-3).elements[:1])
+    steps = raster(ball, False)
+    cpu = time.process_time()
+    fast, work = cut(nails, steps, ball, threads=1)
+    cpu, began = time.process_time() - cpu, time.process_time()
+    slow = plain_numpy(nails, steps, 5e-3)
+    numpy_cpu = time.process_time() - began
+    off = np.abs(fast.height - slow).max()
+    print(
+        f"\nside by side, ball-end, {len(nails)} nails x {len(steps)} steps: compiled {cpu:.3f} s, "
+        f"plain numpy {numpy_cpu:.2f} s, {numpy_cpu / cpu:.0f} times; "
+        f"numpy {work.pairs / numpy_cpu / 1e6:.1f} million pairs a second; greatest difference {off * 1e6:.1e} um"
+    )
+    return missed
+
+
+def measure_parts(only: list[str]) -> None:
+    """The paper's parts at every level, feedforward on and off, and how long it took."""
+    machine = load_machine()
+    folder = Path(__file__).resolve().parent.parent / "examples" / "parts"
+    rows, rotary = [], []
+    for name in only:
+        part = read_part(folder / f"{name}.toml")
+        began = time.perf_counter()
+        levels = levels_of_program(
+            folder / f"{name}.mpf", machine, part.tool, ("programmed", "commanded", "followed"), ("velocity+torque", "off")
+        )
+        simulated = time.perf_counter() - began
+        machining = machine_part(part, levels)
+        cpu = time.process_time()
+        machine_part(part, levels[-1:])
+        cpu = time.process_time() - cpu
+        nails = len(machining.cuts[0].finest)
+        work = machining.statistics
+        print(
+            f"{part.name}: {nails} nails in the zone, {len(levels[-1].path)} poses: "
+            f"all {len(levels)} levels {machining.seconds:.1f} s wall, one level {cpu:.1f} s cpu "
+            f"({work.tests / 1e6:.0f} of {work.pairs / 1e6:.0f} million pairs tested); "
+            f"interpolation and two runs of the machine {simulated:.1f} s"
+        )
+        for one in machining.cuts:
+            r = report_of(machining, one)
+            cells = [r.get(f"against_programmed_{k}_um") for k in ("slow", "fast")]
+            rows.append(
+                [
+                    part.name,
+                    one.level.label,
+                    *(f"{c['min']:.2f} .. {c['max']:.2f}" if c else "-" for c in cells),
+                    f"{r.get('scallop_um', 0):.2f}",
+                ]
+            )
+            rotary += [
+                [
+                    part.name,
+                    one.level.label,
+                    axis,
+                    f"{one.level.errors[f'{axis}_deviation_rms_deg']:.5f}",
+                    f"{one.level.errors[f'{axis}_deviation_deg']:.5f}",
+                ]
+                for axis in ("A", "C")
+                if f"{axis}_deviation_deg" in one.level.errors
+            ]
+    print("\nagainst the programmed cut [um]; the paper: part 1 about 20 too deep at 10 m/min; part 2 about 5 slow, about 30 fast")
+    print(table(["part", "level", "slow", "fast", "scallop"], rows, left=2))
+    if rotary:
+        print("\nrotary axes against their set points, constant delay taken out [deg]; the paper: about 0.001")
+        print(table(["part", "level", "axis", "RMS", "greatest"], rotary, left=3))
+
+
+def measure_geometry() -> None:
+    """How the mark depends on what the paper does not print: radius, slope, corner, rounding."""
+    machine = load_machine()
+    shapes: list[tuple[str, TangentPlanes | VerticalCorner]] = []
+    base = TangentPlanes(passes=0)
+    shapes += [(f"part 1: radius {r:g} mm, slope 20 deg", replace(base, radius=r)) for r in (5.0, 10.0, 20.0, 40.0, 80.0)]
+    shapes += [(f"part 1: radius 20 mm, slope {s:g} deg", replace(base, slope_deg=s)) for s in (5.0, 10.0, 30.0)]
+    shapes += [(f"part 1: radius 20 mm, rounding {t * 1e3:g} um", replace(base, tolerance=t)) for t in (0.001, 0.02)]
+    shapes += [(f"part 2: outer corner {a:g} deg", VerticalCorner(turn_deg=a)) for a in (45.0, 90.0, 120.0)]
+    shapes += [
+        ("part 2: outer corner 90 deg, rounding 1 um", VerticalCorner(tolerance=0.001)),
+        ("part 2: inner corner 90 deg", VerticalCorner(inner=True)),
+    ]
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for text, shape in shapes:
+            program, file = Path(folder) / "part.mpf", Path(folder) / "part.toml"
+            program.write_text(shape.program(), encoding="utf-8")
+            file.write_text(shape.part(zone_um=40.0), encoding="utf-8")
+            part = read_part(file)
+            levels = levels_of_program(program, machine, part.tool, ("programmed", "commanded", "followed"), ("velocity+torque", "off"))
+            machining = machine_part(part, levels)
+            marks = [report_of(machining, one)["mark"] for one in machining.cuts[1:]]
+            fast = next(one for one in machining.cuts if one.level.feedforward == "off")
+            feed = np.nanmin(np.where(fast.feed > fast.surface.zone_feed, fast.feed, np.nan)) * 60.0
+            rows.append([text, *(f"{m['depth_um']:.2f}" for m in marks), *(f"{m['left_um']:.2f}" for m in marks), f"{feed:.1f}"])
+    print("\nmark against the programmed cut [um]: too deep, and left; c commanded, on and off: followed with and without feedforward")
+    print(table(["geometry", "c deep", "on deep", "off deep", "c left", "on left", "off left", "lowest fast feed m/min"], rows, left=1))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=("speed", "parts", "geometry"))
+    parser.add_argument("--part", action="append", choices=list(PARTS), help="only this part (may be given several times)")
+    args = parser.parse_args()
+    if args.only in (None, "speed"):
+        measure_speed()
+    if args.only in (None, "parts"):
+        measure_parts(args.part or list(PARTS))
+    if args.only in (None, "geometry"):
+        measure_geometry()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""Small campaigns of one axis for the tests of the identification: simulated with noise, with faults put in by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from twin.identify.plan import move
+from twin.machine.machine import Machine
+from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+PERIOD = 1e-3
+
+
+def path(
+    targets: Sequence[float], speeds: Sequence[float], acceleration: float = 2.0, jerk: float = 5.0, dwell: float = 0.12
+) -> np.ndarray:
+    """Rest-to-rest moves from 0 with dwells (sample,) [m]."""
+    at, parts = 0.0, [np.zeros(round(dwell / PERIOD))]
+    for target, speed in zip(targets, speeds):
+        parts += [at + move(target - at, speed, acceleration, jerk, PERIOD)[1:], np.full(round(dwell / PERIOD), target)]
+        at = target
+    return np.concatenate(parts)
+
+
+LADDER = path([0.02, -0.02, 0.05, -0.05, 0.12, -0.12, 0.2, -0.2, 0.0], [0.02, 0.02, 0.06, 0.06, 0.15, 0.15, 0.3, 0.3, 0.3])
+QUICK = path([0.1, -0.1, 0.1, -0.1, 0.0], [0.3] * 5)
+ONE_WAY = path([0.05, 0.2, 0.34], [0.05, 0.15, 0.25])
+
+
+def recorded(machine: Machine, name: str, points: np.ndarray, feedforward: str, seed: int) -> MeasuredRun:
+    """One run of the first axis, as a control would record it: with noise, only the signals that a control has."""
+    column = np.zeros((len(points), len(machine.axes)))
+    column[:, 0] = points
+    trace = simulate(machine.with_feedforward(feedforward), Setpoints(column, PERIOD), noise_seed=seed).trace
+    kept = ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current")
+    signals = {k: v for k, v in trace.signals.items() if k[1] in kept}
+    return MeasuredRun(name, Trace(trace.time, signals, trace.kinds), feedforward, 0.0)
+
+
+def campaign(runs: Sequence[MeasuredRun]) -> Campaign:
+    return Campaign(Path("campaign"), "test", tuple(runs))
+
+
+def usual_runs(machine: Machine, seed: int = 0) -> list[MeasuredRun]:
+    """Constant speeds, and accelerations with and without feedforward."""
+    return [
+        recorded(machine, "speeds", LADDER, "velocity", seed),
+        recorded(machine, "quick_off", QUICK, "off", seed + 1),
+        recorded(machine, "quick", QUICK, "velocity+torque", seed + 2),
+    ]
+
+
+def with_signal(run: MeasuredRun, axis: str, signal: str, values: np.ndarray | None) -> MeasuredRun:
+    """The run with one signal replaced, or without it."""
+    signals = {k: v for k, v in run.trace.signals.items() if k != (axis, signal)}
+    if values is not None:
+        signals[axis, signal] = values
+    return replace(run, trace=Trace(run.trace.time, signals, run.trace.kinds))

@@ -1,0 +1,122 @@
+"""The commands as a newcomer uses them: what they write, what they print, and that the demo and the benchmark work."""
+
+import json
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from devtools import benchmark
+from tests.conftest import ROOT
+from twin.cli import demo
+from twin.cli.parser import main
+from twin.recordings.trace import read_trace
+
+EXAMPLE = ROOT / "examples" / "x_200mm.csv"
+
+
+def test_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(EXAMPLE), "--out", str(tmp_path), "--strict"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "following error max" in out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["axes"]["X"]["following_error_max"] == pytest.approx(500.0, abs=1.0)
+    assert summary["axes"]["X"]["following_error_unit"] == "um"
+    trace = read_trace(tmp_path / "trace.parquet")
+    assert trace.axes == ("X", "Y", "Z", "A", "C")
+    np.testing.assert_allclose(trace.get("X", "setpoint"), read_trace(EXAMPLE).get("X", "setpoint"), rtol=0, atol=1e-12)
+
+
+def test_feedforward_and_sample_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--feedforward", "off", "--sample-period-ms", "10", "--no-recording", "--out", str(tmp_path)]
+    assert main(["run", str(EXAMPLE), *arguments]) == 0
+    capsys.readouterr()
+    assert json.loads((tmp_path / "summary.json").read_text())["axes"]["X"]["following_error_max"] == pytest.approx(5500, abs=5)
+    assert read_trace(tmp_path / "trace.parquet").period == pytest.approx(10e-3)
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    listed = set(re.findall(r"^    ([a-z]+) {2,}\S|^    ([a-z]+)$", out, re.M))
+    assert {a or b for a, b in listed} == {
+        "cut", "diagnose", "effects", "exam", "gap", "identify", "import", "interpolate", "machine", "plan", "regress", "replay", "run", "study",
+    }  # fmt: skip
+    assert "cascade + plant" in out
+
+
+def test_stopped_by_the_user(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stopped(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twin.cli.commands.effects_command", stopped)
+    assert main(["effects"]) == 130
+    assert capsys.readouterr().err == "twin: stopped by the user\n"
+
+
+def test_disk_that_is_full(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(_: object) -> int:
+        raise OSError(28, "No space left on device", "out/trace.parquet")
+
+    monkeypatch.setattr("twin.cli.commands.effects_command", full)
+    assert main(["effects"]) == 2
+    assert capsys.readouterr().err == "twin: out/trace.parquet: No space left on device; give another place or free this one\n"
+
+
+def test_interpolate_writes_set_points_and_feed(tmp_path: Path) -> None:
+    program = EXAMPLE.parent / "two_planes.mpf"
+    out, plot = tmp_path / "setpoints.parquet", tmp_path / "feed.png"
+    assert main(["interpolate", str(program), "--out", str(out), "--plot", str(plot)]) == 0
+    trace = read_trace(out, need=("setpoint",))
+    assert np.ptp(trace.get("X", "setpoint")) > 1e-3
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_picture_of_no_known_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program = EXAMPLE.parent / "two_planes.mpf"
+    assert main(["interpolate", str(program), "--out", str(tmp_path / "s.csv"), "--plot", str(tmp_path / "feed.foo")]) == 2
+    assert "a picture ends in .png, .svg, .pdf" in capsys.readouterr().err
+    assert not (tmp_path / "s.csv").exists()
+
+
+def test_period_longer_than_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(EXAMPLE), "--sample-period-ms", "100000", "--no-recording", "--out", str(tmp_path)]) == 2
+    assert "record it more often" in capsys.readouterr().err
+
+
+def test_help_needs_no_engine() -> None:
+    """Usage is there at once: neither engine nor viewer nor plots are loaded for it."""
+    loaded = "import sys; from twin.cli import build_parser; build_parser(); print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"mujoco", "rerun", "matplotlib", "pyarrow"} & set(modules)
+
+
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert demo.main(["--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    for feedforward in ("off", "velocity", "velocity+torque"):
+        assert f"\n{feedforward} " in out
+    assert (tmp_path / "x_200mm.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list(tmp_path.glob("*.parquet"))) == 3
+
+
+def test_example_is_what_the_demo_makes(tmp_path: Path) -> None:
+    assert demo.main(["--setpoints", str(tmp_path / "x.csv")]) == 0
+    made, kept = read_trace(tmp_path / "x.csv"), read_trace(EXAMPLE)
+    np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
+
+
+def test_benchmark_prints_its_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmark.main(["--json", "--seconds", "8", "--no-startup"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert {"loop_over_engine", "realtime_factor", "python_loop_over_engine"} <= numbers.keys()
+    # bounds for a machine under any load; the figures themselves come from scripts/benchmark
+    assert 0.8 < numbers["loop_over_engine"] < 2.0
+    assert numbers["realtime_factor"] > 5
+    assert numbers["python_loop_over_engine"] > 2

@@ -1,0 +1,63 @@
+"""Runs left out: the formula against a fit that really lacks them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.cross_validation import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, leave_out
+from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.tuning import PRIOR_WEIGHT
+
+RUNS, SAMPLES, EFFECTS, NUISANCES = 3, 40, 2, 3
+PRIOR = np.diag([1e-6] * EFFECTS + [PRIOR_WEIGHT] * NUISANCES)
+
+
+def linear(told_in: range = range(RUNS)):
+    """A linear fit of noise about a truth, (found, fit, X, y); the second effect shows in the runs `told_in` only."""
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(RUNS * SAMPLES, EFFECTS + NUISANCES))
+    runs = np.arange(RUNS * SAMPLES) // SAMPLES
+    x[~np.isin(runs, told_in), 1] = 0.0
+    y = x @ np.array([1.0, -2.0, 0.3, 0.0, -0.3]) + rng.normal(size=len(x))
+    best = np.linalg.solve(x.T @ x + PRIOR, x.T @ y)
+    channels = [SimpleNamespace(run=k, rows=slice(k * SAMPLES, (k + 1) * SAMPLES)) for k in range(RUNS)]
+    fit = SimpleNamespace(
+        columns=x[:, :EFFECTS],
+        about=SimpleNamespace(jacobian=x[:, EFFECTS:]),
+        tuning=best[EFFECTS:],
+        free=[None] * EFFECTS,
+        left=lambda group: y - x @ best,
+    )
+    group = SimpleNamespace(channels=channels, credit=np.ones(len(x)))
+    return SimpleNamespace(group=group, fit=fit), fit, x, y, best
+
+
+def test_each_run_is_predicted_as_by_a_fit_of_the_others():
+    found, fit, x, y, best = linear()
+    loss = 0.0
+    for k in range(RUNS):
+        out = np.arange(len(y)) // SAMPLES == k
+        without = np.linalg.solve(x[~out].T @ x[~out] + PRIOR, x[~out].T @ y[~out])
+        loss += 0.5 * np.sum((y[out] - x[out] @ without) ** 2)
+        effects, tuning = leave_out(found, [k])
+        np.testing.assert_allclose(np.concatenate([effects, tuning]), without - best, atol=1e-9)
+    assert held_out_loss(found, fit, folds_of(RUNS)) == pytest.approx(loss, rel=1e-9)
+    assert loss > 1.02 * 0.5 * np.sum(fit.left(None) ** 2)  # it is no fit's own loss
+
+
+def test_a_run_that_alone_tells_a_parameter_cannot_be_left_out():
+    """The others would leave it to chance: the fit to all is judged, and must bring as much more as one that left none out."""
+    found, fit, *_ = linear(told_in=range(1))
+    effects, tuning = leave_out(found, [0])
+    assert not effects.any()
+    assert not tuning.any()
+    own = 0.5 * np.sum(fit.left(None)[:SAMPLES] ** 2)
+    others = held_out_loss(found, fit, [[1], [2]])
+    assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(own + others + EVIDENCE_IN_SAMPLE - EVIDENCE, rel=1e-9)
+
+
+def test_folds():
+    assert folds_of(1) == [[0]]
+    assert folds_of(2) == [[0], [1]]
+    assert folds_of(7) == [[0, 3, 6], [1, 4], [2, 5]]

@@ -1,0 +1,286 @@
+"""The files of a diagnosis by contract, on a small campaign of the examination's plant; bad campaigns are refused in one line."""
+
+from collections.abc import Iterator
+import dataclasses
+import json
+import math
+from pathlib import Path
+import re
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.diagnose import record, short_runs
+from twin.cli.parser import main
+from twin.diagnose import diagnose
+from twin.diagnose.check import notes_of
+from twin.diagnose.next_measurement import Proposal
+from twin.diagnose.output import write_proposal
+from twin.diagnose.wording import effect_title, interval_text, parameters_of
+from twin.effects import BLOCKS, EFFECTS, settings_of
+from twin.exam.draw import draw_case
+from twin.machine.machine import default_machine_path, load_machine
+from twin.recordings.campaign import read_campaign
+from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.replay.reading import read_recording
+
+REGIMES = ("reversal", "acceleration", "constant speed", "rest", "all")
+
+
+@pytest.fixture(scope="module")
+def case() -> Any:
+    table = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
+    return draw_case(1, "single", table, effect="backlash", axis="X"), table
+
+
+@pytest.fixture(scope="module")
+def campaign(case: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two short runs of a machine with backlash in X; Y is recorded at rest."""
+    folder = tmp_path_factory.mktemp("campaign")
+    record(case[0], short_runs("X"), "XY", folder, case[1])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that `twin diagnose` wrote."""
+    out = tmp_path_factory.mktemp("diagnosis") / "new folder"
+    assert main(["diagnose", str(campaign), "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def document(diagnosed: Path) -> dict[str, Any]:
+    return json.loads((diagnosed / "diagnosis.json").read_text(encoding="utf-8"))
+
+
+def entries(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield from document["effects"]
+    yield from document["candidates"]
+
+
+def test_keys_and_types(document: dict[str, Any]) -> None:
+    assert document.keys() >= {"verdict", "effects", "candidates", "where", "gap", "ambiguous_with", "next_measurement", "notes"}
+    assert document["verdict"] in ("effect", "none", "unknown")
+    assert isinstance(document["next_measurement"], str)
+    gap = document["gap"]
+    assert min(gap["before"], gap["after"], gap["noise_floor"]) > 0.0
+    assert set(gap["held_out_runs"]) == {"reversal", "acceleration"}
+    assert set(gap["axes"]["X"]) == {"position", "motor_position", "velocity", "current"}
+    for place in document["where"]:
+        assert place["axis"] in "XY"
+        assert place["block"] in BLOCKS
+        assert 0.0 <= place["share"] <= 1.0
+        assert place["regime"] in REGIMES
+        assert isinstance(place["scales_with"], str)
+        assert set(place["runs"]) <= {"reversal", "acceleration"}
+    assert sum(place["share"] for place in document["where"]) == pytest.approx(1.0)
+
+
+def test_effects_and_candidates_have_one_form(document: dict[str, Any]) -> None:
+    for entry in entries(document):
+        assert entry["effect"] in EFFECTS
+        assert 0.0 <= entry["probability"] < 1.0
+        assert 0.0 <= entry["explained"] <= 1.0
+        assert entry["parameters"]
+        for name, p in entry["parameters"].items():
+            assert p.keys() == {"value", "low", "high", "unit"}
+            assert all(math.isfinite(p[key]) for key in ("value", "low", "high"))
+            if EFFECTS[entry["effect"]].parameter(name).periodic:
+                assert 0.0 <= p["value"] < 2.0 * math.pi
+            assert p["low"] <= p["value"] <= p["high"]
+
+
+def test_what_would_not_show_is_listed_and_told(diagnosed: Path, document: dict[str, Any]) -> None:
+    """Y stands still: nothing is said of it. Of X a few effects would not show in two short runs."""
+    unseen = document["not_visible"]
+    assert unseen
+    for entry in unseen:
+        assert entry["effect"] in EFFECTS
+        assert entry["axis"] == "X"
+        assert entry["usual_sizes"] is None or entry["usual_sizes"] > 1.0
+        assert entry["effect"].replace("_", " ") in (diagnosed / "report.html").read_text(encoding="utf-8")
+    assert any("axis Y does not move" in note for note in document["notes"])
+
+
+def test_the_same_seed_says_the_same_on_any_number_of_threads(campaign: Path, tmp_path: Path) -> None:
+    machine = load_machine()
+    folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[0] == "X"})
+    read = read_campaign(folder, machine)
+
+    def said(seed: int, threads: int) -> str:
+        return json.dumps(diagnose(read, machine, quick=True, seed=seed, threads=threads).document())
+
+    first = said(1, 1)
+    assert said(1, 4) == first
+    assert said(2, 4) != first
+
+
+def test_every_number_is_plain_json(diagnosed: Path) -> None:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    json.loads((diagnosed / "diagnosis.json").read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_the_hidden_effect_is_named(document: dict[str, Any], case: Any) -> None:
+    hidden = case[0].effects[0]
+    assert document["verdict"] == "effect"
+    assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("backlash", "X")]
+    assert document["effects"][0]["parameters"]["clearance"]["value"] == pytest.approx(hidden["clearance"], rel=0.1)
+    assert document["effects"][0]["explained"] > 0.95
+    assert (document["where"][0]["axis"], document["where"][0]["block"]) == ("X", "transmission")
+    assert (document["candidates"][0]["effect"], document["candidates"][0]["axis"]) == ("backlash", "X")
+    assert document["gap"]["after"] < document["gap"]["before"]
+
+
+def test_corrected_machine_loads_and_holds_the_effects(diagnosed: Path, document: dict[str, Any]) -> None:
+    machine = load_machine(diagnosed / "machine.toml")
+    held = {(s.effect.name, s.axis): dict(s.parameters) for s in settings_of(machine)}
+    normal = {(n["name"], n["axis"]) for n in document["normal"]}
+    assert held.keys() - normal == {("backlash", "X")}
+    assert held["backlash", "X"]["clearance"] == document["effects"][0]["parameters"]["clearance"]["value"]
+    nominal = load_machine()
+    for axis, other in zip(machine.axes, nominal.axes):
+        assert axis.coulomb_friction == pytest.approx(other.coulomb_friction, rel=0.1)
+        assert axis.motor.torque_constant_nm_per_a == pytest.approx(other.motor.torque_constant_nm_per_a, rel=0.1)
+
+
+def test_next_measurement_of_an_earlier_diagnosis_does_not_stay(tmp_path: Path) -> None:
+    file = tmp_path / "next_measurement.csv"
+    file.write_text("of another diagnosis", encoding="utf-8")
+    write_proposal(Proposal("none needed", None), file)
+    assert not file.exists()
+
+
+def test_next_measurement_can_be_run(diagnosed: Path) -> None:
+    trace = read_trace(diagnosed / "next_measurement.csv", axes=load_machine().kinds, need=("setpoint",))
+    assert np.ptp(trace.get("X", "setpoint")) > 0
+
+
+def test_report_says_the_verdict_and_needs_nothing_beside_it(diagnosed: Path, document: dict[str, Any]) -> None:
+    page = (diagnosed / "report.html").read_text(encoding="utf-8")
+    assert "backlash on axis X" in re.search(r"<h1>(.*?)</h1>", page, re.S).group(1)
+    value = parameters_of(document["effects"][0])[0]
+    assert value["value"] in page
+    assert value["interval"] in page
+    for heading in ("What closes the gap", "Where it lies", "Before and after: axis X", "Gap by run", "Candidates", "What to do next"):
+        assert heading in page
+    sources = re.findall(r'(?:src|href)\s*=\s*"([^"]{0,30})', page)
+    assert len(sources) >= 3
+    assert all(source.startswith("data:image/") for source in sources)
+    assert not re.search(r"https?://|@import|<script|<link", page)
+    words = re.split(r"[^a-z]+", re.sub(r'base64,[^"]*', "", page).lower())
+    assert not {"nan", "inf", "undefined"} & set(words)
+
+
+def test_recording_reads_back_with_three_runs_and_the_stretch(diagnosed: Path) -> None:
+    held = read_recording(diagnosed / "diagnosis.rrd")
+    for label in ("measured", "nominal", "corrected"):
+        assert any(label in path.split("/") or path.endswith(label) for path in held), (label, sorted(held))
+    assert any(path.endswith("X/following_error/event_telling_stretch") for path in held)
+
+
+def test_numbers_are_told_in_engineers_units() -> None:
+    assert interval_text("clearance", "m", 1.26e-5, 1.242e-5, 1.278e-5) == ("12.60 um", "12.42 to 12.78 um")
+    assert interval_text("factor", "1", 1.12, 1.10, 1.14) == ("+12.0 %", "+10.0 to +14.0 %")
+    assert interval_text("delay_s", "s", 2.5e-4, 2.5e-4, 2.5e-4) == ("0.250 ms", "")
+    assert interval_text("clearance", "rad", *[4.85e-5] * 3)[0] == "10.0 arcsec"
+    assert interval_text("fraction", "1", 2e-5, 2e-5, 2e-5, "lead_error")[0] == "20.0 um/m"
+    assert effect_title({"effect": "cross_axis_coupling", "axis": "X", "from_axis": "Y"}) == "cross axis coupling on axis X from Y"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    code = main(["diagnose", *map(str, arguments)])
+    err = capsys.readouterr().err
+    assert code == 2, err
+    assert err.startswith("twin: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def changed(campaign: Path, folder: Path, change: Any) -> Path:
+    """A copy of the campaign's reversal with its signals changed."""
+    trace = read_trace(campaign / "reversal.parquet", axes=load_machine().kinds)
+    signals = change(dict(trace.signals))
+    kinds = {axis: trace.kinds.get(axis, "linear") for axis, _ in signals}
+    write_trace(Trace(trace.time, signals, kinds), folder / "reversal.parquet")
+    (folder / "campaign.toml").write_text('machine = "mikron_ucp710"\n[[run]]\nfile = "reversal.parquet"\n', encoding="utf-8")
+    return folder
+
+
+def test_missing_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert "no such folder" in refused(capsys, tmp_path / "nowhere", "--out", tmp_path / "out")
+
+
+def test_folder_without_campaign(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert "campaign.toml" in refused(capsys, tmp_path, "--out", tmp_path / "out")
+
+
+def test_set_points_outside_travel(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(
+        campaign,
+        tmp_path,
+        lambda signals: {key: v + 0.5 if "position" in key[1] or key[1] == "setpoint" else v for key, v in signals.items()},
+    )
+    message = refused(capsys, folder, "--out", tmp_path / "out")
+    assert "axis X" in message
+    assert "travel" in message
+
+
+def test_axis_that_the_machine_does_not_have(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(campaign, tmp_path, lambda signals: {("W" if axis == "Y" else axis, s): v for (axis, s), v in signals.items()})
+    assert "unknown axis W" in refused(capsys, folder, "--out", tmp_path / "out")
+
+
+def test_motion_that_does_not_follow_its_set_point(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(campaign, tmp_path, lambda signals: {key: -v if key == ("X", "position") else v for key, v in signals.items()})
+    message = refused(capsys, folder, "--out", tmp_path / "out")
+    assert "axis X" in message
+    assert "set point" in message
+
+
+def test_motor_that_does_not_follow_where_there_is_no_scale(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    def without_scale(signals: dict) -> dict:
+        return {k: -v if k == ("X", "motor_position") else v for k, v in signals.items() if k[1] != "position"}
+
+    message = refused(capsys, changed(campaign, tmp_path, without_scale), "--out", tmp_path / "out")
+    assert "axis X" in message
+    assert "set point" in message
+
+
+def test_nothing_moves(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[0] == "Y"})
+    assert "no axis moves" in refused(capsys, folder, "--out", tmp_path / "out")
+
+
+def test_another_machine_by_name_is_noted(campaign: Path) -> None:
+    machine = load_machine()
+    read = read_campaign(campaign, machine)
+    assert not any("names machine" in note for note in notes_of(read, machine))
+    other = dataclasses.replace(read, machine_name="DMU 50")
+    assert "campaign.toml names machine DMU 50, it is held against Mikron UCP 710" in notes_of(other, machine)
+
+
+def test_seed_that_is_no_number(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["diagnose", str(tmp_path), "--out", str(tmp_path / "out"), "--seed", "x"])
+    assert stopped.value.code == 2
+    assert "'x': give a whole number, 0 or more" in capsys.readouterr().err
+
+
+def test_nothing_measured(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[1] == "setpoint"})
+    assert "position" in refused(capsys, folder, "--out", tmp_path / "out")
+
+
+def test_machine_that_already_has_effects(capsys: pytest.CaptureFixture[str], campaign: Path, diagnosed: Path, tmp_path: Path) -> None:
+    message = refused(capsys, campaign, "--machine", diagnosed / "machine.toml", "--out", tmp_path / "out")
+    assert "effects" in message
+
+
+def test_place_that_cannot_be_written(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert "--out" in refused(capsys, campaign, "--out", tmp_path / "file" / "out")

@@ -1,0 +1,53 @@
+"""One more nuisance beside a tuning: what is foreseen for it is what the tuning that has it gives."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose.cross_validation import beyond_tolerance
+from twin.diagnose.fit import no_effect
+from twin.diagnose.state import excess_of
+from twin.diagnose.tolerance import UNIFORM, Nuisance
+from twin.diagnose.tuning import trial_of, tuning_from
+
+ROWS, SPREAD = 400, 0.03
+
+
+@pytest.fixture
+def drawn():
+    rng = np.random.default_rng(3)
+    nuisances = [Nuisance("X", "inertia"), Nuisance("X", "viscous")]
+    columns = rng.normal(0.0, 5.0, (ROWS, 3))
+    columns[:, 2] += columns[:, 0]  # not told apart by itself
+    return (
+        tuning_from(nuisances, np.asfortranarray(columns[:, :2]), SPREAD),
+        columns[:, 2],
+        columns @ [0.3, -0.2, 0.7] + rng.normal(size=ROWS),
+    )
+
+
+def test_a_trial_foresees_loss_and_size(drawn):
+    tuning, column, residual = drawn
+    trial, with_it = trial_of(tuning, column, residual), tuning.with_column(Nuisance("X", "elasticity"), column)
+    assert trial.gain == pytest.approx(tuning.loss(residual) - with_it.loss(residual), rel=1e-9)
+    assert trial.size == pytest.approx(with_it.solve(residual)[-1] * UNIFORM, rel=1e-9)
+    assert trial.gain > 10.0
+
+
+def test_what_the_tuning_explains_gains_nothing(drawn):
+    tuning, _, residual = drawn
+    trial = trial_of(tuning, tuning.jacobian @ np.array([1.0, 2.0]), residual)
+    assert trial.gain < 0.05 * trial_of(tuning, residual, residual).gain
+
+
+def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
+    """Nobody re-tunes a torque constant by a tenth where machines differ by a hundredth."""
+    tuning = drawn[0]
+    for deviations, explained in (((2.0, -1.0), True), ((2.0, 15.0), False)):
+        rows = tuning.jacobian @ np.array(deviations)
+        channel = SimpleNamespace(axis="X", rows=slice(0, ROWS))
+        group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS, axes=("X",), channels=[channel])
+        found = SimpleNamespace(group=group, fit=no_effect(group, tuning))
+        assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
+        assert (beyond_tolerance(found) < 0.0) is explained

@@ -1,0 +1,66 @@
+"""From which size on an effect would show: its square over noise, beyond what re-tuning takes up, against the evidence needed."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin.diagnose import unseen
+from twin.diagnose.candidates import Start
+from twin.diagnose.cross_validation import EVIDENCE
+from twin.diagnose.tolerance import Nuisance
+from twin.diagnose.tuning import tuning_from
+from twin.effects import EFFECTS, Setting
+from twin.errors import SimulationError
+from twin.machine.machine import load_machine
+
+ROWS = 500
+ALONG = np.repeat([1.0, 0.0], ROWS // 2)
+ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
+
+
+def sizes_of(columns, monkeypatch, credit=1.0):
+    """Usual sizes from which effects would show that change these rows; a nuisance takes up what lies along it."""
+    tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
+    found = SimpleNamespace(tuning=tuning, group=SimpleNamespace(credit=np.full(ROWS, credit), expected_loss=0.0, channels=[]))
+    axes = dict(zip("XYZ", columns))
+
+    def answer(found, setting):
+        column = axes[setting.axis]
+        if column is None:
+            raise SimulationError("unstable")
+        return column, tuning.project(column)
+
+    monkeypatch.setattr(unseen, "remembered_answer", answer)
+    starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
+    return {
+        axis: sizes for (_, axis, _), sizes in unseen.unseen_effects(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
+    }
+
+
+def of_evidence(evidence):
+    return ACROSS * math.sqrt(2.0 * evidence / ACROSS.sum())
+
+
+def test_a_quarter_of_the_evidence_is_half_the_size(monkeypatch):
+    sizes = sizes_of([of_evidence(EVIDENCE / 4.0), of_evidence(1.1 * EVIDENCE), None], monkeypatch)
+    assert sizes == {"X": pytest.approx(2.0, rel=1e-6)}  # what shows, and what no machine runs with, is not listed
+
+
+def test_what_changes_nothing_or_only_what_is_re_tuned_never_shows(monkeypatch):
+    sizes = sizes_of([0.0 * ALONG, 3.0 * ALONG, of_evidence(20.0)], monkeypatch)
+    assert sizes == {"X": math.inf, "Y": math.inf}
+
+
+def test_what_shows_only_where_an_axis_was_stuck_hardly_counts(monkeypatch):
+    sizes = sizes_of([of_evidence(EVIDENCE)], monkeypatch, credit=0.04)
+    assert sizes == {"X": pytest.approx(5.0, rel=1e-6)}
+
+
+def test_a_limit_is_asked_at_a_usual_level_not_at_the_measured_one():
+    machine = load_machine()
+    start = Start((Setting(EFFECTS["current_limit"], "Y", {"limit_a": 0.5}),))
+    low, high = EFFECTS["current_limit"].parameter("limit_a").usual_range(machine, machine.axis("Y"))
+    (setting,) = unseen._usual(start, machine)
+    assert low <= setting.parameters["limit_a"] <= high

@@ -1,0 +1,45 @@
+"""docs/effects.md is what the library says: same effects, laws, bounds, and a picture of each; the example runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from tests.builders.script import script
+from tests.conftest import ROOT
+from twin.effects import EFFECTS
+from twin.machine.machine import load_machine
+
+
+def test_page_is_what_the_library_says():
+    page = script("devtools/picture_effects.py", "picture_effects")
+    text = page.PAGE.read_text(encoding="utf-8")
+    assert page.page(load_machine(), text) == text, "run python devtools/picture_effects.py --text"
+    assert re.findall(r"^### (\w+)$", text, re.M) == [e.name for block in page.BLOCKS for e in EFFECTS.values() if e.block == block]
+
+
+def test_each_effect_has_its_picture():
+    pictures = {path.stem: path for path in (ROOT / "docs" / "pictures" / "effects").glob("*.png")}
+    assert set(pictures) == set(EFFECTS), "run python devtools/picture_effects.py"
+    assert all(path.stat().st_size < 80_000 for path in pictures.values())
+
+
+def test_an_effect_without_an_entry_is_shown_too():
+    """Effect number 30 needs no entry in the script: it is shown on an acceleration."""
+    page = script("devtools/picture_effects.py", "picture_effects")
+    page.SHOWN.pop("backlash")
+    axis, without, having, _ = page.traces_of(EFFECTS["backlash"], load_machine())
+    assert axis.name == "X"
+    assert (without.get("X", "motor_position") != having.get("X", "motor_position")).any()
+
+
+def test_example(tmp_path: Path):
+    """Simulated and closed form agree to 0.1 um, and the machine file that it writes has the effect."""
+    command = [sys.executable, str(ROOT / "examples" / "effects.py"), "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, env={"PYTHONPATH": str(ROOT), "PATH": ""}, capture_output=True, text=True, check=True)
+    rows = re.findall(r"^ *([\d.-]+) +([\d.-]+)  ", done.stdout, re.M)
+    assert len(rows) == 3
+    assert all(abs(float(simulated) - float(closed)) < 0.1 for simulated, closed in rows)
+    assert load_machine(tmp_path / "loose_x.toml").effects[0]["name"] == "backlash"

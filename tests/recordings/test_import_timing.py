@@ -1,0 +1,238 @@
+"""Gaps, rounded and jittering times, skew, other intervals: found, handled as the map says, and said."""
+
+import json
+from pathlib import Path
+import tomllib
+
+import numpy as np
+import pytest
+
+from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
+from twin.cli.parser import main
+from twin.machine.machine import load_machine
+from twin.recordings.signals import Clock, known_unit, split_heading
+from twin.recordings.skew import late_channels
+from twin.recordings.timing import timing_of
+from twin.recordings.trace import Trace, read_trace
+
+TIME = np.arange(4000) * 1e-3
+
+
+def imported(tmp_path: Path, file: Path, text: str = MAP) -> dict[str, Trace]:
+    (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+    assert main(["import", str(file), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    campaign = tomllib.loads((tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8"))
+    return {run["file"]: read_trace(tmp_path / "out" / run["file"]) for run in campaign["run"]}
+
+
+def recorded(tmp_path: Path, time: Array, kept: Array | None = None, digits: int = 9) -> Path:
+    columns = {"t": np.round(time, digits), **move(time)}
+    return write_csv(tmp_path / "run.csv", {k: v if kept is None else v[kept] for k, v in columns.items()})
+
+
+def test_a_gap_splits_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = np.r_[0:1500, 1540:4000]
+    traces = imported(tmp_path, recorded(tmp_path, TIME, kept))
+    assert "1 gap in time (41 ms after 1.499 s): the run is split there" in capsys.readouterr().out
+    assert list(traces) == ["run_1.parquet", "run_2.parquet"]
+    assert [len(t.time) for t in traces.values()] == [1500, 2460]
+    truth = move(TIME)["ist"]
+    assert np.abs(traces["run_2.parquet"].get("X", "position") * 1e3 - truth[1540:]).max() < 1e-9
+    campaign = tomllib.loads((tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8"))
+    assert campaign["run"][1]["started_at_s"] == pytest.approx(1.54, abs=1e-6)
+
+
+def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
+    """'run' is split, 'run_1' is a run of its own: each of the three traces has its file, whatever the order."""
+    kept = np.r_[0:1500, 1540:4000]
+    other = write_csv(tmp_path / "run_1.csv", {"t": TIME[:1000], **move(TIME[:1000])})
+    files = [recorded(tmp_path, TIME, kept), other]
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    for order in (files, files[::-1]):
+        out = tmp_path / order[0].stem
+        assert main(["import", *map(str, order), "--map", str(tmp_path / "map.toml"), "--out", str(out), "--no-picture"]) == 0
+        campaign = tomllib.loads((out / "campaign.toml").read_text(encoding="utf-8"))
+        lengths = {run["file"]: len(read_trace(out / run["file"]).time) for run in campaign["run"]}
+        assert lengths == {"run_1.parquet": 1000, "run_2.parquet": 1500, "run_3.parquet": 2460}
+        assert len(campaign["run"]) == 3
+
+
+def test_a_gap_is_filled_when_the_map_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = np.r_[0:1500, 1508:4000]
+    (trace,) = imported(tmp_path, recorded(tmp_path, TIME, kept), 'gaps = "fill"\n' + MAP).values()
+    assert "filled by a cubic" in capsys.readouterr().out
+    assert len(trace.time) == 4000
+    truth = move(TIME)["ist"]
+    assert np.abs(trace.get("X", "position") * 1e3 - truth).max() < 1e-4
+
+
+def test_lost_samples_of_a_control_are_a_gap_and_held_values_are_none(tmp_path: Path) -> None:
+    time = np.arange(1000) * 2e-3
+    columns = move(time)
+    columns["soll"][100:400] = columns["soll"][100]
+    signals = {n: (0.0, 2e-3, v) for n, v in columns.items()}
+    text = 'units = "say"\n' + MAP
+    traces = imported(tmp_path, write_xml(tmp_path / "run.xml", signals), text)
+    assert list(traces) == ["run.parquet"]
+    lossy = write_xml(tmp_path / "run.xml", signals, drop=lambda name, k: name == "ist" and 500 <= k < 520)
+    traces = imported(tmp_path, lossy, text)
+    assert [len(t.time) for t in traces.values()] == [500, 480]
+
+
+@pytest.mark.parametrize(("period", "digits"), [(1.25e-3, 3), (0.25e-3, 3), (0.4e-3, 3)])
+def test_times_printed_with_few_digits(tmp_path: Path, capsys: pytest.CaptureFixture[str], period: float, digits: int) -> None:
+    time = np.arange(8000) * period
+    (trace,) = imported(tmp_path, recorded(tmp_path, time, digits=digits)).values()
+    assert trace.period == pytest.approx(period, rel=1e-5)
+    assert f"times printed to {10.0 ** (3 - digits):g} ms" in capsys.readouterr().out
+    assert len(trace.time) == len(time)
+    assert np.abs(trace.get("X", "position") * 1e3 - move(time)["ist"]).max() < 1e-9
+
+
+def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = TIME + 1e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, len(TIME))
+    (trace,) = imported(tmp_path, recorded(tmp_path, time)).values()
+    assert "the clock is off by" in capsys.readouterr().out
+    # 100 mm/s by 0.1 ms would be 10 um; the times themselves are used
+    start = timing_of(time, "here").stretches[0].begin
+    assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5
+
+
+def test_other_period_by_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = recorded(tmp_path, np.arange(16000) * 0.25e-3)
+    (trace,) = imported(tmp_path, file, "period_ms = 1.0\n" + MAP).values()
+    assert trace.period == pytest.approx(1e-3)
+    assert "recorded every 0.25 ms, picked every 1 ms" in capsys.readouterr().out
+    assert np.abs(trace.get("X", "position") * 1e3 - move(trace.time)["ist"]).max() < 1e-9
+
+
+def test_mixed_intervals_with_a_period(tmp_path: Path) -> None:
+    time = np.concatenate([np.arange(1000) * 1e-3, 1.0 + np.arange(500) * 2e-3])
+    (trace,) = imported(tmp_path, recorded(tmp_path, time), "period_ms = 1.0\n" + MAP).values()
+    assert len(trace.time) == 1999
+    assert np.abs(trace.get("X", "position") * 1e3 - move(trace.time)["ist"]).max() < 1e-3
+
+
+def test_part_of_a_recording(tmp_path: Path) -> None:
+    text = MAP + '[[run]]\nfile = "run.csv"\nname = "part"\nfrom_s = 0.5\nto_s = 1.5\n'
+    (trace,) = imported(tmp_path, recorded(tmp_path, TIME), text).values()
+    assert len(trace.time) == 1001
+    assert trace.get("X", "position")[0] * 1e3 == pytest.approx(move(TIME)["ist"][500])
+    assert "started_at_s = 0.5\n" in (tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8").replace("00000", "")
+
+
+@pytest.mark.parametrize("late", [-0.04, -0.0023, 0.0037, 0.12])
+def test_skew_is_estimated(late: float) -> None:
+    columns, shifted = move(TIME), move(TIME - late)
+    rng = np.random.default_rng(2)
+    signals = {
+        ("X", "position"): columns["ist"] * 1e-3 + 1e-7 * rng.standard_normal(len(TIME)),
+        ("X", "motor_position"): shifted["ist"] * 1e-3,
+        ("X", "velocity"): shifted["speed"] * 1e-3 + 1e-4 * rng.standard_normal(len(TIME)),
+        ("X", "current"): shifted["strom"] + 0.05 * rng.standard_normal(len(TIME)),
+    }
+    found = {item.signal: item for item in late_channels(signals, 1e-3, {"X": "linear"})}
+    assert found["motor_position"].seconds == pytest.approx(late, abs=2e-5)
+    assert found["velocity"].seconds == pytest.approx(late, abs=1e-4)
+    assert found["current"].seconds == pytest.approx(late, abs=1e-3)
+    assert found["motor_position"].clear
+    assert found["velocity"].clear
+
+
+def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() -> None:
+    columns = move(TIME)
+    speed = columns["speed"] * 1e-3
+    position = columns["ist"] * 1e-3
+    # backlash 20 um and a wind-up with the acceleration: both go with the motion, none is a delay
+    motor = position + 10e-6 * np.tanh(speed / 1e-3) + 1e-5 * np.gradient(speed, 1e-3)
+    signals = {
+        ("X", "position"): position,
+        ("X", "motor_position"): motor,
+        ("X", "velocity"): np.gradient(motor, 1e-3),
+        ("X", "current"): columns["strom"],
+    }
+    found = late_channels(signals, 1e-3, {"X": "linear"})
+    assert len(found) == 3
+    assert not any(item.clear for item in found)
+    assert not any(item.against for item in found)
+    wrong = late_channels({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
+    assert [item.signal for item in wrong if item.against] == ["current"]
+
+
+def test_skew_is_said_and_taken_back_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = move(TIME)
+    late = {"t": TIME, **columns, "speed": move(TIME - 4e-3)["speed"], "strom": move(TIME - 4e-3)["strom"]}
+    file = write_csv(tmp_path / "run.csv", late)
+    (trace,) = imported(tmp_path, file).values()
+    out = capsys.readouterr().out
+    assert "X.velocity is 4.0" in out or "X.velocity is 3.9" in out
+    assert "left as it is" in out
+    assert np.abs(trace.get("X", "velocity") * 1e3 - late["speed"]).max() < 1e-9
+    (trace,) = imported(tmp_path, file, 'skew = "correct"\n' + MAP).values()
+    assert "taken back" in capsys.readouterr().out
+    rows = len(trace.time)
+    assert np.abs(trace.get("X", "velocity") * 1e3 - columns["speed"][:rows]).max() < 0.02  # 4 ms are 1.5 mm/s
+    content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))
+    taken = {c["column"]: c["taken_back_s"] for c in content["runs"]["run"]["columns"]}
+    assert taken["speed"] == pytest.approx(4e-3, abs=5e-5)
+    (trace,) = imported(tmp_path, file, MAP + "skew_ms = 4.0\n").values()
+    assert np.abs(trace.get("X", "current") - columns["strom"][: len(trace.time)]).max() < 1e-9
+
+
+def test_following_error_motor_turns_force_and_signs(tmp_path: Path) -> None:
+    columns = move(TIME)
+    table = {
+        "t": TIME,
+        "soll": columns["soll"],
+        "fehler": columns["soll"] - columns["ist"],
+        "motor": -columns["ist"] / 10.0,
+        "drehzahl": -columns["speed"] / 10.0 * 60.0,
+        "kraft": 2.0 * columns["strom"],
+    }
+    text = MAP.split("[[column]]")[0] + "".join(
+        f'[[column]]\nname = "{n}"\naxis = "X"\nsignal = "{s}"\nunit = "{u}"\n{more}\n'
+        for n, s, u, more in (
+            ("soll", "setpoint", "mm", ""),
+            ("fehler", "following_error", "mm", ""),
+            ("motor", "motor_position", "rev", "sign = -1\nmm_per_rev = 10.0"),
+            ("drehzahl", "velocity", "rpm", "sign = -1\nmm_per_rev = 10.0"),
+            ("kraft", "torque", "kN", "mm_per_rev = 10.0\nscale = 0.001"),
+        )
+    )
+    (trace,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table), text).values()
+    for signal, expected in (
+        ("position", columns["ist"] * 1e-3),
+        ("motor_position", columns["ist"] * 1e-3),
+        ("velocity", columns["speed"] * 1e-3),
+        ("torque", 2.0 * columns["strom"] * 0.01 / (2.0 * np.pi)),
+    ):
+        assert np.abs(trace.get("X", signal) - expected).max() < 1e-12
+
+
+def test_the_machine_file_knows_the_travel_of_a_motor_turn(tmp_path: Path) -> None:
+    columns = move(TIME)
+    pitch = load_machine().axis("X").ratio * 2.0 * np.pi * 1e3
+    file = write_csv(tmp_path / "run.csv", {"t": TIME, **columns, "speed": columns["speed"] / pitch * 60.0})
+    (trace,) = imported(tmp_path, file, 'machine = "mikron_ucp710"\n' + MAP.replace('"mm/s"', '"1/min"')).values()
+    assert np.abs(trace.get("X", "velocity") * 1e3 - columns["speed"]).max() < 1e-9
+    assert 'machine = "mikron_ucp710"' in (tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8")
+
+
+def test_units_as_others_write_them() -> None:
+    spelled = {
+        "U/min": "rev/min",
+        "1/min": "rev/min",
+        "°": "deg",
+        "µm": "um",
+        "[mm]": "mm",
+        "mm/min": "mm/min",
+        "°/s": "deg/s",
+        "N·m": "Nm",
+        "m/Minute": "m/min",
+        "Amp": "A",
+    }
+    assert {text: known_unit(text) for text in spelled} == spelled
+    assert known_unit("furlong") == ""
+    assert split_heading("Pos X (mm)") == ("Pos X", "mm")
+    assert split_heading("nckServoDataActCurr32 [u1, 7]") == ("nckServoDataActCurr32 [u1, 7]", "")
+    assert Clock().column is None

@@ -1,0 +1,236 @@
+"""Every reader gives back what an independent writer put in, to the last bit, on the writer's own times."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
+from twin.cli.parser import main
+from twin.recordings.formats.delimited import find_dialect
+from twin.recordings.trace import Trace, read_trace
+
+TIME = np.arange(3000) * 1e-3
+ROOT = Path(__file__).resolve().parents[2]
+TRACES = ROOT / "examples" / "traces"
+EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+EMPS_MAP = "".join(
+    f'[[column]]\nname = "{name}"\naxis = "X"\nsignal = "{signal}"\nunit = "{unit}"\n'
+    for name, signal, unit in (("qg", "setpoint", "m"), ("qm", "motor_position", "m"), ("vir", "voltage", "V"))
+)
+
+
+def imported(tmp_path: Path, files: list[Path], text: str = MAP, run: str | None = None) -> Trace:
+    """Import into tmp_path/out by the command line and read the trace back."""
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(text, encoding="utf-8")
+    assert main(["import", *map(str, files), "--map", str(map_file), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    return read_trace(tmp_path / "out" / f"{run or files[0].stem}.parquet")
+
+
+def same(trace: Trace, columns: Mapping[str, Array], tolerance: float = 0.0) -> None:
+    """The trace holds the columns: mm, mm/s, A."""
+    for name, signal, factor in (
+        ("soll", "setpoint", 1e3),
+        ("ist", "position", 1e3),
+        ("speed", "velocity", 1e3),
+        ("strom", "current", 1.0),
+    ):
+        got = trace.get("X", signal) * factor
+        assert len(got) == len(columns[name])
+        assert np.abs(got - columns[name]).max() <= tolerance + 4e-16 * np.abs(columns[name]).max()
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "decimal", "before", "encoding", "units"),
+    [
+        (",", ".", "", "utf-8", None),
+        (";", ",", "Messung 12;\nDatum;14.05.2024\n\n", "latin-1", ["ms", "mm", "mm", "mm/s", "A"]),
+        ("\t", ",", "# scope 7\n", "utf-8-sig", None),
+        ("\t", ".", "", "utf-16", ["[ms]", "[mm]", "[mm]", "[mm/s]", "[A]"]),
+        ("|", ".", "a line\nanother | line\n", "utf-8", None),
+        (" ", ".", "", "utf-8", None),
+    ],
+)
+def test_csv_of_any_dialect(tmp_path: Path, delimiter: str, decimal: str, before: str, encoding: str, units: list[str] | None) -> None:
+    columns = move(TIME)
+    table = {"Zeit": TIME * 1e3, **columns}
+    file = write_csv(tmp_path / "run.csv", table, delimiter=delimiter, decimal=decimal, before=before, encoding=encoding, units=units)
+    found = find_dialect(file)
+    assert (found.delimiter, found.decimal) == (delimiter, decimal)
+    assert found.names == tuple(table)
+    unit = "" if units else '[time]\ncolumn = "Zeit"\nunit = "ms"\n'
+    trace = imported(tmp_path, [file], MAP + unit)
+    assert trace.period == pytest.approx(1e-3, rel=1e-12)
+    same(trace, columns)
+
+
+def test_csv_units_from_headings_empty_cells_and_dates(tmp_path: Path) -> None:
+    columns = move(TIME)
+    slow = np.where(np.arange(len(TIME)) % 4 == 0, columns["ist"], np.nan)
+    stamps = np.datetime64("2024-05-14T08:21:07.250000000") + np.rint(TIME * 1e9).astype("timedelta64[ns]")
+    with open(tmp_path / "edge.csv", "w", encoding="utf-8") as file:
+        file.write("timestamp,soll [mm],ist (mm),speed [mm/s],strom [A]\n")
+        for row in range(len(TIME)):
+            position = "" if np.isnan(slow[row]) else repr(float(slow[row]))
+            stamp = str(stamps[row]).replace("T", " ")
+            file.write(
+                f"{stamp},{float(columns['soll'][row])!r},{position},{float(columns['speed'][row])!r},{float(columns['strom'][row])!r}\n"
+            )
+    trace = imported(tmp_path, [tmp_path / "edge.csv"], "\n".join(line for line in MAP.splitlines() if not line.startswith("unit")))
+    # the last sample of the slow column ends the trace; in between a cubic is exact to nanometres here
+    rows = len(trace.time)
+    assert rows == len(TIME) - 3
+    assert np.abs(trace.get("X", "position") * 1e3 - columns["ist"][:rows]).max() < 2e-6
+    assert np.abs(trace.get("X", "position") * 1e3 - slow[:rows])[::4].max() < 1e-13
+    assert np.abs(trace.get("X", "setpoint") * 1e3 - columns["soll"][:rows]).max() < 1e-13
+
+
+def test_sinumerik_signals_have_their_own_intervals(tmp_path: Path) -> None:
+    fast, slow = np.arange(1500) * 2e-3, 2e-3 + np.arange(740) * 4e-3
+    columns = move(fast)
+    columns["soll"][:300] = columns["soll"][0]  # held: those records lack the value
+    positions = move(slow)["ist"]
+    names = {
+        "soll": "/Nck/!SD/nckServoDataCmdPos64 [u1, 1]",
+        "speed": "/Nck/!SD/nckServoDataActVelMot64 [u1, 1]",
+        "strom": "/Nck/!SD/nckServoDataActCurr64 [u1, 1]",
+    }
+    signals = {names[n]: (0.0, 2e-3, columns[n]) for n in names}
+    signals["/Nck/!SEMA/measPos2 [u1, 1]"] = (2e-3, 4e-3, positions)
+    file = write_xml(tmp_path / "trace.xml", signals)
+    assert file.read_text(encoding="utf-8").count("f1=") < 1250  # held values are not written
+    text = MAP.replace('"ist"', '"/Nck/!SEMA/measPos2 [u1, 1]"').replace('unit = "mm"', 'unit = "mm"')
+    for short, name in names.items():
+        text = text.replace(f'"{short}"', f'"{name}"')
+    trace = imported(tmp_path, [file], 'units = "say"\n' + text)
+    assert trace.period == pytest.approx(2e-3, rel=1e-9)
+    rows = np.rint(slow / 2e-3).astype(int)
+    first = round(slow[0] / 2e-3)
+    assert np.abs(trace.get("X", "position")[rows[: len(trace.time) // 2] - first] * 1e3 - positions[: len(trace.time) // 2]).max() < 1e-6
+    assert np.abs(trace.get("X", "setpoint") * 1e3 - columns["soll"][first : first + len(trace.time)]).max() <= 5.1e-7
+    assert np.abs(trace.get("X", "position") * 1e3 - columns["ist"][first : first + len(trace.time)]).max() < 2e-5
+
+
+def test_tdms(tmp_path: Path) -> None:
+    columns = move(TIME)
+    units = {"soll": "mm", "ist": "mm", "speed": "mm/s", "strom": "A"}
+    file = write_tdms(tmp_path / "run.tdms", columns, 1e-3, units)
+    same(imported(tmp_path, [file]), columns)
+
+
+def test_mdf_with_two_rates(tmp_path: Path) -> None:
+    slow = np.arange(1500) * 2e-3
+    columns, half = move(TIME), move(slow)
+    fast_group = {"soll": (columns["soll"], "mm"), "ist": (columns["ist"], "mm"), "speed": (columns["speed"], "mm/s")}
+    file = write_mdf(tmp_path / "run.mf4", [(TIME, fast_group), (slow, {"strom": (half["strom"], "A")})])
+    trace = imported(tmp_path, [file])
+    rows = len(trace.time)
+    assert rows == 2999  # the slow group ends 1 ms earlier
+    assert np.abs(trace.get("X", "position") * 1e3 - columns["ist"][:rows]).max() < 1e-13
+    assert np.abs(trace.get("X", "current")[::2] - half["strom"]).max() < 1e-12
+    assert np.abs(trace.get("X", "current") - columns["strom"][:rows]).max() < 1e-3
+
+
+def test_matlab_vectors_and_struct_fields(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    columns = move(TIME)
+    savemat(
+        tmp_path / "run.mat",
+        {
+            "t": TIME[:, None],
+            "rec": {"soll": columns["soll"], "ist": columns["ist"]},
+            "speed": columns["speed"],
+            "strom": columns["strom"][:, None],
+            "kp": 160.0,
+        },
+    )
+    text = MAP.replace('"soll"', '"rec.soll"').replace('"ist"', '"rec.ist"')
+    same(imported(tmp_path, [tmp_path / "run.mat"], text), columns)
+
+
+def test_matlab_7_3(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="MATLAB 7.3 is read where h5py is installed")
+    columns = move(TIME)
+    with h5py.File(tmp_path / "run.mat", "w", userblock_size=512) as file:
+        for name, values in {"t": TIME, **columns}.items():
+            file.create_dataset(name, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
+    with open(tmp_path / "run.mat", "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    same(imported(tmp_path, [tmp_path / "run.mat"]), columns)
+
+
+def test_a_trace_of_the_twin_is_read_too(tmp_path: Path) -> None:
+    from twin.recordings.trace import write_trace
+
+    columns = move(TIME)
+    trace = Trace(
+        TIME,
+        {
+            ("X", s): columns[n] * f
+            for n, s, f in (("soll", "setpoint", 1e-3), ("ist", "position", 1e-3), ("speed", "velocity", 1e-3), ("strom", "current", 1.0))
+        },
+        {"X": "linear"},
+    )
+    write_trace(trace, tmp_path / "run.parquet")
+    text = (
+        MAP.replace('"soll"', '"X.setpoint"')
+        .replace('"ist"', '"X.position"')
+        .replace('"speed"', '"X.velocity"')
+        .replace('"strom"', '"X.current"')
+    )
+    same(imported(tmp_path, [tmp_path / "run.parquet"], text), columns)
+
+
+def test_files_recorded_together_make_one_run(tmp_path: Path) -> None:
+    columns = move(TIME)
+    control = write_csv(tmp_path / "control.csv", {"t": TIME, "soll": columns["soll"], "ist": columns["ist"]})
+    scope = write_tdms(tmp_path / "scope.tdms", {"speed": columns["speed"], "strom": columns["strom"]}, 1e-3)
+    text = MAP + '[[run]]\nfiles = ["control.csv", "scope.tdms"]\nname = "together"\nfeedforward = "velocity"\nstarted_at_s = 12.5\n'
+    same(imported(tmp_path, [control, scope], text, "together"), columns)
+    campaign = (tmp_path / "out" / "campaign.toml").read_text(encoding="utf-8")
+    assert 'feedforward = "velocity"' in campaign
+    assert "started_at_s = 12.5" in campaign
+
+
+def test_without_a_map_the_files_are_listed_and_a_map_begun(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_csv(tmp_path / "run.csv", {"t": TIME, **move(TIME)})
+    assert main(["import", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "strom" in out
+    assert "1 ms" in out
+    assert out.count("[[column]]") == 4
+
+
+def test_the_example_of_the_documentation(tmp_path: Path) -> None:
+    from twin.machine.machine import load_machine
+    from twin.recordings.campaign import read_campaign
+
+    files = sorted(str(f) for f in TRACES.glob("x_*"))
+    assert main(["import", *files, "--map", str(TRACES / "map.toml"), "--out", str(tmp_path / "out")]) == 0
+    campaign = read_campaign(tmp_path / "out", load_machine())
+    assert [(r.name, r.feedforward, len(r.trace.time)) for r in campaign.runs] == [
+        ("x_feedforward_off", "off", 1548),
+        ("x_velocity_feedforward", "velocity", 1547),
+    ]
+    for run in campaign.runs:
+        # both are one move: 200 mm at 15 m/min; without feedforward 5.5 mm behind, with it what 2 ms are
+        trace = run.trace
+        error = trace.get("X", "setpoint") - trace.get("X", "position")
+        assert np.abs(error).max() == pytest.approx(5.5e-3 if run.feedforward == "off" else 0.5e-3, rel=0.02)
+        assert np.abs(trace.get("X", "motor_position") - trace.get("X", "position")).max() < 2e-6
+        assert (tmp_path / "out" / f"{run.name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(not EMPS.is_file(), reason="needs the EMPS record, which lies outside the repository")
+def test_a_measured_axis(tmp_path: Path) -> None:
+    from scipy.io import loadmat
+
+    trace = imported(tmp_path, [EMPS], EMPS_MAP)
+    record = loadmat(EMPS)
+    for name, signal in (("qg", "setpoint"), ("qm", "motor_position"), ("vir", "voltage")):
+        # written in mm, which costs a rounding
+        assert np.abs(trace.get("X", signal) - record[name].ravel()).max() <= 4e-16 * np.abs(record[name]).max()
+    assert trace.period == pytest.approx(1e-3, rel=1e-12)

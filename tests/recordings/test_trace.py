@@ -1,0 +1,70 @@
+"""Traces keep their values through Parquet and CSV, whatever unit a heading names."""
+
+from pathlib import Path
+import tempfile
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from twin.errors import InputError
+from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.units import UNITS, dimension
+
+KINDS = {"X": "linear", "A": "rotary"}
+ONE_ROUNDING = 4e-16
+"""Relative error of one multiplication and one division by a unit's factor."""
+
+numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=20), st.sampled_from(["parquet", "csv"]))
+def test_written_and_read_again_is_the_same(rows: list[tuple[float, float, float]], ending: str) -> None:
+    values = np.array(rows)
+    time = np.arange(len(values)) * 0.001
+    signals = {("X", "setpoint"): values[:, 0], ("A", "velocity"): values[:, 1], ("A", "current"): values[:, 2]}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"trace.{ending}"
+        write_trace(Trace(time, signals, KINDS), path)
+        read = read_trace(path)
+    assert list(read.signals) == list(signals)
+    assert read.kinds == KINDS
+    np.testing.assert_array_equal(read.time, time)
+    for key, expected in signals.items():
+        np.testing.assert_allclose(read.get(*key), expected, rtol=ONE_ROUNDING, atol=0)
+
+
+@pytest.mark.parametrize("unit", [u for u in UNITS if dimension(u) in ("length", "angle")])
+def test_heading_decides_the_unit(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_text(f"time [ms],Q.setpoint [{unit}]\n0,1\n1,2\n2,4\n")
+    trace = read_trace(path)
+    np.testing.assert_allclose(trace.get("Q", "setpoint"), np.array([1, 2, 4]) * UNITS[unit][1], rtol=1e-15)
+    np.testing.assert_allclose(trace.time, [0, 1e-3, 2e-3], rtol=1e-15)
+    assert trace.kinds["Q"] == ("linear" if dimension(unit) == "length" else "rotary")
+
+
+def test_select_decimate_and_matrix_keep_the_order() -> None:
+    time = np.arange(10) * 0.5
+    trace = Trace(time, {("X", "setpoint"): time, ("A", "setpoint"): -time, ("program", "block"): time}, KINDS)
+    assert trace.axes == ("X", "A")
+    assert trace.period == pytest.approx(0.5)
+    np.testing.assert_array_equal(trace.matrix("setpoint"), np.column_stack([time, -time]))
+    assert trace.select(["A"]).axes == ("A",)
+    assert trace.select(["A"]).has("program", "block")
+    assert trace.decimated(3).time.tolist() == [0, 1.5, 3, 4.5]
+
+
+def test_missing_signal_says_what_there_is() -> None:
+    trace = Trace(np.arange(2.0), {("X", "setpoint"): np.zeros(2)}, KINDS)
+    with pytest.raises(InputError, match=r"no X\.position; axis X has: setpoint"):
+        trace.get("X", "position")
+
+
+def test_printed_times_may_be_rounded(tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    times = np.round(np.arange(50) / 300.0, 5)
+    path.write_text("time [s],X.setpoint [mm]\n" + "".join(f"{t},0\n" for t in times))
+    assert read_trace(path).period == pytest.approx(1 / 300, rel=1e-3)

@@ -1,0 +1,69 @@
+"""What other draws of noise make of a run: told by the reduced plant beside one run of the engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import swings
+from twin.diagnose.view import view_of
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.gap import predict
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+
+@pytest.fixture(scope="module")
+def measured(mikron: Machine) -> MeasuredRun:
+    return MeasuredRun("swings", simulate(mikron, swings(mikron, 1.0), noise_seed=7).trace, None, 0.0)
+
+
+def furthest(a: Trace, b: Trace, axis: str, signal: str) -> float:
+    return float(np.abs(a.get(axis, signal) - b.get(axis, signal)).max())
+
+
+@pytest.mark.parametrize("axis", ["X", "A", "C"])
+def test_the_reduced_plant_tells_what_other_realisations_would_be(mikron: Machine, measured: MeasuredRun, axis: str) -> None:
+    """The expectation is that of all realisations in the engine, many times nearer than one of them is, and noise is as large."""
+    motion = view_of(mikron, measured).motion
+    by_engine, one, told = (
+        predict(mikron, measured, 4),
+        predict(mikron, measured, 1),
+        predict(mikron, measured, 4, motion=motion),
+    )
+    for signal in ("position", "velocity", "current"):
+        away = furthest(one.trace, by_engine.trace, axis, signal)
+        assert furthest(told.trace, by_engine.trace, axis, signal) < 0.02 * away, signal
+        scatter, expected = (float(np.sqrt(np.mean(p.scatter[axis, signal] ** 2))) for p in (told, by_engine))
+        assert scatter == pytest.approx(expected, rel=0.01), signal
+
+
+def test_without_the_engine_the_reduced_plant_tells_all(mikron: Machine, measured: MeasuredRun) -> None:
+    """Another mass in the model that only the engine has would show in the first and not in the second."""
+    view = view_of(mikron, measured)
+    light = mikron.with_axis("X", moving_mass_kg=0.9 * (mikron.axis("X").moving_mass_kg or 0.0))
+    of_light = view_of(light, measured).motion
+    alone = predict(mikron, measured, 2, motion=view.motion, engine=False)
+    beside = predict(mikron, measured, 2, motion=view.motion)
+    assert 0.0 < furthest(alone.trace, beside.trace, "X", "position") < 1e-8
+    lighter = predict(light, measured, 2, motion=of_light, engine=False)
+    assert furthest(lighter.trace, alone.trace, "X", "position") > 1e-7
+
+
+def test_the_motion_of_rotary_axes_is_that_of_the_engine(mikron: Machine, measured: MeasuredRun) -> None:
+    """The first guess, the set points delayed, is hundreds of times further off."""
+    view = view_of(mikron, measured)
+    engine = simulate(mikron, view.setpoints, sample_period=measured.trace.period).trace
+    for axis in ("A", "C"):
+        told = view.motion.position[:, mikron.axis_names.index(axis)]
+        guess = delayed(view.setpoints, mikron, axis)
+        off, guessed = (float(np.abs(q - engine.get(axis, "position")).max()) for q in (told, guess))
+        assert off < 5e-3 * guessed
+
+
+def delayed(setpoints: Setpoints, machine: Machine, axis: str) -> np.ndarray:
+    a, loops = machine.axis_names.index(axis), machine.axis(axis).loops
+    lag = loops.position_delay_s + (1.0 - min(loops.velocity_feedforward, 1.0)) / loops.position_gain_per_s
+    return setpoints.at(np.arange(len(setpoints.position)) * setpoints.period - lag)[:, a]

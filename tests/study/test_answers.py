@@ -1,0 +1,103 @@
+"""The statistics of a study on functions whose answers are known."""
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
+
+
+def points(count: int, low: list[float], high: list[float], seed: int = 0) -> np.ndarray:
+    return qmc.scale(qmc.LatinHypercube(len(low), rng=np.random.default_rng(seed)).random(count), low, high)
+
+
+def test_effects_of_a_product_are_its_coefficients() -> None:
+    table = points(40, [0.0, 10.0], [2.0, 30.0])
+    a, b = table.T
+    found = {e.factors: e for e in effects_of(["a", "b"], table, 3.0 * (a - 1.0) + 0.2 * (b - 20.0) + 0.05 * (a - 1.0) * (b - 20.0))}
+    # ends of the sample, not of the range, are -1 and 1
+    half_a, half_b = np.ptp(table, axis=0) / 2.0
+    middle_a, middle_b = (table.min(axis=0) + table.max(axis=0)) / 2.0
+    assert found["a",].value == pytest.approx(half_a * (3.0 + 0.05 * (middle_b - 20.0)))
+    assert found["b",].value == pytest.approx(half_b * (0.2 + 0.05 * (middle_a - 1.0)))
+    assert found["a", "b"].value == pytest.approx(0.05 * half_a * half_b)
+    assert found["a",].high - found["a",].low < 1e-9
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    table = points(30, [-1.0, -1.0], [1.0, 1.0])
+    rng = np.random.default_rng(5)
+    inside = 0
+    for _ in range(400):
+        y = table @ [1.0, 0.0] + 0.3 * rng.standard_normal(30)
+        e = next(e for e in effects_of(["a", "b"], table, y) if e.factors == ("a",))
+        inside += e.low <= np.ptp(table[:, 0]) / 2.0 <= e.high
+    assert 0.92 < inside / 400 < 0.98
+
+
+def test_two_variants_have_effects_without_intervals() -> None:
+    (effect,) = effects_of(["a"], np.array([[0.0], [1.0]]), np.array([1.0, 3.0]))
+    assert effect.value == pytest.approx(1.0)
+    assert np.isnan(effect.low)
+
+
+def test_sobol_indices_of_ishigami() -> None:
+    from SALib.sample import sobol
+
+    problem = {"num_vars": 3, "names": ["a", "b", "c"], "bounds": [[-np.pi, np.pi]] * 3}
+    x = sobol.sample(problem, 1024, calc_second_order=False, seed=1)
+    y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    found = sobol_of(problem, y)
+    np.testing.assert_allclose(found["S1"], [0.3139, 0.4424, 0.0], atol=0.03)
+    np.testing.assert_allclose(found["ST"], [0.5576, 0.4424, 0.2437], atol=0.03)
+
+
+def test_pareto_front_is_what_nothing_beats() -> None:
+    rng = np.random.default_rng(3)
+    values = np.round(rng.random((300, 3)), 1)  # with ties
+    plain = [not any(np.all(other <= row) and np.any(other < row) for other in values) for row in values]
+    np.testing.assert_array_equal(pareto_front(values), plain)
+    assert pareto_front(np.zeros((0, 2))).size == 0
+    assert pareto_front(np.ones((4, 2))).all()
+
+
+@pytest.mark.parametrize("count", [60, 900])
+def test_the_surrogate_tells_its_own_error(count: int) -> None:
+    def truth(x: np.ndarray) -> np.ndarray:
+        return np.sin(2.0 * x[:, 0]) + x[:, 1] ** 2
+
+    table = points(count, [-1.0, -1.0], [1.0, 1.0])
+    surrogate = surrogate_of(table, truth(table))
+    new = points(2000, [-1.0, -1.0], [1.0, 1.0], seed=9)
+    real = np.sqrt(np.mean((surrogate.predict(new) - truth(new)) ** 2))
+    assert surrogate.kind == "thin-plate spline"
+    assert real < 0.03
+    assert 0.5 < surrogate.error / real < 3.0  # a fifth of the points is missing where it is measured
+    swings = swings_of(["a", "b"], table, surrogate)
+    assert swings[0].factor == "a"
+    assert abs(next(s for s in swings if s.factor == "b").least_at) < 0.05
+
+
+def test_a_surrogate_of_noise_does_not_claim_to_know() -> None:
+    table = points(50, [0.0, 0.0], [1.0, 1.0])
+    surrogate = surrogate_of(table, np.random.default_rng(1).standard_normal(50))
+    assert surrogate.error > 0.8 * surrogate.spread
+
+
+def test_too_few_variants_have_no_surrogate() -> None:
+    assert surrogate_of(np.arange(5.0)[:, None], np.arange(5.0)) is None
+
+
+@pytest.mark.parametrize("design", ["grid", "cube", "one at a time"])
+def test_a_factor_without_effect_is_found_and_no_other(design: str) -> None:
+    if design == "grid":
+        table = np.array([(a, b, c) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) for c in (-1.0, 0.0, 1.0)])
+    elif design == "cube":
+        table = points(40, [-1.0] * 3, [1.0] * 3)
+    else:
+        table = np.array([[0.5, 0.5, 0.5], *(np.where(np.arange(3) == i, v, 0.5) for i in range(3) for v in (-1.0, 1.0))])
+    a, b, _ = table.T
+    # b acts by its square alone: no main effect
+    responses = [(table, 5.0 + a), (table, 2.0 + 0.1 * np.exp(a) + 0.01 * b**2), (table, np.full(len(table), 7.0))]
+    assert without_effect(["a", "b", "c"], responses) == ["c"]
+    assert without_effect(["a", "b", "c"], responses[2:]) == ["a", "b", "c"]

@@ -1,0 +1,210 @@
+"""`twin cut INPUT --part PART.toml --out DIR`: remove material along a path and write what is left."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import re
+import sys
+from typing import Any
+
+from twin.errors import InputError, nearest
+from twin.files import output_folder, write_json
+from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.program.read import PROGRAM_ENDINGS
+from twin.progress import Progress
+from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
+from twin.surface.machining import Machining, machine_part, report_of
+from twin.surface.part import Part, read_part
+from twin.surface.shapes import MeshFile
+
+
+def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `twin cut`."""
+    parser.add_argument("input", metavar="INPUT", help="part program, run directory (trace.parquet), or trace")
+    parser.add_argument(
+        "--part", required=True, metavar="PART.toml", help="part file: tool, stock, nominal surfaces, zones (see examples/parts)"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", help="folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)"
+    )
+    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the Mikron UCP 710 that ships with twin)")
+    parser.add_argument(
+        "--level",
+        action="append",
+        default=[],
+        metavar="L",
+        help="programmed | commanded | followed; may be given several times (default: all there are)",
+    )
+    parser.add_argument(
+        "--feedforward",
+        action="append",
+        default=[],
+        metavar="F",
+        help="velocity+torque | velocity | off, of the simulated run of a program; several are allowed (default: first and last)",
+    )
+    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the nails in the zones (default: as the part file says)")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
+    parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")
+
+
+def cut_command(args: argparse.Namespace) -> int:
+    """Cut, print a table, write everything."""
+    from twin.simulation.summary import table
+
+    part = read_part(args.part)
+    machine = load_machine(args.machine)
+    levels = _checked(args.level, LEVELS, "level") or list(LEVELS)
+    words = _checked(args.feedforward, FEEDFORWARD, "feedforward") or ["velocity+torque", "off"]
+    if args.zone_um is not None and not args.zone_um > 0.0:
+        raise InputError(f"--zone-um {args.zone_um:g}: give a spacing above 0")
+    if args.threads is not None and args.threads < 1:
+        raise InputError(f"--threads {args.threads}: give 1 or more")
+    out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
+    with Progress("tool paths") as bar:
+        paths = paths_of(Path(args.input), machine, part, levels, words, progress=bar)
+    with Progress("cutting") as bar:
+        machining = machine_part(
+            part, paths, threads=args.threads, zone_spacing=args.zone_um * 1e-6 if args.zone_um else None, progress=bar
+        )
+    reports = [report_of(machining, one) for one in machining.cuts]
+    work = machining.statistics
+    write_json(
+        {
+            "part": part.name,
+            "tool": part.tool.name,
+            "notes": list(part.notes),
+            "cuts": reports,
+            "work": {"pairs": work.pairs, "tests": work.tests, "seconds": machining.seconds},
+        },
+        out / "cut.json",
+    )
+    written = write_files(machining, out, files=not args.no_files)
+    print(f"{part.name}: {part.tool.name}")
+    for note in part.notes:
+        print(f"note: {note}")
+    print(
+        table(
+            ["surface", "level", "deviation um", "too deep um", "left um", "slow um", "fast um", "Sa um", "Sz um"],
+            [_row(r) for r in reports],
+            left=2,
+        )
+    )
+    print("too deep, left, slow, fast: against the programmed cut; slow and fast by the feed at which the place was made")
+    for one in paths:
+        if one.errors:
+            print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
+    print(f"{work.tests / 1e6:.1f} million nail-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
+    print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
+    return 0
+
+
+def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], words: list[str], *, progress: Any = None) -> list[Level]:
+    """The paths to cut: of a program, of a run directory, or of a trace."""
+    from twin.recordings.trace import read_trace
+
+    if source.suffix.lower() in PROGRAM_ENDINGS:
+        return levels_of_program(source, machine, part.tool, levels, words, progress)
+    file = source / "trace.parquet" if source.is_dir() else source
+    if source.is_dir() and not file.is_file():
+        raise InputError(f"{source}: no trace.parquet in this folder; give the --out folder of `twin run`")
+    trace = read_trace(file, axes=machine.kinds)
+    return levels_of_trace(trace, machine, part.tool, levels, str(file))
+
+
+def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[Path]:
+    """Pictures of every cut, all levels together, and meshes, height maps and a recording of the finest nails."""
+    from twin.surface.export import write_height_map, write_mesh
+    from twin.surface.picture import colour_end, draw_cut, draw_levels
+
+    written = []
+    for one in machining.cuts:
+        stem = _name(
+            f"{one.surface.name}_{one.level.level}_{one.level.feedforward}"
+            if one.level.feedforward
+            else f"{one.surface.name}_{one.level.level}"
+        )
+        end = colour_end(one.finest.height * 1e6) * 1e-6
+        draw_cut(machining, one, out / f"{stem}.png")
+        written.append(out / f"{stem}.png")
+        if files:
+            write_mesh(one.finest, out / f"{stem}.ply", end)
+            write_mesh(one.finest, out / f"{stem}.stl", end)
+            write_height_map(one.finest, out / f"{stem}.npz")
+            write_height_map(one.finest, out / f"{stem}.csv")
+            written += [out / f"{stem}{ending}" for ending in (".ply", ".stl", ".npz", ".csv")]
+    for surface in machining.part.surfaces:
+        if not isinstance(surface.shape, MeshFile):
+            draw_levels(machining, surface.name, out / f"{_name(surface.name)}_levels.png")
+            written.append(out / f"{_name(surface.name)}_levels.png")
+    if files:
+        written.append(write_recording(machining, out / "cut.rrd"))
+    return written
+
+
+def write_recording(machining: Machining, path: Path) -> Path:
+    """A recording with every cut surface as a coloured mesh in the part frame, and the paths that cut them."""
+    import rerun
+
+    from twin.surface.export import log_surface
+    from twin.surface.picture import colour_end
+
+    recording = rerun.RecordingStream("twin_cut")
+    recording.save(path)
+    for one in machining.cuts:
+        end = colour_end(one.finest.height * 1e6) * 1e-6
+        log_surface(recording, f"part/surface/{_name(one.surface.name)}/{_name(one.level.label)}", one.finest, end)
+    for level in {id(c.level): c.level for c in machining.cuts}.values():
+        tip = level.path.tip[:: max(1, len(level.path) // 20_000)]
+        recording.log(f"part/path/{_name(level.label)}", rerun.LineStrips3D([tip], radii=rerun.Radius.ui_points(1.0)), static=True)
+    recording.flush()
+    recording.disconnect()
+    return path
+
+
+def _row(report: dict[str, Any]) -> list[str]:
+    d, m = report["deviation_um"], report.get("mark", {})
+
+    def span(values: dict[str, float] | None) -> str:
+        return f"{values['min']:.2f} .. {values['max']:.2f}" if values else "-"
+
+    return [
+        report["surface"],
+        f"{report['level']} {report['feedforward']}".strip(),
+        span(d),
+        f"{m['depth_um']:.2f}" if m else "-",
+        f"{m['left_um']:.2f}" if m else "-",
+        span(report.get("against_programmed_slow_um")),
+        span(report.get("against_programmed_fast_um")),
+        f"{report['areal_um']['sa']:.3f}" if "areal_um" in report else "-",
+        f"{report['areal_um']['sz']:.2f}" if "areal_um" in report else "-",
+    ]
+
+
+def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:
+    for word in words:
+        if word not in known:
+            raise InputError(f"--{what} {word}: {nearest(word, known)}; use one of {', '.join(known)}")
+    return list(dict.fromkeys(words))
+
+
+def _name(text: str) -> str:
+    """A file or entity name without blanks and signs."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+
+
+def main() -> int:
+    """`python -m twin.cli.cut`: the command alone."""
+    from twin.errors import TwinError
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_cut_arguments(parser)
+    try:
+        return cut_command(parser.parse_args())
+    except TwinError as error:
+        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,219 @@
+"""The paper's test: X 200 mm out and back at 15 m/min with a jerk of 5 m/s3, with feedforward off and on.
+
+Writes traces, a recording and a plot like the paper's Fig. 4, and prints what it found (`scripts/demo`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.errors import TwinError
+from twin.geometry.scurve import moves_in_turn, phases_of_move
+from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.recordings.trace import Trace, write_trace
+from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal, lighter
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import setpoints_of
+from twin.simulation.summary import table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+AXIS = "X"
+DISTANCE = 0.2
+SPEED = 0.25
+JERK = 5.0
+DWELL = 0.2
+PERIOD = 1e-3
+START = -DISTANCE / 2.0
+TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk {JERK:g} m/s³"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one run of the test shows, SI: following error largest and at constant speed, the largest deviation from the
+    set point one position delay earlier (what is left when the delay is taken out), overshoot at the stops, current."""
+
+    error_max: float
+    error_at_speed: float
+    deviation_max: float
+    overshoot: float
+    current_max: float
+
+
+def paper_test(machine: Machine) -> Trace:
+    """Set points of the test for the X axis of a machine, as a trace."""
+    axis = machine.axis(AXIS)
+    times, position = moves_in_turn(START, [DISTANCE, -DISTANCE], SPEED, axis.max_acceleration, JERK, DWELL, PERIOD)
+    return Trace(times, {(AXIS, "setpoint"): position}, {AXIS: axis.kind})
+
+
+def run_test(machine: Machine, setpoints: Trace) -> dict[str, Trace]:
+    """The followed trace for each feedforward."""
+    points = setpoints_of(setpoints, machine)
+    return {word: simulate(machine.with_feedforward(word), points).trace for word in FEEDFORWARD}
+
+
+def finding_of(machine: Machine, trace: Trace) -> Finding:
+    """Numbers of one run."""
+    axis = machine.axis(AXIS)
+    setpoint, position = trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
+    error = setpoint - position
+    at_speed = _times_at_speed(machine, trace.time)
+    beyond = np.maximum(position - setpoint.max(), setpoint.min() - position)
+    return Finding(
+        error_max=float(np.abs(error).max()),
+        error_at_speed=float(np.abs(error[at_speed]).mean()),
+        deviation_max=float(np.abs(_delayed(setpoint, trace.time, axis.loops.position_delay_s) - position).max()),
+        overshoot=float(max(beyond.max(), 0.0)),
+        current_max=float(np.abs(trace.get(AXIS, "current")).max()),
+    )
+
+
+def findings_table(findings: Mapping[str, Finding]) -> str:
+    """The findings as a table in um and A."""
+    heading = ["feedforward", "following error max", "at constant speed", "max without the delay", "overshoot", "current max"]
+    rows = [
+        [
+            word,
+            f"{f.error_max * 1e6:.1f} um",
+            f"{f.error_at_speed * 1e6:.1f} um",
+            f"{f.deviation_max * 1e6:.1f} um",
+            f"{f.overshoot * 1e6:.2f} um",
+            f"{f.current_max:.2f} A",
+        ]
+        for word, f in findings.items()
+    ]
+    return table(heading, rows)
+
+
+def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
+    """Position, following error, what is left of it without the delay, speed and current; feedforward off left, on right."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    strong, light, grey = (hexadecimal(c) for c in (axis_colour(AXIS), lighter(axis_colour(AXIS), 0.5), SETPOINT_COLOUR))
+    columns = {"feedforward off": [("off", strong)], "feedforward on": [("velocity", light), ("velocity+torque", strong)]}
+    delay = machine.axis(AXIS).loops.position_delay_s
+    style: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e6ea"}
+    with plt.rc_context(style):
+        figure, axes = plt.subplots(5, 2, figsize=(12.0, 11.4), sharex=True, layout="constrained")
+        for column, (title, words) in enumerate(columns.items()):
+            position, error, deviation, speed, current = axes[:, column]
+            for word, colour in words:
+                trace = traces[word]
+                time, setpoint, followed = trace.time, trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
+                if word == words[0][0]:
+                    position.plot(time, setpoint * 1e3, color=grey, linewidth=3.0, label="set point")
+                    speed.plot(time, np.gradient(setpoint, trace.period) * 60.0, color=grey, linewidth=3.0)
+                line = {"color": colour, "linewidth": 1.3, "label": "feedforward " + word.replace("+", " and ")}
+                position.plot(time, followed * 1e3, **{**line, "label": "position"})
+                error.plot(time, (setpoint - followed) * 1e6, **line)
+                deviation.plot(time, (_delayed(setpoint, time, delay) - followed) * 1e6, **line)
+                speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
+                # the speed set point is a staircase of position cycles, so the current ripples: drawn faint, its mean strong
+                ripple = max(1, round(machine.position_cycle / trace.period))
+                current.plot(time, trace.get(AXIS, "current"), color=grey, linewidth=0.5, alpha=0.7)
+                current.plot(time, np.convolve(trace.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), **line)
+            position.set_title(title, loc="left", weight="bold")
+            _mark_largest(error, strong)
+            _mark_largest(deviation, strong)
+            current.set_xlabel("time in s")
+            current.margins(x=0.0)
+        axes[0, 0].legend(labels=("set point", "position"), loc="lower center", frameon=False)
+        axes[2, 1].legend(loc="lower left", frameon=False)
+        labels = ("position\nmm", "following error\nµm", "the same without\nthe delay, µm", "speed\nm/min", "motor current\nA")
+        for row, label in enumerate(labels):
+            axes[row, 0].set_ylabel(label)
+            if row not in (1, 2):
+                axes[row, 1].sharey(axes[row, 0])
+        figure.align_ylabels(axes[:, 0])
+        figure.suptitle(f"{machine.name}: {TITLE}", x=0.01, ha="left", size=14)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=140)
+        plt.close(figure)
+
+
+def _mark_largest(axes: Axes, colour: str) -> None:
+    """Write the largest value of the last line beside it, and leave room for it."""
+    time, values = (np.asarray(d) for d in axes.lines[-1].get_data())
+    largest = int(np.argmax(np.abs(values)))
+    axes.margins(y=0.2)
+    text, place = f"{abs(values[largest]):.0f} µm", (time[largest], values[largest])
+    axes.annotate(text, place, xytext=(6, 4), textcoords="offset points", color=colour, weight="bold")
+
+
+def _delayed(setpoint: np.ndarray, time: np.ndarray, delay: float) -> np.ndarray:
+    return np.interp(time - delay, time, setpoint)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="scripts/demo", description=f"The paper's test: {TITLE}, feedforward off and on.")
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for traces, recording and plot")
+    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the Mikron UCP 710)")
+    parser.add_argument(
+        "--setpoints", type=Path, metavar="FILE", help="only write the set points of the test to this file (.csv, .parquet)"
+    )
+    args = parser.parse_args(arguments)
+    try:
+        machine = load_machine(args.machine)
+        setpoints = paper_test(machine)
+        if args.setpoints:
+            write_trace(setpoints, args.setpoints)
+            print(f"written: {args.setpoints}")
+            return 0
+        traces = run_test(machine, setpoints)
+        _report(machine, traces, args.out)
+    except (TwinError, OSError) as error:
+        print(f"demo: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _report(machine: Machine, traces: Mapping[str, Trace], out: Path) -> None:
+    written = []
+    for word, trace in traces.items():
+        written.append(out / f"x_200mm_{word.replace('+', '_')}.parquet")
+        write_trace(trace, written[-1])
+    findings = {word: finding_of(machine, trace) for word, trace in traces.items()}
+    text = findings_table(findings)
+    written.append(out / "x_200mm.png")
+    draw(machine, traces, written[-1])
+    try:
+        from twin.replay import write_recording
+    except ImportError:
+        print("no recording: twin.replay cannot be imported", file=sys.stderr)
+    else:
+        written.append(out / "x_200mm.rrd")
+        write_recording(written[-1], machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
+    loops = machine.axis(AXIS).loops
+    lag = SPEED * (1.0 / loops.position_gain_per_s + loops.position_delay_s)
+    print(f"{machine.name}: {TITLE}\n")
+    print(text)
+    print(
+        f"\nWithout feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed; with it the delay of the "
+        f"set point ({loops.position_delay_s * 1e3:g} ms, {SPEED * loops.position_delay_s * 1e6:.0f} um) is left."
+    )
+    print("\nwritten: " + "\n         ".join(map(str, written)))
+
+
+def _times_at_speed(machine: Machine, time: np.ndarray) -> np.ndarray:
+    """(sample,) True in the second half of both stretches of constant speed, when the loops have settled."""
+    t_j, t_a, t_v = phases_of_move(DISTANCE, SPEED, machine.axis(AXIS).max_acceleration, JERK)
+    ramp = 2.0 * t_j + t_a
+    begin = DWELL + ramp
+    again = begin + t_v + ramp + DWELL + ramp
+    return np.any([(time > b + t_v / 2) & (time < b + t_v) for b in (begin, again)], axis=0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,151 @@
+"""`twin exam`: sealed campaigns diagnosed by a process that knows nothing, opened and scored; or what a campaign could show at all."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+import tomllib
+
+import twin
+from twin.errors import InputError, nearest
+
+
+def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="what is drawn (default 0); a published score has a fresh one")
+    parser.add_argument("--cases", type=int, default=150, metavar="N", help="how many campaigns (default 150)")
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="folder for campaigns, answers, exam.json, report.html; goes on where it was"
+    )
+    parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the shipped one)")
+    parser.add_argument(
+        "--richness", choices=("off", "small", "full"), default="small", help="physics that no effect describes, always on (default small)"
+    )
+    parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
+    parser.add_argument(
+        "--only",
+        metavar="KIND",
+        help="nothing but one kind of case, e.g. healthy, 'a fifth', outside",
+    )
+    parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten: a look in minutes")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
+    parser.add_argument("--open", action="store_true", help="end it here: open the seals, score what has been answered so far")
+    parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: which effects this campaign's runs, signals and noise can show")
+
+
+def exam_command(args: argparse.Namespace) -> int:
+    """Draw, seal, diagnose, open, mark, score; 1 where a target is missed by more than chance."""
+    if args.plan:
+        from twin.exam.detectability import foresee_command
+
+        return foresee_command(args)
+    from twin.exam.draw import what_lacks
+    from twin.exam.mark import mark
+    from twin.exam.questions import STRATA, questions_of
+    from twin.exam.report import write_exam_report
+    from twin.exam.score import is_failed, score
+    from twin.exam.session import TRUTHS, draw, each, is_answered, processes, same_examination, seal, sit, sources, truths_text, unseal
+    from twin.machine.machine import default_machine_path, load_machine
+    from twin.progress import Progress
+
+    if not 1 <= args.cases <= 100_000:
+        raise InputError(f"--cases {args.cases}: give 1 or more")
+    if args.seed < 0:
+        raise InputError(f"--seed {args.seed}: give 0 or more")
+    if args.workers is not None and args.workers < 1:
+        raise InputError(f"--workers {args.workers}: give 1 or more")
+    if args.only not in (None, *(s.name for s in STRATA)):
+        raise InputError(f"--only {args.only}: no such kind of case; {nearest(args.only, [s.name for s in STRATA])}")
+    machine_file = str(Path(args.machine).resolve() if args.machine else default_machine_path())
+    machine = load_machine(machine_file)
+    if machine.axis_names != ("X", "Y", "Z", "A", "C"):
+        raise InputError(
+            f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
+        )
+    table = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    if (lack := what_lacks(table)) is not None:
+        raise InputError(f"{machine_file}: the examination's plant cannot be made of it: {lack}; it needs what the Mikron's file has")
+    out = Path(args.out).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    questions = questions_of(args.seed, args.cases, args.short, args.only)
+    asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
+    model = (Path(machine_file).read_bytes(), machine.model_path.read_bytes())
+    same_examination(out, {**asked_for, "machine": hashlib.sha256(b"\0".join(model)).hexdigest()[:16]})
+    folders = {q.name: str(out / "cases" / q.name) for q in questions}
+    with processes(args.scheduler, args.workers) as pool:
+        with Progress("drawing cases", total=len(questions)) as bar:
+            drawn = each(pool, draw, {q.name: (q, machine_file, args.richness) for q in questions}, bar)
+        impossible = {name: reason for name, reason in drawn.items() if isinstance(reason, str)}
+        cases = {name: case for name, case in drawn.items() if not isinstance(case, str)}
+        text = truths_text(cases)
+        print(f"{len(cases)} cases sealed, SHA-256 of the truths {seal(text, out)}", flush=True)
+        opened = args.open or (out / TRUTHS).exists()  # once they are open nothing is diagnosed any more
+        asked = [q for q in questions if q.name in cases and (not opened or is_answered(folders[q.name]))]
+        if not asked:
+            raise InputError(f"{out}: nothing has been answered yet; call it without --open first")
+        with Progress("diagnosing", total=len(asked)) as bar:
+            seconds = each(pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick) for q in asked}, bar)
+        unseal(text, out)
+        print(f"opened: {out / 'truths.json'}", flush=True)
+        with Progress("marking", total=len(asked)) as bar:
+            marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
+    scored = score(list(marks.values()))
+    document = {
+        "twin": twin.__version__,
+        **asked_for,
+        "machine": table.get("name", Path(machine_file).stem),
+        "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
+        "not_drawn": impossible,
+        "not_answered": len(cases) - len(asked),
+        "score": scored,
+        "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
+        "marks": list(marks.values()),
+    }
+    (out / "exam.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    print(summary(document))
+    write_exam_report(document, out / "report.html")
+    print(f"written to {out}: exam.json, report.html, truths.json")
+    return int(any(is_failed(t) for t in scored["targets"]))
+
+
+def summary(document: dict) -> str:  # type: ignore[type-arg]
+    """The score as a table for the terminal."""
+    from twin.exam.report import counted
+    from twin.simulation.summary import table
+
+    s = document["score"]
+    rows = []
+    for t in s["targets"]:
+        if "value" not in t:
+            rows.append([t["what"], "not asked", target_text(t["target"]), ""])
+            continue
+        value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
+        rows.append([t["what"], value, target_text(t["target"]), "met" if t["met"] else "missed"])
+    lines = [table(["", "measured", "target", ""], rows, left=1)]
+    strata = [
+        [name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place")), *(str(v) for v in r["baselines"].values())]
+        for name, r in s["strata"].items()
+    ]
+    names = next((list(r["baselines"]) for r in s["strata"].values() if r["baselines"]), [])
+    lines.append(table(["stratum", "cases", "first", "exact", "axis and block", *names], strata, left=1))
+    lines.append(f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed")
+    gap, same = s["gap"], s["same_parameters"]
+    if gap["before"] is not None:
+        lines.append(
+            "gap over noise on exam runs, medians: "
+            + ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
+        )
+    if same["level"] is not None:
+        lines.append(f"twin against plant with the same parameters and effects: {same['level']:.3g} times noise ({same['cases']} cases)")
+    return "\n\n".join(lines)
+
+
+def target_text(target: object) -> str:
+    """A target in words."""
+    if isinstance(target, (tuple, list)):
+        return f"{target[0]:.0%} to {target[1]:.0%}"
+    assert isinstance(target, float)
+    return f"at most {-target:.3g}" if target < 0 else f"at least {target:.0%}"

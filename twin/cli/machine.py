@@ -1,0 +1,91 @@
+"""The command `twin machine`: new, check, show."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from twin.errors import InputError
+from twin.files import write_json
+from twin.machine.keys import STRUCTURES
+from twin.machine.machine import load_machine
+
+
+def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `twin machine`."""
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
+    new = actions.add_parser("new", help="write a commented machine file from an MJCF or a URDF")
+    new.add_argument("model", metavar="MODEL", help="MJCF (.xml) or URDF (.urdf): a tree of slides and hinges with masses")
+    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; the MJCF comes beside it")
+    new.add_argument(
+        "--structure", default=STRUCTURES[0], metavar="S", help=f"control of all axes: {', '.join(STRUCTURES)} (default %(default)s)"
+    )
+    new.add_argument("--sinumerik", metavar="FILE", help="machine data of a Sinumerik, as TOML or archive, for what they know")
+    new.set_defaults(action=_new)
+    check = actions.add_parser("check", help="say what is missing, impossible or unusual, with the margins of each loop")
+    check.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
+    check.add_argument("--out", metavar="DIR", help="folder for check.json and a picture of the loops of each axis")
+    check.set_defaults(action=_check)
+    show = actions.add_parser("show", help="print the data sheet")
+    show.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
+    show.add_argument("--sinumerik", action="store_true", help="as machine data of a Sinumerik 840D with 611D drives")
+    show.set_defaults(action=_show)
+
+
+def machine_command(args: argparse.Namespace) -> int:
+    """Do what was asked for."""
+    return int(args.action(args))
+
+
+def _new(args: argparse.Namespace) -> int:
+    from twin.machine.new import new_machine
+
+    out = Path(args.out)
+    axes, left = new_machine(Path(args.model), out, args.structure, Path(args.sinumerik) if args.sinumerik else None)
+    print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
+    if left:
+        print(f"machine data without a place in this machine file, left alone: {', '.join(left)}")
+    print(f"numbers that were assumed say so; see them with: twin machine check {out}")
+    return 0
+
+
+def _check(args: argparse.Namespace) -> int:
+    from twin.machine.check import check_machine
+    from twin.machine.sheet import check_text
+
+    machine = load_machine(args.machine)
+    checks, findings = check_machine(machine)
+    print(f"{machine.name}: {len(machine.axes)} {'axis' if len(machine.axes) == 1 else 'axes'}\n")
+    print(check_text(checks, findings))
+    if args.out:
+        from twin.machine.loops_figure import write_loop_figure
+
+        out = Path(args.out)
+        try:
+            for check in checks:
+                write_loop_figure(check, machine.name, out / f"loops_{check.axis.name}.png")
+            write_json(_document(checks, findings), out / "check.json")
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
+        print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
+    return 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    from twin.machine.sheet import sheet, sinumerik_sheet
+
+    machine = load_machine(args.machine)
+    print(sinumerik_sheet(machine) if args.sinumerik else sheet(machine))
+    return 0
+
+
+def _document(checks: Any, findings: Any) -> dict[str, Any]:
+    """`check.json`; what there is none of (a margin, a mode) is null."""
+    axes = {}
+    for c in checks:
+        loops = {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)}
+        numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
+        axes[c.axis.name] = {"loops": loops, **{k: getattr(c, k) for k in numbers}}
+    return {"axes": axes, "findings": [asdict(f) for f in findings]}

@@ -1,0 +1,133 @@
+"""`twin regress [SUITE] [--update]`: run a suite, compare with golden results, say what moved."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from twin.errors import InputError
+
+if TYPE_CHECKING:
+    from twin.regress.suite import Case
+
+DEFAULT_SUITE = "examples/regression"
+ROUNDING = 1e-6
+"""A difference below this share of its tolerance is the rounding of a file: no reason for a new golden result."""
+
+
+def add_regress_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `twin regress`."""
+    parser.add_argument(
+        "suite", nargs="?", default=DEFAULT_SUITE, metavar="SUITE", help=f"folder of suite files, or one of them (default: {DEFAULT_SUITE})"
+    )
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="only cases of this name (* and ? match; several times)"
+    )
+    parser.add_argument("--jobs", type=int, metavar="N", help="cases at the same time (default: one per core)")
+    parser.add_argument("--out", default="out/regress", metavar="DIR", help="folder for results and evidence (default: out/regress)")
+    parser.add_argument("--junit", metavar="FILE", help="JUnit XML (default: junit.xml in --out)")
+    parser.add_argument("--json", metavar="FILE", help="the same as JSON (default: regress.json in --out)")
+    parser.add_argument("--no-evidence", action="store_true", help="verdicts only: no folder for each failed case")
+    parser.add_argument("--list", action="store_true", help="list the cases and what they guard, and run nothing")
+    parser.add_argument("--update", action="store_true", help="take what the cases give now as golden results; needs a reason")
+    parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
+
+
+def regress_command(args: argparse.Namespace) -> int:
+    """0: nothing moved beyond its tolerance; 1: something did, or a case could not run."""
+    from twin.progress import Progress
+    from twin.regress.run_suite import BROKEN, FAILED, run_suite
+    from twin.regress.suite import chosen, read_suite
+    from twin.regress.write import counts, verdict_table, write_results
+    from twin.simulation.summary import table
+
+    if args.jobs is not None and args.jobs < 1:
+        raise InputError(f"--jobs {args.jobs}: give 1 or more")
+    if args.reason is not None and not args.update:
+        raise InputError("--reason belongs to --update; give both or none")
+    cases = chosen(read_suite(args.suite), args.only, args.suite)
+    if args.list:
+        print(table(["case", "kind", "what it guards"], [[c.name, c.kind, str(c.table.get("why", ""))] for c in cases], left=3))
+        return 0
+    if args.update:
+        return _update(args, cases)
+    out = Path(args.out)
+    evidence = None if args.no_evidence else out
+    began = time.perf_counter()
+    with Progress("regression", total=len(cases)) as bar:
+        verdicts = run_suite(cases, jobs=args.jobs, out=evidence, done=lambda: bar(None))
+    seconds = time.perf_counter() - began
+    write_results(verdicts, seconds, Path(args.junit or out / "junit.xml"), Path(args.json or out / "regress.json"))
+    print(verdict_table(verdicts))
+    print(f"{counts(verdicts)} in {seconds:.1f} s; results in {out}")
+    return 1 if any(v.status in (FAILED, BROKEN) for v in verdicts) else 0
+
+
+def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+    """Show old, new and difference; ask for a reason; write what changed."""
+    from twin.progress import Progress
+    from twin.regress.compare import uncompared
+    from twin.regress.golden import golden_paths, history_of, write_golden
+    from twin.regress.run_suite import BROKEN, SKIPPED, run_suite
+    from twin.simulation.summary import table
+
+    with Progress("regression", total=len(cases)) as bar:
+        verdicts = run_suite(cases, jobs=args.jobs, update=True, done=lambda: bar(None))
+    broken = [v for v in verdicts if v.status == BROKEN or v.stopped]
+    if broken:
+        raise InputError(f"{broken[0].case.where}: {broken[0].text}; only a case that runs to its end can become golden")
+    for v in verdicts:
+        if v.status == SKIPPED:
+            print(f"skipped, its golden result stays as it is: {v.case.name}: {v.text}")
+    rows, changed = [], []
+    for v in verdicts:
+        if v.new is None:
+            continue
+        if v.golden is None:
+            rows.append([v.case.name, "(new case)", "-", f"{len(v.new.features)} numbers", "-", "-"])
+            changed.append(v)
+            continue
+        differing = [c for c in v.checks if c.excess > ROUNDING]
+        for c in sorted(differing, key=lambda c: -c.excess)[:12]:
+            old, new = (_cell(value) for value in (c.golden, c.now))
+            rows.append([v.case.name, c.quantity, old, new, f"{c.found:.4g} {c.unit}", f"{min(c.excess, 1e6):.2g}"])
+        rows += [[v.case.name, name, "-", _cell(v.new.features[name].value), "-", "-"] for name in uncompared(v.golden, v.new)[:12]]
+        if not differing and v.golden.case != v.new.case:
+            rows.append([v.case.name, "(the case's table)", v.golden.case, v.new.case, "-", "-"])
+        if differing or v.note or v.golden.case != v.new.case:
+            changed.append(v)
+    if not changed:
+        print("nothing differs from the golden results; nothing was written")
+        return 0
+    print(table(["case", "quantity", "old", "new", "difference", "of tolerance"], rows, left=2))
+    if others := {v.note for v in changed if v.note}:
+        print("\n".join(f"note: {note}" for note in sorted(others)))
+    reason = (args.reason if args.reason is not None else _asked(len(changed))).strip()
+    if len(reason) < 5:
+        raise InputError(
+            "--update: golden results change only with a reason that is kept; give --reason 'what changed and why it is right'"
+        )
+    for v in changed:
+        assert v.new is not None
+        number = sum(c.excess > ROUNDING for c in v.checks) if v.golden else len(v.new.features)
+        write_golden(v.case, v.new, history_of(v.case), reason, number)
+    print(f"{len(changed)} golden results written to {golden_paths(changed[0].case)[0].parent}: {reason}")
+    return 0
+
+
+def _cell(value: float | str | None) -> str:
+    return "-" if value is None else value if isinstance(value, str) else f"{value:.8g}"
+
+
+def _asked(count: int) -> str:
+    """Ask at a terminal; elsewhere the reason must be given."""
+    if not sys.stdin.isatty():
+        return ""
+    try:
+        return input(f"why do these {count} golden results change? ")
+    except EOFError:
+        return ""

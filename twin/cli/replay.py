@@ -1,0 +1,181 @@
+"""`twin replay`: find out what was given, make a recording where there is none yet, and show it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import sys
+import tempfile
+
+from twin.errors import InputError, nearest
+from twin.machine.machine import load_machine
+from twin.recordings.trace import Trace, read_trace
+
+TRACE_ENDINGS = (".parquet", ".csv")
+MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
+_WHAT = "give the folder of a run, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a path stands for: a recording, a trace, or both (the folder of a run); a label for plots."""
+
+    path: Path
+    label: str
+    recording: Path | None
+    trace: Path | None
+
+
+def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `twin replay`."""
+    parser.add_argument(
+        "paths",
+        metavar="PATH",
+        nargs="+",
+        help="folder of a run, recording (.rrd), trace, or model (.xml, .urdf) with an optional trace; two runs are overlaid",
+    )
+    parser.add_argument(
+        "--machine", metavar="FILE", help="machine file that a trace belongs to (default: the Mikron UCP 710 that ships with twin)"
+    )
+    parser.add_argument("--screenshot", metavar="FILE.png", help="render the view to a picture, without a display")
+    parser.add_argument("--at", type=float, metavar="SECONDS", help="time of the picture (default: the end)")
+    parser.add_argument("--size", metavar="WIDTHxHEIGHT", default="1920x1080", help="size of the picture in pixels (default: 1920x1080)")
+    parser.add_argument("--serve", action="store_true", help="offer the view to browsers on this computer (127.0.0.1) until Ctrl-C")
+    parser.add_argument("--port", type=int, metavar="N", default=9090, help="port of --serve (default: 9090)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE.rrd",
+        help="keep the recording that is made of a trace or a model; without --screenshot or --serve nothing is opened",
+    )
+    parser.add_argument(
+        "--full", action="store_true", help="keep every sample (about 80 MB a minute) instead of the smallest and largest of each stretch"
+    )
+
+
+def replay_command(args: argparse.Namespace) -> int:
+    """Run `twin replay`; every fault is an InputError in one line."""
+    from twin.replay import viewer
+
+    if args.at is not None and not args.screenshot:
+        raise InputError("--at needs --screenshot FILE.png")
+    size = _size(args.size)
+    if len(args.paths) > 2:
+        raise InputError(f"{len(args.paths)} paths given; replay shows one run, or two over each other")
+    with tempfile.TemporaryDirectory(prefix="twin-replay-", ignore_cleanup_errors=True) as folder:
+        keep = Path(args.out) if args.out else None
+        if keep is not None and keep.suffix != ".rrd":
+            raise InputError(f"{keep}: a recording is written as .rrd; give the file this ending")
+        shown = recordings_for(args, keep or Path(folder) / "replay.rrd")
+        if args.screenshot:
+            print(viewer.screenshot(shown, args.screenshot, args.at, size))
+        elif args.serve:
+            viewer.serve(shown, args.port)
+        elif keep is not None:
+            print(f"written: {', '.join(map(str, shown))}")
+        else:
+            # the window reads the file after this command has ended, so it must not lie in a folder that ends with it
+            viewer.open_viewer([_kept(path, Path(folder)) for path in shown])
+    return 0
+
+
+def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
+    """The recordings to show; what is made on the way goes to `out`."""
+    from twin.replay.recording import write_motion, write_recording
+
+    first = Path(args.paths[0])
+    if first.suffix.lower() in (*MODEL_ENDINGS, ".toml"):
+        from twin.replay import motion
+        from twin.replay.scene import scene_of
+
+        if args.machine:
+            raise InputError(f"{first}: a model is replayed as it is; leave out --machine, or give the trace alone with it")
+        scene = scene_of(load_machine(first)) if first.suffix == ".toml" else motion.read_scene(first)
+        time, joints = motion.motion_from_trace(scene, Path(args.paths[1])) if len(args.paths) > 1 else motion.sweep(scene)
+        text = "" if len(args.paths) > 1 else "No trace was given: each joint sweeps through its range in turn."
+        write_motion(out, scene, time, motion.with_mimics(scene, joints), summary=text, full=args.full)
+        return [out]
+    sources = [source_of(Path(path)) for path in args.paths]
+    recordings = [source.recording for source in sources if source.recording]
+    lacking = next((source for source in sources if source.trace is None), None)
+    rebuild = args.full or args.machine or args.out or len(sources) > 1
+    if len(recordings) == len(sources) and not rebuild:
+        return recordings
+    if lacking is not None:
+        if args.out or args.full or args.machine or len(recordings) < len(sources):
+            raise InputError(
+                f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the folder or the trace of the run"
+            )
+        print("twin: no trace beside the recordings: they are shown one by one, not overlaid", file=sys.stderr)
+        return recordings
+    machine = load_machine(args.machine)
+    runs: dict[str, Trace] = {}
+    for source in sources:
+        label = source.label if source.label not in runs else f"{source.label} (2)"
+        assert source.trace is not None  # seen to above
+        runs[label] = read_trace(source.trace, axes=machine.kinds)
+    write_recording(out, machine, runs, full=args.full)
+    return [out]
+
+
+def source_of(path: Path) -> Source:
+    """What lies at a path, checked."""
+    from twin.replay.viewer import check_recording
+
+    if path.is_dir():
+        recording, trace = path / "run.rrd", next((path / f"trace{end}" for end in TRACE_ENDINGS if (path / f"trace{end}").is_file()), None)
+        if not recording.is_file() and trace is None:
+            raise InputError(f"{path}: no run: neither run.rrd nor trace.parquet lies in this folder; {_WHAT}")
+        return Source(path, path.resolve().name, check_recording(recording) if recording.is_file() else None, trace)
+    ending = path.suffix.lower()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; {_WHAT}")
+    if ending == ".rrd":
+        trace = next(
+            (path.parent / f"trace{end}" for end in TRACE_ENDINGS if path.name == "run.rrd" and (path.parent / f"trace{end}").is_file()),
+            None,
+        )
+        return Source(path, _label(path), check_recording(path), trace)
+    if ending in TRACE_ENDINGS:
+        return Source(path, _label(path), None, path)
+    if ending in MODEL_ENDINGS:
+        raise InputError(f"{path}: a model stands first; give the trace that moves it behind it")
+    raise InputError(
+        f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
+    )
+
+
+def _label(path: Path) -> str:
+    """The file's name, or its folder's for the files of a run."""
+    return path.resolve().parent.name if path.stem in ("trace", "run") else path.stem
+
+
+def _kept(path: Path, folder: Path) -> Path:
+    """A recording that outlives this command."""
+    if path.parent != folder:
+        return path
+    return path.rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / path.name)
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        width = height = 0
+    if not (320 <= width <= 8192 and 240 <= height <= 8192):
+        raise InputError(f"--size {text}: give width and height in pixels between 320x240 and 8192x8192, such as 1920x1080")
+    return width, height
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command by itself: `python -m twin.replay PATH`."""
+    from twin.errors import TwinError
+
+    parser = argparse.ArgumentParser(prog="twin replay", description="Show a run in the viewer.")
+    add_replay_arguments(parser)
+    try:
+        return replay_command(parser.parse_args(arguments))
+    except TwinError as error:
+        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2

@@ -1,0 +1,77 @@
+"""`twin study`: carry a design study out and answer it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.progress import Progress
+
+
+def add_study_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("spec", metavar="SPEC", help="study file (.toml): factors, design, runs")
+    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the study's, else the Mikron UCP 710)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results; a killed study goes on there with --resume")
+    parser.add_argument("--resume", action="store_true", help="go on with the variants that the folder lacks")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://host:8786 (default: threads of this machine)"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads of this machine (default: one for each core)")
+    parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
+
+
+def study_command(args: argparse.Namespace) -> int:
+    """Carry out, answer, print the findings."""
+    from twin.simulation.summary import table
+    from twin.study.design import variants_of
+    from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
+    from twin.study.output import write_study
+    from twin.study.report import effect_rows, sentences
+    from twin.study.results import answers_of
+    from twin.study.spec import read_study
+    from twin.study.store import Store
+
+    if args.threads is not None and args.threads < 1:
+        raise InputError(f"--threads {args.threads}: give 1 or more")
+    if args.threads and args.scheduler:
+        raise InputError("--threads is for this machine, the cluster has its own; leave out one of --threads and --scheduler")
+    study = read_study(args.spec, args.machine)
+    variants = variants_of(study)
+    out = Path(args.out)
+    store = Store(out, fingerprint(study, variants), args.resume)
+    try:
+        known = len(store.done())
+        if known < len(variants):
+            with (
+                dask_cluster(args.scheduler) if args.scheduler else threads_here(args.threads) as workers,
+                Progress("variants", total=len(variants)) as bar,
+            ):
+                for _ in range(known):
+                    bar(None)
+                carry_out(study, variants, store, workers, bar)
+        rows = store.rows()
+        if not any(responses for _, _, responses, _ in rows):
+            raise InputError(f"{args.spec}: no variant could be run; the first one: {rows[0][3]}")
+        answers = answers_of(study, rows)
+        with Progress("report") as bar:
+            bar.say("report")
+            written = write_study(study, answers, out, replay=not args.no_replay)
+    finally:
+        store.close()
+    print(f"{study.machine.name}: {len(rows)} variants{f', {known} of them done before' if known else ''}")
+    for line in sentences(answers):
+        print(line)
+    for r in answers.responses:
+        print(f"\n{r.name}")
+        print(table(["factor", "change, low to high end", "95 % interval"], effect_rows(r)))
+        if r.sobol:
+            lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
+            print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
+    if answers.best is not None:
+        number, factors, responses, _ = answers.row(answers.best)
+        told = ", ".join(f"{name} {value:.4g}" for name, value in zip(answers.factors, factors))
+        print(f"\nleast {answers.responses[0].name}: {responses[answers.responses[0].name]:.4g} with variant {number}: {told}")
+    print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
+    return 0

@@ -1,0 +1,301 @@
+"""What a campaign could show at all: which effects, down to which size, with its runs, signals and noise. No truth is needed.
+
+The twin simulates what each effect of usual size would change in this campaign. With the toleranced parameters projected out, the
+answer d of an effect stands against noise by s = |d|^2 / 2 (a log likelihood); against the nearest rival, whose size is free, by
+what remains of d when the rival's answer is projected out too. To first order s grows with the square of the size, so that
+
+    smallest size found           = usual size * sqrt(EVIDENCE / s)
+    smallest size told apart      = usual size * sqrt(EVIDENCE / s_rival)
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.candidates import Start, starts_of
+from twin.diagnose.cross_validation import EVIDENCE
+from twin.diagnose.fit import answer
+from twin.diagnose.next_measurement import KINDS, move_of
+from twin.diagnose.observe import Group, Mapper, axis_groups, observe
+from twin.diagnose.tuning import PRIOR_WEIGHT, tuning_of
+from twin.diagnose.view import view_of
+from twin.errors import TwinError
+from twin.files import write_json
+from twin.machine.machine import Machine, load_machine
+from twin.progress import Progress
+from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
+from twin.recordings.trace import Trace
+from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
+from twin.report.figure import BLUE, GREEN, SOFT
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import setpoints_of
+from twin.simulation.summary import table
+
+CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "as recorded": ("scale", ("controller", "windup", "position", "velocity", "current")),
+    "without speed set point": ("scale", ("windup", "position", "velocity", "current")),
+    "scale and current": ("scale", ("position", "current")),
+    "motor encoder and current": ("motor", ("position", "velocity", "current")),
+    "motor encoder alone": ("motor", ("position", "velocity")),
+    "no scale at all, with current": ("indirect", ("position", "velocity", "current")),
+    "no scale at all": ("indirect", ("position", "velocity")),
+}
+"""Which position is recorded, and the channels that the signals make: the scale; the motor encoder while the position loop stays
+closed on the scale; the motor encoder of a machine that has no scale, whose position loop is closed on it."""
+
+USELESS = 1.0
+"""Size, as a multiple of the usual one, above which an effect counts as invisible."""
+
+Key = tuple[str, str, str | None]
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """One effect on one axis: smallest size found and told apart, as multiples of the usual size, and the nearest rival."""
+
+    effect: str
+    axis: str
+    found: float
+    apart: float
+    rival: str
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Inner products of what toleranced parameters and effects change in some runs, by channel: sums over runs are sums of these."""
+
+    nuisances: int
+    places: dict[Key, slice]  # columns of each effect on each axis
+    products: dict[str, np.ndarray]  # channel -> (column, column)
+
+    def over(self, channels: Sequence[str]) -> np.ndarray:
+        """Products summed over channels (column, column)."""
+        return np.sum(
+            [p for name, p in self.products.items() if name in channels] or [np.zeros_like(next(iter(self.products.values())))], axis=0
+        )
+
+
+def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
+    """Simulate every toleranced parameter and every start on the runs of a group."""
+    tuning = tuning_of(group, machine, mapper)
+    simulated = mapper(lambda s: _columns(group, s), starts.values())
+    blocks = [tuning.jacobian.astype(np.float32)]
+    places: dict[Key, slice] = {}
+    at = tuning.jacobian.shape[1]
+    for (key, start), columns in zip(starts.items(), simulated):
+        columns = np.zeros((group.size, len(start.settings)), np.float32) if columns is None else columns
+        places[key] = slice(at, at + columns.shape[1])
+        at += columns.shape[1]
+        blocks.append(columns)
+    matrix = np.concatenate(blocks, axis=1)
+    products: dict[str, np.ndarray] = {}
+    for channel in group.channels:
+        rows = matrix[channel.rows].astype(float)
+        products[channel.name] = products.get(channel.name, 0.0) + rows.T @ rows
+    return Answers(tuning.jacobian.shape[1], places, products)
+
+
+def starts_by_key(group: Group, machine: Machine) -> dict[Key, Start]:
+    """One start of each effect and axis: the middle of its sizes and shapes."""
+    starts = starts_of(group, machine, np.zeros(group.size))
+    keys = dict.fromkeys(s.key for s in starts)
+    return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
+
+
+def _columns(group: Group, start: Start) -> np.ndarray | None:
+    try:
+        return np.stack([answer(group, [s]).astype(np.float32) for s in start.settings], axis=1)
+    except TwinError:
+        return None
+
+
+def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
+    """Every effect on every axis from summed products (column, column), re-tuning taken out of them first."""
+    k = like.nuisances
+    normal = products[:k, :k] + PRIOR_WEIGHT * np.eye(k)
+    free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
+    out = []
+    for key, mine in like.places.items():
+        rivals = {other: _apart(free, mine, theirs) for other, theirs in like.places.items() if other != key and free[theirs, theirs].any()}
+        nearest = min(rivals, key=lambda r: rivals[r]) if rivals else None
+        alone = _apart(free, mine, slice(0, 0))
+        apart = rivals[nearest] if nearest else alone
+        out.append(Outlook(_title(key), key[1], _smallest(alone), _smallest(apart), f"{_title(nearest)} {nearest[1]}" if nearest else ""))
+    return out
+
+
+def _apart(free: np.ndarray, mine: slice, theirs: slice) -> float:
+    """Half the least square that a rival of free size leaves; of an effect whose phase is unknown the weaker one."""
+    inner, cross = free[theirs, theirs], free[theirs, mine]
+    left = free[mine, mine] - cross.T @ np.linalg.pinv(inner, rcond=1e-9, hermitian=True) @ cross if inner.size else free[mine, mine]
+    return max(0.5 * float(np.diag(left).min()), 0.0)
+
+
+def _title(key: Key) -> str:
+    return key[0] + (f" from {key[2]}" if key[2] else "")
+
+
+def _smallest(square: float) -> float:
+    return math.sqrt(EVIDENCE / square) if square > 1e-9 else math.inf
+
+
+def without_scale(campaign: Campaign) -> Campaign:
+    """The campaign as if no scale had been recorded; the position loop stays closed on it."""
+    runs = tuple(
+        replace(run, trace=replace(run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] != "position"}))
+        for run in campaign.runs
+    )
+    return replace(campaign, runs=runs)
+
+
+def indirect(machine: Machine) -> Machine:
+    """The machine without scales: every position loop closed on the motor encoder."""
+    for axis in machine.axes:
+        machine = machine.with_axis(axis.name, encoder="motor")
+    return machine
+
+
+def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRun) -> MeasuredRun:
+    """A proposed move of these axes as the twin would record it, noise included, with the signals of another run."""
+    trace = move_of(kind, [machine.axis(a) for a in axes])
+    simulated = simulate(
+        machine.with_feedforward(like.feedforward), setpoints_of(trace, machine), sample_period=trace.period, noise_seed=1
+    ).trace
+    signals = {s for _, s in like.trace.signals}
+    kept = {(a, s): v[: len(trace.time)] for (a, s), v in simulated.signals.items() if s in signals and a in axes}
+    kept |= {(a, "setpoint"): trace.get(a, "setpoint") for a in axes}
+    return MeasuredRun(kind, Trace(trace.time, kept, {a: machine.kinds[a] for a in axes}), like.feedforward, like.started_at)
+
+
+def foresee(campaign: Campaign, machine: Machine, say: Callable[[str], None]) -> dict[str, list[Outlook]]:
+    """Outlook by variant of the campaign: its own, with fewer signals, and with each further run."""
+    axes = sorted({a for run in campaign.runs for a in run.trace.axes}, key=machine.axis_names.index)
+    motor = all(run.trace.has(a, "motor_position") for run in campaign.runs for a in run.trace.axes)
+    names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
+    out: dict[str, list[Outlook]] = {name: [] for name in names}
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+
+        def mapper(function: Callable[..., Any], items: Any) -> list[Any]:
+            return list(pool.map(function, items))
+
+        def answers(runs: Sequence[MeasuredRun], group_axes: tuple[str, ...], actual: Machine, starts: Mapping[Key, Start]) -> Answers:
+            return answers_of(observe([view_of(actual, run) for run in runs], group_axes), actual, starts, mapper)
+
+        further = {kind: added_run(machine, kind, axes, campaign.runs[0]) for kind in KINDS}
+        for group_axes in axis_groups(machine, axes):
+            group = observe([view_of(machine, run) for run in campaign.runs], group_axes)
+            if not group.size:
+                continue
+            say(f"{'+'.join(group_axes)}: as recorded")
+            starts = starts_by_key(group, machine)
+            own = answers_of(group, machine, starts, mapper)
+            seen = {"scale": own}
+            if motor:
+                say(f"{'+'.join(group_axes)}: motor encoder")
+                blind = without_scale(campaign).runs
+                seen["motor"] = answers(blind, group_axes, machine, starts)
+                seen["indirect"] = answers(blind, group_axes, indirect(machine), starts)
+            for name, (position, channels) in CHANNEL_SETS.items():
+                if position in seen:
+                    out[name] += outlooks(seen[position].over(channels), seen[position])
+            for kind, run in further.items():
+                say(f"{'+'.join(group_axes)}: with {kind}")
+                extra = answers([run], group_axes, machine, starts)
+                everything = CHANNEL_SETS["as recorded"][1]
+                out[f"and {kind}"] += outlooks(own.over(everything) + extra.over(everything), own)
+    return out
+
+
+def foresee_command(args: argparse.Namespace) -> int:
+    """`twin exam --plan CAMPAIGN --out DIR`: tables on the terminal, plan.json, report.html."""
+    machine = load_machine(args.machine) if args.machine else load_machine()
+    campaign = read_campaign(args.plan, machine)
+    with Progress("foreseeing", total=None) as bar:
+        foreseen = foresee(campaign, machine, bar.say)
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json({name: [vars(o) for o in rows] for name, rows in foreseen.items()}, out / "plan.json")
+    write_plan_report(campaign, foreseen, out / "report.html")
+    print(table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in foreseen["as recorded"]], left=2))
+    print()
+    print(
+        table(
+            ["campaign", "found", "told apart", "invisible or not told apart at usual size"],
+            [summary_row(n, r) for n, r in foreseen.items()],
+        )
+    )
+    print(f"written to {out}: plan.json, report.html")
+    return 0
+
+
+def row_of(o: Outlook) -> list[str]:
+    """One effect in words: sizes in multiples of the usual one."""
+    return [o.effect, o.axis, size_text(o.found), size_text(o.apart), o.rival]
+
+
+def size_text(share: float) -> str:
+    """A multiple of the usual size."""
+    return (
+        "not at all"
+        if share > 100
+        else f"{share:.2g} x usual"
+        if share >= 1.0
+        else f"{100 * share:.2g} %"
+        if share >= 0.01
+        else "below 1 %"
+    )
+
+
+def summary_row(name: str, rows: Sequence[Outlook]) -> list[str]:
+    """How many effects of usual size a variant finds and tells apart, and which not."""
+    lost = sorted({o.effect for o in rows if o.apart > USELESS})
+    found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
+    return [name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")]
+
+
+def write_plan_report(campaign: Campaign, foreseen: Mapping[str, Sequence[Outlook]], path: Path) -> None:
+    """The page."""
+    own = foreseen["as recorded"]
+    apart = sum(o.apart <= USELESS for o in own)
+    helps = max(
+        (n for n in foreseen if n.startswith("and ")), key=lambda n: sum(math.log(1 + 1 / o.apart) for o in foreseen[n]), default=""
+    )
+    lead = f"Of {len(own)} effects of usual size this campaign finds and tells apart {apart}. " + (
+        f"The further run that would help most: {helps[4:]}." if helps else ""
+    )
+    sections = [
+        Section("Down to which size", figures=[_chart(own)], tables=[
+            Table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in own], left=2)
+        ]),
+        Section("Other sensors, further runs", tables=[
+            Table(["campaign", "found", "told apart", "not at usual size"], [summary_row(n, r) for n, r in foreseen.items()], left=1)
+        ]),
+    ]  # fmt: skip
+    write_page(path, f"What {campaign.path.name} could show", lead, sections)
+
+
+def _chart(rows: Sequence[Outlook]) -> Figure:
+    shown = sorted(rows, key=lambda o: -o.apart)
+    figure, panels = new_figure(1, 1, height=0.17 * len(shown) + 1.0)
+    ax = panels[0, 0]
+    y = np.arange(len(shown))
+    found = np.clip([o.found for o in shown], 1e-4, 100)
+    apart = np.clip([o.apart for o in shown], 1e-4, 100)
+    ax.hlines(y, found, apart, color=SOFT, linewidth=1)
+    ax.plot(found, y, "o", color=GREEN, markersize=4, label="found")
+    ax.plot(apart, y, "o", color=BLUE, markersize=4, label="told apart from the nearest rival")
+    ax.axvline(1.0, color="#1c2430", linewidth=1)
+    ax.set_xscale("log")
+    ax.set_yticks(y, [f"{o.effect.replace('_', ' ')} {o.axis}" for o in shown], fontsize=7)
+    ax.set_xlabel("smallest size, multiples of the usual one")
+    ax.legend(loc="lower left")
+    return Figure(figure_svg(figure), "Left of the line an effect of usual size is seen; at the right edge it is not seen at all.")

@@ -1,0 +1,148 @@
+"""Sitting the examination: draw, seal, write campaigns, let each be diagnosed by a process that knows nothing else.
+
+The truths live in the memory of the examining process alone. Their SHA-256 is told before the first diagnosis begins; the
+diagnosing process gets a campaign folder and a machine file, and nothing on the disk tells more. When all are done the truths
+are written (`truths.json`) and must have that hash.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+import contextlib
+import hashlib
+import json
+import multiprocessing
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+import tomllib
+from typing import Any
+
+from twin.errors import InputError
+from twin.files import write_whole
+
+from .draw import Case, draw_case, truth_of, write_campaign
+from .plant.plant import PlantError
+from .questions import RICHNESS, Question
+
+SEAL, TRUTHS, ASKED = "seal.sha256", "truths.json", "asked.json"
+
+
+def draw(question: Question, machine_file: str, richness: str) -> Case | str:
+    """The case of a question, or why there is none."""
+    machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    s = question.stratum
+    for attempt in range(5):  # an axis on which the effect cannot be had stably: another one
+        try:
+            return draw_case(
+                question.seed + attempt, s.kind, machine, effect=question.effect, scale=s.scale, richness=RICHNESS[richness], run_set=s.runs
+            )
+        except PlantError as error:
+            reason = str(error)
+    return reason
+
+
+def truths_text(cases: dict[str, Case]) -> str:
+    """All truths as one text, the same for the same cases."""
+    return json.dumps({name: truth_of(case) for name, case in sorted(cases.items())}, indent=1, sort_keys=True) + "\n"
+
+
+def same_examination(out: Path, asked: dict[str, Any]) -> None:
+    """An examination goes on with what it was begun with: the options, the machine and the code of the twin."""
+    file = out / ASKED
+    text = json.dumps(asked, indent=1) + "\n"
+    if file.exists():
+        before = json.loads(file.read_text(encoding="utf-8"))
+        other = sorted(key for key in asked if before.get(key) != asked[key])
+        if other:
+            raise InputError(f"{out}: this examination was begun with another {', '.join(other)}; give the same again, or another --out")
+    write_whole(file, text)
+
+
+def sources() -> str:
+    """Digest of the twin's own files: what diagnoses, and what is diagnosed."""
+    home = Path(__file__).resolve().parents[1]
+    files = sorted(home.rglob("*.py"))
+    return hashlib.sha256(b"\0".join(f.relative_to(home).as_posix().encode() + f.read_bytes() for f in files)).hexdigest()[:16]
+
+
+def seal(text: str, out: Path) -> str:
+    """Hash of the truths, written before anything is diagnosed; an examination that goes on must have the same."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    file = out / SEAL
+    if file.exists() and file.read_text(encoding="utf-8").strip() != digest:
+        raise InputError(f"{file}: another examination was sealed here (its machines are others); give another --out")
+    file.write_text(digest + "\n", encoding="utf-8")
+    return digest
+
+
+def unseal(text: str, out: Path) -> None:
+    """Write the truths; they must be what was sealed."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    if (out / SEAL).read_text(encoding="utf-8").strip() != digest:
+        raise InputError(f"{out / TRUTHS}: the truths are not those that were sealed; the examination is void")
+    (out / TRUTHS).write_text(text, encoding="utf-8")
+
+
+def is_answered(folder: str) -> bool:
+    """Has this case been diagnosed, or could it not be?"""
+    return any((Path(folder) / "answer" / name).exists() for name in ("diagnosis.json", "failed.txt"))
+
+
+def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool) -> float:
+    """Write a case's campaign and have it diagnosed by another process; returns the seconds that the diagnosis took."""
+    place = Path(folder)
+    campaign, answer = place / "campaign", place / "answer"
+    if not is_answered(folder):
+        machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+        try:
+            if not (campaign / "campaign.toml").exists():  # written last
+                write_campaign(case, campaign, machine, runs=question.stratum.runs, signals=question.stratum.signals)
+        except PlantError as error:
+            raise InputError(f"{folder}: the plant cannot run this campaign ({error}); draw with another --seed") from None
+        command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), machine_file, str(answer), *(["--quick"] if quick else [])]
+        started = time.perf_counter()
+        done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        if done.returncode < 0:  # killed from outside: no answer, to be asked again
+            raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); call it again to go on")
+        if done.returncode:
+            answer.mkdir(parents=True, exist_ok=True)
+            write_whole(answer / "failed.txt", reason + "\n")
+            return time.perf_counter() - started
+        (answer / "seconds.txt").write_text(f"{time.perf_counter() - started:.1f}\n", encoding="utf-8")
+    seconds = answer / "seconds.txt"
+    return float(seconds.read_text(encoding="utf-8")) if seconds.exists() else 0.0
+
+
+@contextlib.contextmanager
+def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
+    """Processes of this machine, or a Dask cluster that shares this file system."""
+    if scheduler:
+        from twin.study.execution import dask_cluster
+
+        with dask_cluster(scheduler) as cluster:
+            yield cluster.executor
+    else:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers or os.cpu_count() or 1, mp_context=spawn) as pool:
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # what is in hand ends, nothing more begins
+                raise
+
+
+def each(
+    executor: Executor, function: Callable[..., Any], work: dict[str, tuple[Any, ...]], progress: Callable[[None], None]
+) -> dict[str, Any]:
+    """function(*arguments) of every entry, in whatever order, told as they end."""
+    futures = {executor.submit(function, *arguments): name for name, arguments in work.items()}
+    results = {}
+    for future in as_completed(futures):
+        results[futures[future]] = future.result()
+        progress(None)
+    return {name: results[name] for name in work}

@@ -1,0 +1,1 @@
+"""Geometry: kinematics, tool path, poses of bodies, polylines, s-curves."""

@@ -1,0 +1,221 @@
+"""Tool paths: from axis positions to tool poses in the part, and how far one path lies from another.
+
+    followed axes    -> workpiece_from_tool (twin.geometry.kinematics) -> followed path
+    set points       -> the same                              -> commanded path (what level 1, the interpolator, makes)
+    program          -> block by block                        -> programmed path (what was asked for)
+
+Following is mostly a delay in time; what the part sees is the distance between the curves. For each point p(t) of a path the
+nearest point n on the reference path is sought among its segments of the times t - W .. t + W, so that a path that crosses
+or repeats itself does not confuse neighbours:
+
+    contour error = |p - n|,   orientation error = angle between the tool axis and the reference's at the nearest pose
+
+Points are (sample, 3) in the part frame [m], tool axes (sample, 3) unit vectors from tip to spindle, angles in rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from numba import njit
+import numpy as np
+
+from twin.errors import InputError
+from twin.geometry.kinematics import Kinematics, kinematics_of
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
+
+AXIS_ORDER = ("X", "Y", "Z", "A", "C")
+SHORTEST_WINDOW = 0.1
+"""Seconds before and after that are searched at least."""
+ARM = 0.1
+"""Lever that turns an angle into a length where poses are compared [m]."""
+COARSE = 4
+"""Vertices of a window that are looked at first: they only tell which segments need no look."""
+LAGS = 4.0
+"""The window is this many times the lag 1 / Kv of the slowest position controller: beyond it an axis is not following."""
+
+
+@dataclass(frozen=True)
+class ToolPath:
+    """Poses of a tool in the part frame: time (sample,) [s], tip (sample, 3) [m], axis (sample, 3)."""
+
+    time: np.ndarray
+    tip: np.ndarray
+    axis: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def length(self) -> np.ndarray:
+        """Length of the path up to each sample (sample,) [m]."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.tip, axis=0), axis=1))])
+
+    @property
+    def feed(self) -> np.ndarray:
+        """Speed of the tip (sample,) [m/s]."""
+        if len(self.time) < 2:
+            return np.zeros(len(self.time))
+        return np.linalg.norm(np.gradient(self.tip, self.time, axis=0), axis=1)
+
+
+@dataclass(frozen=True)
+class Contour:
+    """How far points lie from their reference: distance (sample,) [m], and the nearest points of it (sample, 3) [m]."""
+
+    error: np.ndarray
+    nearest: np.ndarray
+
+    def magnified(self, followed: np.ndarray, factor: float) -> np.ndarray:
+        """The path (sample, 3) with its deviation from the reference magnified."""
+        return self.nearest + factor * (followed - self.nearest)
+
+
+@dataclass(frozen=True)
+class ContourError(Contour):
+    """A contour with the angle (sample,) [rad] between the tool axes."""
+
+    orientation: np.ndarray
+
+
+def path_of_axes(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray) -> ToolPath:
+    """Tool path of axis positions (sample, 5) in the order X Y Z A C [m, rad]; in stretches, to bound the memory."""
+    tips, directions = [], []
+    for part in np.array_split(axes, max(1, len(axes) // 50_000)):
+        tip, direction = kinematics.forward(part)
+        tips.append(tip)
+        directions.append(direction)
+    return ToolPath(np.asarray(time, float), np.concatenate(tips), np.concatenate(directions))
+
+
+def axes_of_trace(trace: Trace, signal: str, machine: Machine) -> np.ndarray:
+    """Axis positions (sample, 5) of a trace; an axis that the trace lacks stands at 0 or at the nearest end of its travel."""
+    columns = []
+    for name in AXIS_ORDER:
+        if trace.has(name, signal):
+            columns.append(trace.get(name, signal))
+        elif name in trace.axes:
+            raise InputError(f"trace: axis {name} has no {signal}; record it, or cut the set points (--level commanded)")
+        else:
+            low, high = machine.axis(name).travel if name in machine.axis_names else (-np.inf, np.inf)
+            columns.append(np.full(len(trace.time), np.clip(0.0, low, high)))
+    return np.column_stack(columns)
+
+
+def tool_path_of(trace: Trace, signal: str, machine: Machine, *, kinematics: Kinematics | None = None) -> ToolPath:
+    """Tool path of one signal of a trace: `setpoint` gives the commanded path, `position` the followed one."""
+    return path_of_axes(kinematics or kinematics_of(machine), axes_of_trace(trace, signal, machine), trace.time)
+
+
+def search_window(machine: Machine) -> float:
+    """Seconds around a sample in which its nearest reference point is sought."""
+    gains = [axis.loops.position_gain_per_s for axis in machine.axes if axis.loops.position_gain_per_s > 0]
+    return max(SHORTEST_WINDOW, LAGS / min(gains)) if gains else SHORTEST_WINDOW
+
+
+def contour_of(
+    time: np.ndarray, followed: np.ndarray, reference_time: np.ndarray, reference: np.ndarray, window: float = SHORTEST_WINDOW
+) -> Contour:
+    """Contour error of points (sample, 3) against a path (point, 3) with times of its own."""
+    return _nearest(followed, reference, *_searched(time, reference_time, window))[0]
+
+
+def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SHORTEST_WINDOW) -> ContourError:
+    """Contour and orientation error of a path against a reference with times of its own.
+
+    `window` [s] bounds the search in time; None searches the whole reference (a program has no times), which is a product of
+    both lengths.
+    """
+    last = len(reference) - 1
+    if not len(path) or not len(reference):
+        raise InputError("tool path: no sample to compare; give a path and a reference with at least one pose each")
+    low, high = _searched(path.time, reference.time, math.inf if window is None else window)
+    contour, _ = _nearest(path.tip, reference.tip, low, high)
+    # where the tool turns about its tip the place along the path shows in the axis only: it counts as the way of a point ARM above
+    poses = [np.hstack([p.tip, ARM * p.axis]) for p in (path, reference)]
+    _, where = _nearest(poses[0], poses[1], low, high)
+    row = np.minimum(where.astype(int), max(last - 1, 0))
+    part = (where - row)[:, None]
+    there = (1.0 - part) * reference.axis[row] + part * reference.axis[np.minimum(row + 1, last)]
+    there /= np.linalg.norm(there, axis=1, keepdims=True)
+    angle = np.arctan2(np.linalg.norm(np.cross(path.axis, there), axis=1), np.einsum("ij,ij->i", path.axis, there))
+    return ContourError(contour.error, contour.nearest, angle)
+
+
+def _searched(time: np.ndarray, reference_time: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """First and last reference point (sample,) within a window [s] around each sample."""
+    last = len(reference_time) - 1
+    low = np.clip(np.searchsorted(reference_time, time - window, side="left"), 0, max(last - 1, 0))
+    return low, np.clip(np.searchsorted(reference_time, time + window, side="right") - 1, min(1, last), last)
+
+
+def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Contour, np.ndarray]:
+    """Contour of points (n, k) against a path (m, k), and the places along it (n,) in samples."""
+    nearest, distance, where = np.empty_like(points), np.empty(len(points)), np.empty(len(points))
+    find_nearest(np.ascontiguousarray(points), np.ascontiguousarray(path), low, high, nearest, distance, where)
+    return Contour(distance, nearest), where
+
+
+@njit(cache=True, nogil=True)
+def find_nearest(points, path, low, high, nearest, distance, where):  # type: ignore[no-untyped-def]
+    """Nearest point on segments low[i] .. high[i] of the path (m, k), for each point i of (n, k).
+
+    Fills nearest (n, k), distance (n,) and where (n,), the place along the path in samples.
+    """
+    way = np.zeros(len(path) + 1)
+    for j in range(len(path) - 1):
+        square = 0.0
+        for c in range(path.shape[1]):
+            square += (path[j + 1, c] - path[j, c]) ** 2
+        way[j + 1] = way[j] + math.sqrt(square)
+    way[len(path)] = way[len(path) - 1]
+    guess = 0
+    for i in range(len(points)):
+        last = max(high[i], low[i] + 1)
+        # some vertex of the window bounds the distance from above: the nearest one of a few, and of where the last point ended
+        reach = np.inf
+        for m in range(COARSE + 1):
+            j = min(max(guess, low[i]), last) if m == COARSE else low[i] + m * (last - low[i]) // COARSE
+            j = min(j, len(path) - 1)
+            square = 0.0
+            for c in range(points.shape[1]):
+                square += (points[i, c] - path[j, c]) ** 2
+            reach = min(reach, square)
+        reach = math.sqrt(reach) * (1.0 + 1e-9) + 1e-12
+        best = np.inf
+        j = low[i] - 1
+        while j + 1 < last:
+            j += 1
+            k = min(j + 1, len(path) - 1)
+            length = 0.0
+            along = 0.0
+            square = 0.0
+            for c in range(points.shape[1]):
+                a = points[i, c] - path[j, c]
+                b = path[k, c] - path[j, c]
+                square += a * a
+                length += b * b
+                along += a * b
+            # the path comes nearer by no more than its way: segments that it cannot bring within the bound are passed over
+            if square > reach * reach:
+                free = way[j] + math.sqrt(square) - reach
+                if way[k] < free:
+                    while j < last and way[j + 1] < free:
+                        j += 1
+                    j -= 1
+                    continue
+            part = min(1.0, max(0.0, along / length)) if length > 0.0 else 0.0
+            square = 0.0
+            for c in range(points.shape[1]):
+                square += (points[i, c] - path[j, c] - part * (path[k, c] - path[j, c])) ** 2
+            if square < best:
+                best = square
+                where[i] = j + part
+        guess = int(where[i])
+        j = min(int(where[i]), len(path) - 1)
+        k = min(j + 1, len(path) - 1)
+        for c in range(points.shape[1]):
+            nearest[i, c] = path[j, c] + (where[i] - j) * (path[k, c] - path[j, c])
+        distance[i] = np.sqrt(best)

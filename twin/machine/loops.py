@@ -1,0 +1,272 @@
+"""The loops of an axis as linear sampled systems: open and closed frequency response, margins, bandwidth.
+
+Each controller samples at its own cycle T and holds its output; between the samples the motor moves in continuous time. With
+the plant of a loop as x(k+1) = A x(k) + B u(k), y(k) = C x(k) over one of its cycles (exact: a matrix exponential over the
+fastest cycle, then powers), and e -> y the open loop with its controller inside,
+
+    L(z) = C (z I - A)^-1 B,   closed = L / (1 + L),   z = exp(j w T)
+
+    current    u = Kpi e + I                                       winding and free rotor
+    speed      i* = (Kp e + I) / Kt                                closed current loop, rotor (and load behind a spring), speed as it is seen
+    position   w* = Kv e / r                                       closed speed loop, encoder
+
+Friction is viscous here, inertia that of the home pose, limits are not met; a spring is that of `transmission_compliance`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+from scipy.optimize import brentq
+
+from twin.effects import load_inertia, settings_of
+from twin.errors import InputError
+from twin.machine.machine import Axis, Machine
+from twin.simulation.plant_spec import home_inertia_at_motor
+
+GRID = 3000
+LOWEST_HZ = 0.05
+STABLE = 1.0 + 1e-9
+"""Largest radius of a closed loop's poles; at rest a viscous axis without integral part lies on the circle."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An open loop x+ = a x + b e, y = c x at `period` [s]; `name` current, speed or position."""
+
+    name: str
+    period: float
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+    def open_response(self, frequency: np.ndarray) -> np.ndarray:
+        """L at frequencies [Hz] (frequency,), complex."""
+        z = np.exp(2j * np.pi * np.atleast_1d(frequency) * self.period)
+        matrices = z[:, None, None] * np.eye(len(self.a)) - self.a
+        states = np.linalg.solve(matrices, np.broadcast_to(self.b.astype(complex), (len(z), *self.b.shape)))
+        return np.asarray((self.c @ states)[:, 0, 0])
+
+    def closed_response(self, frequency: np.ndarray) -> np.ndarray:
+        """L / (1 + L) at frequencies [Hz]."""
+        response = self.open_response(frequency)
+        return response / (1.0 + response)
+
+    @property
+    def is_stable(self) -> bool:
+        """Do all poles of the closed loop lie inside the unit circle?"""
+        return bool(np.abs(np.linalg.eigvals(self.a - self.b @ self.c)).max() < STABLE)
+
+    def grid(self) -> np.ndarray:
+        """Frequencies [Hz] from slow to half the sampling rate, logarithmic."""
+        return np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), GRID)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a loop: gain [1] at the phase crossing, phase [deg] at the gain crossover, both frequencies [Hz]; inf where there is none.
+
+    `bandwidth` is where the closed loop has fallen to -3 dB, `peak` its largest gain [1].
+    """
+
+    gain: float
+    phase_crossing: float
+    phase: float
+    crossover: float
+    bandwidth: float
+    peak: float
+    stable: bool
+
+
+def margins_of(loop: Loop) -> Margins:
+    """Margins, found on a grid and refined; of several crossings the one with the least margin."""
+    f = loop.grid()
+    response = loop.open_response(f)
+    crossovers = [_refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1]) for i in _changes(np.log(np.abs(response)))]
+    # the imaginary part changes its sign on the negative real axis
+    turns = [i for i in _changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
+    crossings = [_refined(lambda x: _at(loop, x).imag, f[i], f[i + 1]) for i in turns]
+    if response[-1].real < 0.0:
+        crossings.append(0.5 / loop.period)  # half the sampling rate: L is real there
+    phases = [(math.degrees(np.angle(-_at(loop, x))), x) for x in crossovers]
+    gains = [(1.0 / abs(_at(loop, x)), x) for x in crossings]
+    phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
+    gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
+    closed = np.abs(loop.closed_response(f))
+    fallen = np.flatnonzero(closed < math.sqrt(0.5))
+    above = np.flatnonzero(closed >= math.sqrt(0.5))
+    last = fallen[fallen > above[0]] if above.size else fallen[:0]
+    bandwidth = float(f[last[0]]) if last.size else math.inf
+    return Margins(float(gain), float(phase_crossing), float(phase), float(crossover), bandwidth, float(closed.max()), loop.is_stable)
+
+
+def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list[Loop]:
+    """The loops of an axis from the inside out; `inertia` [kg m2 at the motor] default: the model's in the home pose."""
+    for fast, slow, what in (
+        (machine.current_cycle, machine.speed_cycle, "speed_cycle_us is no multiple of current_cycle_us"),
+        (machine.speed_cycle, machine.position_cycle, "position_cycle_us is no multiple of speed_cycle_us"),
+    ):
+        if abs(slow / fast - round(slow / fast)) > 1e-6 or slow < fast * (1.0 - 1e-6):
+            raise InputError(f"machine {machine.name}: {what}; the loops cannot be seen one inside the other: change the cycles")
+    total = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]) if inertia is None else inertia
+    a, b, speed, motor, load = _mechanics(machine, axis, total)
+    told = axis.told_torque_constant
+    loops = []
+    if axis.has_current_loop:
+        a, b, c = _winding(axis, a, b, speed)
+        a, b = _sampled(a, b, machine.current_cycle)
+        current = _with_controller(
+            "current",
+            machine.current_cycle,
+            (a, b, c),
+            axis.loops.current_gain_v_per_a,
+            axis.loops.current_gain_v_per_a * machine.current_cycle / axis.loops.current_integral_time_s,
+        )
+        loops.append(current)
+        a, b = _closed(current)
+        speed, motor, load = (_wider(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
+        a, b = _held(a, b, round(machine.speed_cycle / machine.current_cycle))
+    else:
+        a, b = _sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
+    a, b, seen = _speed_as_seen(axis, machine.speed_cycle, a, b, speed, motor)
+    motor, load = _wider(motor, len(a)), _wider(load, len(a))
+    gain = axis.loops.speed_gain_nm_s_per_rad / told
+    integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
+    inner = _with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
+    loops.append(inner)
+    a, b = _closed(inner)
+    position = _wider(motor if axis.encoder == "motor" else load, len(a))
+    a, b = _held(a, b, round(machine.position_cycle / machine.speed_cycle))
+    loops.append(Loop("position", machine.position_cycle, a, b * axis.loops.position_gain_per_s, position[None]))
+    return loops
+
+
+def first_mode(machine: Machine, axis: Axis) -> float | None:
+    """Natural frequency of the load on its spring with the motor held [Hz]; None where the file has no compliance."""
+    stiffness = _spring(machine, axis)
+    return None if stiffness is None else math.sqrt(stiffness[0] / load_inertia(machine, axis)) / (2.0 * math.pi)
+
+
+def _spring(machine: Machine, axis: Axis) -> tuple[float, float] | None:
+    """Stiffness and damping at the axis that the machine file has between motor and load."""
+    from twin.effects.change import apply_effects
+
+    if not any(s.axis == axis.name and s.effect.name == "transmission_compliance" and not s.is_nil for s in settings_of(machine)):
+        return None
+    coupling = apply_effects(machine).couplings.get(axis.name)
+    return None if coupling is None else (coupling.stiffness, coupling.damping)
+
+
+def _mechanics(machine: Machine, axis: Axis, inertia: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Torque to speed, motor angle and load angle, all at the motor: a, b and the three rows."""
+    damping = axis.viscous_friction_nm_s_per_rad
+    spring = _spring(machine, axis)
+    if spring is None:
+        a = np.array([[-damping / inertia, 0.0], [1.0, 0.0]])
+        return a, np.array([[1.0 / inertia], [0.0]]), np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])
+    k, d = (value * axis.ratio**2 for value in spring)
+    rotor = axis.rotor_inertia_kg_m2
+    load = inertia - rotor
+    # speeds of rotor and load, then their angles
+    a = np.array(
+        [
+            [-d / rotor, d / rotor, -k / rotor, k / rotor],
+            [d / load, -(d + damping) / load, k / load, -k / load],
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+        ]
+    )
+    rows = np.eye(4)
+    return a, np.array([[1.0 / rotor], [0.0], [0.0], [0.0]]), rows[0], rows[2], rows[3]
+
+
+def _winding(axis: Axis, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Voltage to current in front of the mechanics; the current is the first state."""
+    motor = axis.motor
+    n = len(a) + 1
+    wide = np.zeros((n, n))
+    wide[0, 0] = -motor.resistance_ohm / motor.inductance_h
+    wide[0, 1:] = -motor.back_emf_v_s_per_rad / motor.inductance_h * speed
+    wide[1:, 1:] = a
+    wide[1:, :1] = b * motor.torque_constant_nm_per_a
+    voltage = np.zeros((n, 1))
+    voltage[0] = 1.0 / motor.inductance_h
+    return wide, voltage, np.eye(n)[:1]
+
+
+def _sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Zero-order hold over a period."""
+    n = len(a)
+    wide = np.zeros((n + 1, n + 1))
+    wide[:n, :n], wide[:n, n:] = a, b
+    step = expm(wide * period)
+    return step[:n, :n], step[:n, n:]
+
+
+def _held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndarray]:
+    """Several cycles under the same input."""
+    total = b.copy()
+    power = np.eye(len(a))
+    for _ in range(cycles - 1):
+        power = a @ power
+        total = total + power @ b
+    return a @ power, total
+
+
+def _with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarray, np.ndarray], gain: float, integral: float) -> Loop:
+    """A P or PI controller in front of a plant: u = gain e + I, I+ = I + integral e."""
+    a, b, c = plant
+    if integral == 0.0:
+        return Loop(name, period, a, gain * b, c)
+    n = len(a)
+    wide = block_diag(a, 1.0)
+    wide[:n, n:] = b
+    return Loop(name, period, wide, np.vstack([gain * b, [[integral]]]), np.hstack([c, [[0.0]]]))
+
+
+def _closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    """Set point to state of the closed loop."""
+    return loop.a - loop.b @ loop.c, loop.b
+
+
+def _speed_as_seen(
+    axis: Axis, period: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The plant with what the speed controller sees as a row: the speed, or the motor's angle differentiated, through its filter."""
+    row = speed
+    n = axis.loops.speed_mean_cycles
+    if n:
+        size = len(a)
+        a = block_diag(a, np.zeros((n, n)))
+        a[size, :size] = motor  # the last angles, newest first
+        for i in range(1, n):
+            a[size + i, size + i - 1] = 1.0
+        b = np.vstack([b, np.zeros((n, 1))])
+        row = (_wider(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
+    if axis.loops.speed_filter_time_s > 0.0:
+        share = -math.expm1(-period / axis.loops.speed_filter_time_s)
+        size = len(a)
+        a = block_diag(a, 1.0 - share)
+        a[size, :size] = share * row
+        b = np.vstack([b, [[0.0]]])
+        row = np.append(share * row, 1.0 - share)
+    return a, b, row
+
+
+def _wider(row: np.ndarray, size: int) -> np.ndarray:
+    return np.append(row, np.zeros(size - len(row)))
+
+
+def _at(loop: Loop, frequency: float) -> complex:
+    return complex(loop.open_response(np.array([frequency]))[0])
+
+
+def _changes(values: np.ndarray) -> np.ndarray:
+    return np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
+
+
+def _refined(function, low: float, high: float) -> float:  # type: ignore[no-untyped-def]
+    return float(brentq(function, low, high, xtol=1e-12, rtol=1e-12))

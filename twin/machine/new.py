@@ -1,0 +1,301 @@
+"""A commented machine file from an MJCF or a URDF: what the model knows is computed, the rest assumed and marked so.
+
+Assumed numbers make an axis that runs: a screw of 10 mm (a gear of 100) with a rotor as heavy as its load, loops at 8, 50 and
+400 Hz, friction of a few per cent, and a motor with twice the current of full acceleration. `twin machine check` names them
+until somebody replaces them and takes the word out of the comment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine.check import ASSUMED
+from twin.machine.keys import STRUCTURES
+from twin.machine.machine import load_machine
+from twin.machine.model_file import check_mjcf, copy_model
+from twin.machine.sinumerik import DATA, control_cycles, plain_values, read_machine_data
+from twin.machine.urdf import JointLimits, spec_of_urdf
+from twin.simulation.plant_spec import load_spec
+
+CURRENT_CYCLE_S, POSITION_CYCLE_S = 125e-6, 2e-3
+SPEED_LOOP_HZ = 50.0
+POSITION_GAIN = 50.0
+INTEGRAL_S = 0.010
+SPARE_CURRENT = 2.0
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """What a model says of one joint, SI at the axis."""
+
+    name: str
+    linear: bool
+    travel: tuple[float, float] | None
+    inertia: float  # of the load, home pose
+    mass: float  # all that it moves
+    weight: float  # force against gravity, home pose
+    limits: JointLimits
+
+
+def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_data: Path | None = None) -> tuple[list[str], list[str]]:
+    """Write the machine file (and its MJCF beside it); returns its axes and the machine data that were left alone.
+
+    Raises InputError where the model is no tree of slides and hinges with masses, or a file would be overwritten.
+    """
+    if out.suffix != ".toml":
+        raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
+    if out.exists():
+        raise InputError(f"{out}: exists already; give another name or remove it")
+    if structure not in STRUCTURES:
+        raise InputError(f"--structure {structure}: use one of {', '.join(STRUCTURES)}")
+    limits: dict[str, JointLimits] = {}
+    beside = out.parent / (f"{model.stem}.xml" if model.suffix.lower() == ".urdf" else model.name)
+    if beside.exists() and beside.resolve() != model.resolve():
+        raise InputError(f"{beside}: exists already; give another folder or remove it")
+    if model.suffix.lower() == ".urdf":
+        spec, limits = spec_of_urdf(model)
+        facts = joint_facts(spec, limits, model)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(f"<!-- from {model.name} by: twin machine new -->\n{spec.to_xml()}", encoding="utf-8")
+    else:
+        check_mjcf(model)
+        facts = joint_facts(load_spec(model), limits, model)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        copy_model(model, out.parent)
+    kinds = {f.name: "linear" if f.linear else "rotary" for f in facts}
+    data, left = read_machine_data(machine_data, kinds) if machine_data else ({}, [])
+    lines = _head(model, beside, facts, structure, control_cycles(data.get("", {})))
+    for fact in facts:
+        known = plain_values(data[fact.name], kinds[fact.name]) if fact.name in data else {}
+        lines += _axis(fact, structure, known, machine_data.name if machine_data else "")
+        left += [f"{d.label} of {fact.name}" for d in DATA[kinds[fact.name]] if d.key in known]
+    lines += _measurement(facts)
+    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    load_machine(out)
+    return [f.name for f in facts], left
+
+
+def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Path) -> list[JointFacts]:
+    """Slides and hinges of a model with what they move, in the order of the tree."""
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct it there") from None
+    if model.njnt == 0:
+        raise InputError(f"{path}: no slide and no hinge; a machine has at least one axis")
+    model.opt.gravity[:] = (0.0, 0.0, -9.81)
+    model.dof_armature[:], model.actuator_armature[:] = 0.0, 0.0  # rotors are the machine file's
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    out = []
+    for j in range(model.njnt):
+        name = model.joint(j).name
+        if not name:
+            raise InputError(f"{path}: joint {j + 1} (body '{model.body(model.jnt_bodyid[j]).name}') has no name; an axis needs one")
+        if "." in name or " " in name:
+            raise InputError(f"{path}: joint '{name}': the name of an axis has neither dots nor spaces; rename it")
+        dof = int(model.jnt_dofadr[j])
+        linear = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        limited = bool(model.jnt_limited[j])
+        own = limits.get(name, JointLimits())
+        out.append(
+            JointFacts(
+                name=name,
+                linear=linear,
+                travel=(float(model.jnt_range[j, 0]), float(model.jnt_range[j, 1])) if limited else None,
+                inertia=float(full[dof, dof]),
+                mass=float(model.body_subtreemass[model.jnt_bodyid[j]]),
+                weight=float(data.qfrc_bias[dof]),
+                limits=JointLimits(
+                    own.speed,
+                    own.effort,
+                    own.damping or _positive(np.ravel(model.dof_damping)[dof]),
+                    own.friction or _positive(model.dof_frictionloss[dof]),
+                ),
+            )
+        )
+    return out
+
+
+def _positive(value: float) -> float | None:
+    return float(value) if value > 0.0 else None
+
+
+def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cycles: Mapping[str, float]) -> list[str]:
+    current = structure == STRUCTURES[0]
+    values = {
+        "current_cycle_us": CURRENT_CYCLE_S * 1e6,
+        "speed_cycle_us": CURRENT_CYCLE_S * 1e6,
+        "position_cycle_us": POSITION_CYCLE_S * 1e6,
+        **cycles,
+    }
+    names = ", ".join(f'"{f.name}"' for f in facts)
+    lines = [
+        f"# Machine file of {model.name}, begun by: twin machine new",
+        "# A number with the word 'assumed' behind it was made up so that the machine runs: replace it by the data sheet's or your own",
+        "# measurement, and write there where it comes from. What is missing, impossible or unusual:  twin machine check FILE",
+        "# Units stand in the keys; the model's own numbers are computed for all joints at zero.",
+        "",
+        f'name = "{beside.stem}"',
+        f'model = "{beside.name}"',
+        "gravity_m_per_s2 = 9.81",
+        f"parameter_tolerance = 0.01                 # {ASSUMED}; parameters of the real machine lie this close to those below",
+        f"axis_order = [{names}]",
+        "",
+        "[control]                                  # cycles of the controllers",
+    ]
+    for key, value in values.items():
+        if key == "current_cycle_us" and not current:
+            continue
+        lines.append(_line(key, value, "" if key in cycles else ASSUMED))
+    return lines
+
+
+def _axis(f: JointFacts, structure: str, known: dict[str, float], source: str) -> list[str]:
+    """Tables of one axis; of `known`, plain values of machine data from the file `source`, those are left that have no place in them."""
+
+    def value(key: str, number: float, comment: str = ASSUMED) -> str:
+        leaf = key.rsplit(".", 1)[-1]
+        return _line(leaf, known.pop(key), f"from {source}") if key in known else _line(leaf, number, comment)
+
+    speed, acceleration, jerk = _motion(f)
+    ratio = known["screw_lead_m_per_rev"] / (2.0 * math.pi) if "screw_lead_m_per_rev" in known else _ratio(f)
+    ratio = 1.0 / known["gear_ratio"] if "gear_ratio" in known else ratio
+    load = f.inertia * ratio**2
+    rotor = _round(load)
+    inertia = load + rotor
+    friction = f.limits.friction or 0.03 * f.inertia * acceleration
+    damping = f.limits.damping or 0.03 * f.inertia * acceleration / speed
+    constant = known.get("motor.torque_constant_nm_per_a", 1.0)
+    needed = (abs(f.weight) + friction + damping * speed) * ratio + inertia * acceleration / ratio
+    peak = f.limits.effort * ratio if f.limits.effort else SPARE_CURRENT * needed
+    of_model = "from the model" if f.limits.friction or f.limits.damping else ASSUMED
+    lines = ["", f"[axis.{f.name}]", f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"']
+    lines.append(_travel_line(f, known, source))
+    if f.linear:
+        lines += [
+            value("max_velocity_m_per_min", speed * 60.0, "from the model" if f.limits.speed else ASSUMED),
+            value("max_acceleration_m_per_s2", acceleration),
+            value("max_jerk_m_per_s3", jerk),
+            value(
+                "screw_lead_m_per_rev",
+                ratio * 2.0 * math.pi,
+                f'{ASSUMED}; a linear motor: drive = "direct" and the keys of docs/own_machine.md',
+            ),
+            _line("moving_mass_kg", f.mass, "all that this axis moves, from the model"),
+            _line("rotor_and_screw_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
+        ]
+    else:
+        turn = 2.0 * math.pi
+        lines += [
+            value("max_velocity_rev_per_min", speed * 60.0 / turn, "from the model" if f.limits.speed else ASSUMED),
+            value("max_acceleration_rev_per_s2", acceleration / turn),
+            value("max_jerk_rev_per_s3", jerk / turn),
+            value("gear_ratio", 1.0 / ratio, f"{ASSUMED}; motor turns a turn of the axis"),
+            _line("rotor_and_gear_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
+        ]
+    lines += [
+        _line("coulomb_friction_nm", _round(friction * ratio), f"{of_model}, at the motor"),
+        _line("viscous_friction_nm_s_per_rad", _round(damping * ratio**2), f"{of_model}, at the motor"),
+    ]
+    peak_comment = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
+    if structure == STRUCTURES[0]:
+        emf = _round(constant / math.sqrt(3.0))
+        lines += [
+            f"[axis.{f.name}.motor]",
+            value("motor.torque_constant_nm_per_a", constant),
+            _line("back_emf_v_s_per_rad", emf, f"{ASSUMED}: torque constant / sqrt(3)"),
+            _line("resistance_ohm", 0.5),
+            _line("inductance_h", 5e-3),
+            value("motor.peak_current_a", _round(peak / constant), peak_comment),
+            _line("bus_limit_v", _round(max(300.0, 1.5 * emf * speed / ratio)), ASSUMED),
+        ]
+    else:
+        lines += [
+            f"[axis.{f.name}.actuator]",
+            'command = "torque"                         # what the speed controller commands: torque, current or voltage',
+            _line("peak_torque_nm", _round(peak), peak_comment),
+        ]
+    lines += [
+        f"[axis.{f.name}.loops]",
+        value("loops.position_gain_per_s", POSITION_GAIN),
+        value(
+            "loops.speed_gain_nm_s_per_rad",
+            _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia),
+            f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz",
+        ),
+    ]
+    if structure != "P/P":
+        lines.append(value("loops.speed_integral_time_s", INTEGRAL_S))
+    if structure == STRUCTURES[0]:
+        lines += [
+            value("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
+            value("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),
+        ]
+    lines += [
+        value("loops.velocity_feedforward", 1.0, f"{ASSUMED}; weight, 0 switches off"),
+        value("loops.torque_feedforward", 0.0, f"{ASSUMED}; weight, 0 switches off"),
+        value("loops.position_delay_s", 0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
+        _line("feedforward_delay_s", 0.0),
+    ]
+    if known.get("commissioned.inertia_kg_m2"):  # 0 on a control that was told none
+        lines += [f"[axis.{f.name}.commissioned]", _line("inertia_kg_m2", known.pop("commissioned.inertia_kg_m2"), f"from {source}")]
+    return lines
+
+
+def _motion(f: JointFacts) -> tuple[float, float, float]:
+    """Speed, acceleration, jerk that an axis of this kind may have."""
+    speed = f.limits.speed or (0.5 if f.linear else 2.0)
+    acceleration = 2.0 if f.linear else 5.0
+    return speed, acceleration, 20.0 * acceleration
+
+
+def _ratio(f: JointFacts) -> float:
+    return 0.010 / (2.0 * math.pi) if f.linear else 0.01
+
+
+def _travel_line(f: JointFacts, known: dict[str, float], source: str) -> str:
+    key, factor = ("travel_m", 1.0) if f.linear else ("travel_deg", 180.0 / math.pi)
+    if f"{key}.0" in known and f"{key}.1" in known:
+        return _aligned(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {source}")
+    if f.travel is not None:
+        return _aligned(f"{key} = [{f.travel[0] * factor:.9g}, {f.travel[1] * factor:.9g}]", "from the model")
+    return _aligned("travel_m = [-0.5, 0.5]", ASSUMED) if f.linear else _aligned('travel_deg = "endless"', "the model has no limit")
+
+
+def _measurement(facts: Iterable[JointFacts]) -> list[str]:
+    facts = list(facts)
+    lines = ["", "[measurement]", _line("sample_period_us", 1000.0, "of recorded traces")]
+    if any(f.linear for f in facts):
+        lines += [_line("linear_scale_resolution_m", 1e-8), _line("linear_scale_noise_m", 2e-8), _line("speed_noise_m_per_s", 1e-5)]
+    if any(not f.linear for f in facts):
+        lines += [
+            _line("rotary_encoder_resolution_deg", 1e-6),
+            _line("rotary_encoder_noise_deg", 2e-6),
+            _line("speed_noise_deg_per_s", 1e-3),
+        ]
+    return [*lines, _line("current_noise_a", 0.02)]
+
+
+def _line(key: str, value: float, comment: str = ASSUMED) -> str:
+    return _aligned(f"{key} = {float(value):.9g}" if value % 1.0 or abs(value) >= 1e9 else f"{key} = {value:.1f}", comment)
+
+
+def _aligned(text: str, comment: str) -> str:
+    return f"{text:42} # {comment}" if comment else text
+
+
+def _round(value: float) -> float:
+    """Two significant digits: no more is known of an assumed number."""
+    return float(f"{value:.2g}")

@@ -1,0 +1,157 @@
+"""The data sheet of a machine as text: what each axis is, its drive, its loops, its measuring systems."""
+
+from __future__ import annotations
+
+import math
+
+from twin.machine.check import AxisCheck, Finding
+from twin.machine.machine import Axis, Machine
+from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data
+from twin.simulation.summary import table
+from twin.units import AXIS_UNITS, deg_from_rad
+
+
+def sheet(machine: Machine) -> str:
+    """All axes side by side, one number a row."""
+    kinds = {axis.structure for axis in machine.axes}
+    rows: list[list[str]] = []
+
+    def row(name: str, unit: str, values: list[str]) -> None:
+        if any(v != "-" for v in values):
+            rows.append([name, unit, *values])
+
+    def each(value) -> list[str]:  # type: ignore[no-untyped-def]
+        return [value(axis) for axis in machine.axes]
+
+    row("kind", "", each(lambda a: a.kind + (", direct" if a.kind == "linear" and a.ratio == 1.0 else "")))
+    row("structure", "", each(lambda a: a.structure if a.has_current_loop else f"{a.structure} on a {a.effort}"))
+    row("travel", "mm, deg", each(_travel))
+    row("highest speed", "m/min, deg/s", each(lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0)))))
+    row("acceleration", "m/s2, rad/s2", each(lambda a: _g(a.max_acceleration)))
+    row("jerk", "m/s3, rad/s3", each(lambda a: _g(a.max_jerk)))
+    row("lead, gear", "mm/rev, 1", each(_gear))
+    row("moving mass", "kg", each(lambda a: _g(a.moving_mass_kg)))
+    row("rotor inertia", "kg m2", each(lambda a: _g(a.rotor_inertia_kg_m2) if a.rotor_inertia_kg_m2 else "-"))
+    row("Coulomb friction", "N, Nm", each(lambda a: _g(a.coulomb_friction)))
+    row("viscous friction", "N s/m, Nm s/rad", each(lambda a: _g(a.viscous_friction)))
+    row("torque constant", "Nm/A (N, V)", each(lambda a: _g(a.motor.torque_constant_nm_per_a) if a.effort != "torque" else "-"))
+    row("limit of the command", "A, V, Nm", each(lambda a: f"{_g(a.motor.peak_current_a)} {a.effort_unit}"))
+    row("bus voltage", "V", each(lambda a: _g(a.motor.bus_limit_v)))
+    row("position gain", "1/s", each(lambda a: _g(a.loops.position_gain_per_s)))
+    row("speed gain", "Nm s/rad (N s/m)", each(lambda a: _g(a.loops.speed_gain_nm_s_per_rad)))
+    row("speed integral time", "ms", each(lambda a: _g(a.loops.speed_integral_time_s * 1e3)))
+    row("current gain", "V/A", each(lambda a: _g(a.loops.current_gain_v_per_a) if a.has_current_loop else "-"))
+    row("current integral time", "ms", each(lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.has_current_loop else "-"))
+    row("feedforward", "speed, torque", each(lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}"))
+    row("position delay", "ms", each(lambda a: _g(a.loops.position_delay_s * 1e3)))
+    row("speed from", "", each(lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder"))
+    row("speed filter", "ms", each(lambda a: _g(a.loops.speed_filter_time_s * 1e3) if a.loops.speed_filter_time_s else "-"))
+    row("loop closed on", "", each(lambda a: a.encoder))
+    cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
+    if "P/PI/PI" in kinds:
+        cycles["current"] = machine.current_cycle
+    lines = [
+        f"{machine.name}: {len(machine.axes)} axes, model {machine.model_path.name}, gravity {machine.gravity:g} m/s2",
+        "cycles: " + ", ".join(f"{name} {value * 1e6:g} us" for name, value in cycles.items()),
+        "",
+        table(["", "unit", *machine.axis_names], rows, left=2),
+    ]
+    return "\n".join(lines)
+
+
+def sinumerik_sheet(machine: Machine) -> str:
+    """Machine data of all axes as a TOML that `twin machine new --sinumerik` and `[axis.X.sinumerik]` read."""
+    lines = [
+        f"# {machine.name}: machine data of a Sinumerik 840D with 611D drives",
+        f"# MD1000 CURRCTRL_CYCLE_TIME = {machine.current_cycle * 1e6 / CYCLE_UNIT_US:g}, MD1001 SPEEDCTRL_CYCLE_TIME = "
+        f"{machine.speed_cycle * 1e6 / CYCLE_UNIT_US:g} (in 31.25 us); position cycle {machine.position_cycle * 1e3:g} ms",
+    ]
+    for axis in machine.axes:
+        lines += ["", f"[{axis.name}]"]
+        if not axis.has_current_loop:
+            lines.append(f"# {axis.structure} on a {axis.effort}: no such drive behind a Sinumerik")
+            continue
+        data = machine_data(_plain_table(axis))
+        width = max(len(f"{d.label} = {v:.10g}") for d, v in data)
+        lines += [f"{f'{d.label} = {v:.10g}':{width}}  # {d.name} [{d.unit}]" for d, v in data]
+    return "\n".join(lines)
+
+
+def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
+    """Margins of all loops, numbers of the drives, and what there is to say."""
+    rows = []
+    for c in checks:
+        for loop, m in zip(c.loops, c.margins):
+            rows.append(
+                [
+                    c.axis.name,
+                    loop.name,
+                    _g(m.crossover),
+                    f"{m.phase:.0f} deg" if math.isfinite(m.phase) else "-",
+                    f"{20.0 * math.log10(m.gain):.1f} dB" if math.isfinite(m.gain) else "-",
+                    _g(m.bandwidth),
+                    f"{m.peak:.2f}",
+                    "yes" if m.stable else "NO",
+                ]
+            )
+    drives = [
+        [
+            c.axis.name,
+            f"{c.inertia:.3g}",
+            f"{c.inertia_ratio:.2f}" if math.isfinite(c.inertia_ratio) else "-",
+            f"{c.holding:.3g} {c.axis.effort_unit}",
+            f"{c.accelerating:.3g} of {c.axis.motor.peak_current_a:g} {c.axis.effort_unit}",
+            f"{c.voltage:.3g} of {c.axis.motor.bus_limit_v:g} V" if c.axis.has_current_loop else "-",
+            f"{c.first_mode_hz:.0f} Hz" if c.first_mode_hz else "unknown",
+        ]
+        for c in checks
+    ]
+    parts = [
+        table(["axis", "loop", "crossover [Hz]", "phase margin", "gain margin", "bandwidth [Hz]", "peak", "stable"], rows, left=2),
+        table(["axis", "inertia at the motor", "load/rotor", "holding", "full acceleration", "highest speed", "first mode"], drives),
+    ]
+    if findings:
+        parts.append("\n".join(f"{f.level}: {f'axis {f.axis}: ' if f.axis else ''}{f.text}" for f in findings))
+    else:
+        parts.append("nothing is missing, impossible or unusual")
+    return "\n\n".join(parts)
+
+
+def _plain_table(axis: Axis) -> dict:  # type: ignore[type-arg]
+    """The axis as the table of a machine file in plain keys, from its SI values."""
+    linear = axis.kind == "linear"
+    per_turn = 2.0 * math.pi
+    if linear:
+        own = {
+            "screw_lead_m_per_rev": axis.ratio * per_turn,
+            "max_velocity_m_per_min": axis.max_velocity * 60.0,
+            "max_acceleration_m_per_s2": axis.max_acceleration,
+            "max_jerk_m_per_s3": axis.max_jerk,
+        }
+    else:
+        own = {
+            "gear_ratio": 1.0 / axis.ratio,
+            "max_velocity_rev_per_min": axis.max_velocity * 60.0 / per_turn,
+            "max_acceleration_rev_per_s2": axis.max_acceleration / per_turn,
+            "max_jerk_rev_per_s3": axis.max_jerk / per_turn,
+        }
+    travel = {}
+    if math.isfinite(axis.travel[0]):
+        travel = {"travel_m": list(axis.travel)} if linear else {"travel_deg": [deg_from_rad(v) for v in axis.travel]}
+    told = {"inertia_kg_m2": axis.commissioned_inertia} if axis.commissioned_inertia is not None else {}
+    return {"kind": axis.kind, **own, **travel, "motor": vars(axis.motor), "loops": vars(axis.loops), "commissioned": told}
+
+
+def _travel(axis: Axis) -> str:
+    factor = AXIS_UNITS[axis.kind].position[1]
+    return f"{axis.travel[0] * factor:.6g} .. {axis.travel[1] * factor:.6g}" if math.isfinite(axis.travel[0]) else "endless"
+
+
+def _gear(axis: Axis) -> str:
+    if axis.kind == "linear":
+        return "-" if axis.ratio == 1.0 else _g(axis.ratio * 2.0 * math.pi * 1e3)
+    return _g(1.0 / axis.ratio)
+
+
+def _g(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4g}"

@@ -1,0 +1,6 @@
+"""Recordings: traces, campaigns, and the import of what other controls and instruments write."""
+
+from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
+from twin.recordings.trace import Trace, read_trace, write_trace
+
+__all__ = ["Campaign", "MeasuredRun", "Trace", "read_campaign", "read_trace", "write_trace"]

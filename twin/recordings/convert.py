@@ -1,0 +1,98 @@
+"""From the recorded number to the signal in SI: the file's unit, the map's scale, motor turns to travel, force to torque at the motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
+from twin.recordings.signals import Signal
+from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
+from twin.units import RECORDED_UNITS, UNITS, dimension_recorded
+
+_POSITIONS = (*POSITIONS, FOLLOWING_ERROR)
+_KIND = {"length": "linear", "speed": "linear", "angle": "rotary", "angular speed": "rotary"}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """value [SI] = factor * recorded + offset; `unit` is the one that the number was taken to be in, `kind` the axis' if it tells."""
+
+    factor: float
+    offset: float
+    unit: str
+    kind: str | None
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        return values * self.factor + self.offset if self.offset else values * self.factor
+
+
+def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
+    """How a recorded column becomes the mapped signal; refused where unit and signal do not go together."""
+    where = f"{where}: column '{column.name}'"
+    unit = column.unit or signal.unit
+    if not unit:
+        raise InputError(f'{where}: the file says no unit; give it in the map, e.g. unit = "{_example(column.signal)}"')
+    if column.unit and signal.unit and column.unit != signal.unit and not column.scaled:
+        remedy = (
+            "say scale = 1.0 to overrule the file"
+            if dimension_recorded(column.unit) == dimension_recorded(signal.unit)
+            else (f"say scale = ... [{column.unit} per {signal.unit}]")
+        )
+        raise InputError(f"{where}: the file says [{signal.unit}], the map says [{column.unit}]; leave unit out of the map, or {remedy}")
+    quantity, factor = dimension_recorded(unit), RECORDED_UNITS[unit][1]
+    wanted = _wanted(column.signal)
+    kind = _KIND.get(quantity)
+    if quantity in ("turns", "turning speed"):
+        if column.per_turn is None:
+            raise InputError(
+                f"{where}: [{unit}] are turns of the motor; say mm_per_rev or deg_per_rev in the map (a direct drive has none)"
+            )
+        factor *= column.per_turn / (2.0 * math.pi)
+        quantity, kind = ("position" if quantity == "turns" else "velocity"), column.kind
+    elif quantity in _KIND:
+        quantity = "position" if quantity in ("length", "angle") else "velocity"
+    if quantity == "force" and wanted == "torque":
+        if column.per_turn is None and column.kind is None:
+            raise InputError(f"{where}: a force becomes the motor's torque by the travel of a turn; say mm_per_rev in the map")
+        factor *= column.per_turn / (2.0 * math.pi) if column.per_turn else 1.0  # a direct drive: N stands for Nm
+        quantity = "torque"
+    if quantity != wanted:
+        raise InputError(
+            f"{where}: [{unit}] is no unit of a {column.signal}; use [{_example(column.signal)}] or the like, with scale where needed"
+        )
+    if kind and column.kind and kind != column.kind:
+        raise InputError(f"{where}: axis {column.axis} is {column.kind}, but [{unit}] is a unit of a {kind} axis; correct unit or axis")
+    return Conversion(column.factor * factor, column.offset * factor, unit, kind)
+
+
+def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], where: str) -> dict[str, str]:
+    """Linear or rotary by axis, as the units of its positions and speeds say."""
+    kinds: dict[str, str] = {}
+    for column, conversion in zip(columns, conversions):
+        kind = conversion.kind or column.kind
+        if kind and kinds.setdefault(column.axis, kind) != kind:
+            raise InputError(
+                f"{where}: column '{column.name}': [{conversion.unit}] makes axis {column.axis} {kind}, another column makes it {kinds[column.axis]}; correct one unit"
+            )
+    for column in columns:
+        if column.axis not in kinds:
+            raise InputError(f"{where}: axis {column.axis} has no position or speed; map at least its setpoint")
+    return kinds
+
+
+def _wanted(signal: str) -> str:
+    if signal in _POSITIONS:
+        return "position"
+    if signal in SPEEDS:
+        return "velocity"
+    return {"A": "current", "Nm": "torque", "V": "voltage"}.get(OTHER_UNITS[signal], UNITS[OTHER_UNITS[signal]][0])
+
+
+def _example(signal: str) -> str:
+    wanted = _wanted(signal)
+    return {"position": "mm", "velocity": "mm/s"}.get(wanted) or OTHER_UNITS[signal]

@@ -1,0 +1,37 @@
+"""The table of readers, by the file's ending. A new format: one module beside these with `read(path, how)`, and its line here."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from twin.errors import InputError, nearest
+from twin.recordings.signals import How, Recording, no_file
+
+READERS = {
+    ".csv": "delimited",
+    ".txt": "delimited",
+    ".asc": "delimited",
+    ".tsv": "delimited",
+    ".dat": "delimited",
+    ".xml": "sinumerik",
+    ".tdms": "tdms",
+    ".mf4": "mdf",
+    ".mdf": "mdf",
+    ".mat": "matlab",
+    ".parquet": "parquet",
+}
+
+
+def read_recording(path: str | Path, how: How) -> Recording:
+    """Read a recorded file of any known format."""
+    path = Path(path)
+    if error := no_file(path):
+        raise error
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise InputError(f"{path}: no reader for '{suffix or 'a file without ending'}'; {nearest(suffix, READERS)}")
+    recording = importlib.import_module(f"twin.recordings.formats.{READERS[suffix]}").read(path, how)
+    if not recording.signals:
+        raise InputError(f"{path}: holds no signal; export the recording again")
+    return recording

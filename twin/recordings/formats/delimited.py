@@ -1,0 +1,340 @@
+"""CSV of any dialect: delimiter, decimal comma, lines before the heading, a row of units and the encoding are found, or said in the map.
+
+Streamed: the file passes in blocks, wanted columns go to disk as float64. An empty cell is no sample (a signal with a longer interval,
+or lost samples); the text NaN is a fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import csv
+from dataclasses import dataclass
+import io
+from pathlib import Path
+import shutil
+from typing import IO, Any
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.recordings.signals import NO_MEASUREMENT, How, Recording, Signal, Stored, find_time_column, known_unit, split_heading, time_factor
+
+SAMPLE_BYTES = 1 << 16
+BLOCK_BYTES = 1 << 22
+# the pair that makes most lines into rows of numbers is taken; the order decides between equals
+_PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","))
+KEYS = ("delimiter", "decimal", "header_line", "units_row", "encoding")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the text is to be read; `first` is the number of lines before the first row of numbers."""
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    first: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    timestamps: bool
+
+
+@dataclass
+class _Spool:
+    """A column on its way to disk; its own times from the first empty cell on."""
+
+    path: Path
+    file: IO[bytes]
+    times: IO[bytes] | None = None
+    rows: int = 0
+
+
+def read(path: Path, how: How) -> Recording:
+    """Read the wanted columns (all without a map); see the module for what is found by itself."""
+    dialect = find_dialect(path, how.dialect)
+    where = str(path)
+    at = find_time_column(dialect.names, dialect.units, how.clock, where)
+    plain = [split_heading(n)[0] for n in dialect.names]
+    plain = [p if plain.count(p) == 1 else n for p, n in zip(plain, dialect.names)]
+    chosen = [i for i, name in enumerate(dialect.names) if i != at and (how.wanted is None or name in how.wanted or plain[i] in how.wanted)]
+    if not chosen:
+        return Recording(path, "CSV", {n: Signal(n, np.empty(0), None) for i, n in enumerate(plain) if i != at})
+    factor = 1.0
+    if at is not None and not dialect.timestamps:
+        factor = time_factor(dialect.names[at], dialect.units[at], how.clock, where)
+    spools, time = _stream(path, dialect, at, chosen, factor, how)
+    signals = {
+        plain[i]: Signal(plain[i], Stored(spool.path), Stored(Path(spool.times.name)) if spool.times else time, dialect.units[i])
+        for i, spool in spools.items()
+        if spool.rows
+    }
+    # names that exist but were not wanted: for the nearest match only
+    others = {plain[i]: Signal(plain[i], np.empty(0), None) for i in range(len(plain)) if i != at and i not in spools}
+    told = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}[dialect.delimiter]
+    note = (
+        f"CSV: {told}, decimal {'comma' if dialect.decimal == ',' else 'point'}, numbers from line {dialect.first + 1}, {dialect.encoding}"
+    )
+    empty = [plain[i] for i, spool in spools.items() if not spool.rows]
+    notes = (note, *(f"column '{name}' is empty" for name in empty))
+    return Recording(path, "CSV", {**others, **signals}, None, notes)
+
+
+def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
+    """Encoding, delimiter, decimal sign, heading and units of a file; `told` (the map's [csv]) wins."""
+    told = told or {}
+    for key in told:
+        if key not in KEYS:
+            raise InputError(f"{path}: [csv] {key}: unknown key; {nearest(key, KEYS)}")
+    with open(path, "rb") as file:
+        head = file.read(SAMPLE_BYTES)
+    encoding = str(told.get("encoding") or _encoding(head, path))
+    try:
+        text = head.decode(encoding, errors="ignore")
+    except LookupError:
+        raise InputError(f"{path}: [csv] encoding '{encoding}' is unknown; use utf-8, latin-1 or utf-16") from None
+    lines = text.lstrip("\ufeff").splitlines()
+    if len(head) == SAMPLE_BYTES:
+        lines = lines[:-1]  # cut in its middle
+    pairs = [p for p in _PAIRS if told.get("delimiter", p[0]) == p[0] and told.get("decimal", p[1]) == p[1]]
+    best, first, width, stamps = None, 0, 0, False
+    most = 0
+    for pair in pairs:
+        rows, start, cells, with_stamp = _rows_of_numbers(lines, *pair)
+        # more columns win between pairs that read as many rows: a decimal comma taken for a delimiter makes unequal rows
+        if rows and (rows, cells) > (most, width):
+            best, most, first, width, stamps = pair, rows, start, cells, with_stamp
+    if best is None:
+        raise InputError(f"{path}: no rows of numbers found; is it a CSV file? say delimiter and decimal in [csv] of the map")
+    delimiter, decimal = best
+    names, units = _heading(lines[:first], width, delimiter, told, path)
+    return Dialect(encoding, delimiter, decimal, first, names, units, stamps)
+
+
+def _encoding(head: bytes, path: Path) -> str:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\x00" in head:
+        raise InputError(f"{path}: not a text file (it holds zero bytes); give it the ending of its true format")
+    try:
+        head[: len(head) - 4].decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _number(cell: str, decimal: str) -> bool:
+    cell = cell.strip()
+    if cell == "":
+        return True
+    if decimal == "," and "." in cell:
+        return False
+    try:
+        float(cell.replace(",", ".") if decimal == "," else cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _stamp(cell: str) -> bool:
+    from datetime import datetime
+
+    try:
+        datetime.fromisoformat(cell.strip())
+    except ValueError:
+        return False
+    return len(cell) > 10
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
+    return [c for c in cells if c] if delimiter == " " else cells
+
+
+def _rows_of_numbers(lines: list[str], delimiter: str, decimal: str) -> tuple[int, int, int, bool]:
+    """(rows of numbers at the end of the sample, first of them, their cells, first cell a date); rows have one width."""
+    count, width, start, stamps = 0, 0, len(lines), False
+    for i in range(len(lines) - 1, -1, -1):
+        cells = _cells(lines[i], delimiter)
+        if not cells and i == len(lines) - 1:
+            start = i
+            continue
+        with_stamp = bool(cells) and _stamp(cells[0])
+        numbers = len(cells) >= 2 and all(_number(c, decimal) for c in cells[with_stamp:]) and any(c.strip() for c in cells)
+        if not numbers or (width and len(cells) != width):
+            if count > 0:
+                break
+            continue  # a line that is cut off at the very end does not hide the table; reading it will say so
+        count, width, start, stamps = count + 1, len(cells), i, with_stamp
+    return count, start, width, stamps
+
+
+def _heading(lines: list[str], width: int, delimiter: str, told: Mapping[str, Any], path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units from the lines before the numbers; numbered names where there is no heading."""
+    split = [_cells(line.lstrip("#").strip() if line.startswith("#") else line, delimiter) for line in lines]
+    full = [i for i, cells in enumerate(split) if len(cells) in (width, width - 1)]
+    units_at: int | None = None
+    names_at = full[-1] if full else None
+    if "header_line" in told:
+        names_at = int(told["header_line"]) - 1
+        if not 0 <= names_at < len(lines):
+            raise InputError(f"{path}: [csv] header_line = {names_at + 1}, but numbers begin in line {len(lines) + 1}; correct it")
+        units_at = names_at + 1 if told.get("units_row") and names_at + 1 < len(lines) else None
+    elif len(full) > 1 and told.get("units_row", _looks_like_units(split[full[-1]])):
+        units_at, names_at = full[-1], full[-2]
+    if (
+        names_at is not None
+        and len([c for c in split[names_at] if c.strip()]) > 1
+        and all(_number(c, ".") or _number(c, ",") for c in split[names_at])
+    ):
+        raise InputError(
+            f"{path}: line {names_at + 2} is no row of numbers like the one above it: '{lines[-1][:60].strip()}'; repair or remove it"
+        )
+    names = [c.strip() for c in split[names_at]] if names_at is not None else []
+    names += [""] * (width - len(names))
+    names = [name or f"column {i + 1}" for i, name in enumerate(names)]
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: column '{twice}' occurs twice; rename one in the file")
+    below = [known_unit(c) for c in split[units_at]] if units_at is not None else []
+    below += [""] * (width - len(below))
+    return tuple(names), tuple(b or split_heading(n)[1] for b, n in zip(below, names))
+
+
+def _looks_like_units(cells: list[str]) -> bool:
+    known = [bool(known_unit(c)) for c in cells if c.strip()]
+    return len(known) > 0 and sum(known) >= max(1, len(known) // 2)
+
+
+def _stream(path: Path, dialect: Dialect, at: int | None, chosen: list[int], factor: float, how: How) -> tuple[dict[int, _Spool], Stored]:
+    """Pass the file in blocks; wanted columns and the time go to disk."""
+    import pyarrow as pa
+    import pyarrow.csv as pc
+
+    folder = how.scratch / path.name
+    folder.mkdir(parents=True, exist_ok=True)
+    # every column is read, so that a row that is cut off is seen
+    keys = [f"c{i}" for i in range(len(dialect.names))]
+    kinds = {keys[i]: pa.float64() for i in chosen}
+    if at is not None:
+        kinds[keys[at]] = pa.timestamp("ns") if dialect.timestamps else pa.float64()
+    bad: list[tuple[int | None, int, int, str]] = []
+
+    def invalid(row: Any) -> str:
+        bad.append((row.number, row.actual_columns, row.expected_columns, row.text))
+        return "error"
+
+    source: Any = path
+    if dialect.delimiter == " ":  # several spaces are one: text is squeezed on its way
+        source = _Squeezed(path, dialect.encoding)
+    time_path = folder / "time"
+    spools = {i: _Spool(folder / f"column{i}", open(folder / f"column{i}", "wb")) for i in chosen}  # noqa: SIM115
+    rows = 0
+    try:
+        reader = pc.open_csv(
+            source,
+            read_options=pc.ReadOptions(
+                column_names=keys,
+                skip_rows=dialect.first,
+                block_size=BLOCK_BYTES,
+                encoding="utf-8" if dialect.delimiter == " " else dialect.encoding,
+                use_threads=False,
+            ),
+            parse_options=pc.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=invalid),
+            convert_options=pc.ConvertOptions(
+                column_types=kinds, include_columns=list(kinds), decimal_point=dialect.decimal, null_values=[""], strings_can_be_null=True
+            ),
+        )
+        origin: int | None = None
+        with open(time_path, "wb") as time_file:
+            for batch in reader:
+                if at is None:
+                    time = (rows + np.arange(batch.num_rows)) * float(how.clock.interval_s or 0.0)
+                elif dialect.timestamps:
+                    stamps = batch.column(keys[at]).cast(pa.int64()).to_numpy(zero_copy_only=False)
+                    origin = int(stamps[0]) if origin is None else origin
+                    time = (stamps - origin) * 1e-9
+                else:
+                    time = batch.column(keys[at]).to_numpy(zero_copy_only=False) * factor
+                if not np.all(np.isfinite(time)):
+                    row = int(np.argmin(np.isfinite(time)))
+                    raise InputError(
+                        f"{path}: column '{dialect.names[at or 0]}': line {dialect.first + rows + row + 1} holds no time; repair it"
+                    )
+                for i, spool in spools.items():
+                    _append(spool, batch.column(keys[i]), time, time_file, f"{path}: column '{dialect.names[i]}'", dialect.first + rows)
+                time.astype(float).tofile(time_file)
+                rows += batch.num_rows
+    except pa.ArrowException as error:
+        raise _why(path, dialect, error, bad) from None
+    except UnicodeError as error:
+        raise InputError(f"{path}: not {dialect.encoding} text ({error}); say encoding in [csv] of the map") from None
+    finally:
+        for spool in spools.values():
+            spool.file.close()
+            if spool.times:
+                spool.times.close()
+    if rows < 2:
+        raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
+    return spools, Stored(time_path)
+
+
+def _append(spool: _Spool, column: Any, time: np.ndarray, time_file: IO[bytes], where: str, line: int) -> None:
+    """One block of a column to disk; a NaN or infinite number is a fault, an empty cell is no sample."""
+    values = column.to_numpy(zero_copy_only=False)
+    valid = np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool) if column.null_count else None
+    fault = ~(np.abs(values) < NO_MEASUREMENT) & (valid if valid is not None else True)
+    if fault.any():
+        row = int(np.argmax(fault))
+        held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"
+        raise InputError(
+            f"{where}: line {line + row + 1} ({time[row]:.6g} s) holds {held}; repair it, or cut with from_s and to_s in the map"
+        )
+    if valid is not None and spool.times is None:
+        # until now its times were those of all; from here on it has its own
+        time_file.flush()
+        own = spool.path.with_suffix(".time")
+        shutil.copyfile(time_file.name, own)
+        spool.times = open(own, "ab")  # noqa: SIM115
+    if valid is not None:
+        values, time = values[valid], time[valid]
+    values.tofile(spool.file)
+    if spool.times:
+        time.astype(float).tofile(spool.times)
+    spool.rows += len(values)
+
+
+def _why(path: Path, dialect: Dialect, error: Exception, bad: list[tuple[int | None, int, int, str]]) -> InputError:
+    """What went wrong, in one line with the place in the file."""
+    text = str(error).splitlines()[0]
+    if bad:
+        _, have, expected, row = bad[0]
+        return InputError(
+            f"{path}: a row has {have} of {expected} cells: '{row[:60].strip()}'; the file is cut off or damaged there, remove the row"
+        )
+    if "conversion error" in text:
+        number = text.partition("#")[2].split(":")[0].strip()
+        name = dialect.names[int(number)] if number.isdigit() and int(number) < len(dialect.names) else number
+        value = text.partition("invalid value '")[2].split("'")[0] or text
+        return InputError(f"{path}: column '{name}' holds '{value[:40]}', which is no number; repair it or leave the column out of the map")
+    return InputError(f"{path}: not a readable CSV file ({text})")
+
+
+class _Squeezed(io.RawIOBase):
+    """The text with runs of spaces made one: files whose columns are aligned by spaces."""
+
+    def __init__(self, path: Path, encoding: str):
+        self.file = open(path, encoding=encoding)  # noqa: SIM115
+        self.rest = b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while len(self.rest) < len(buffer):
+            lines = self.file.readlines(1 << 16)
+            if not lines:
+                break
+            self.rest += "".join(" ".join(line.split()) + "\n" for line in lines).encode()
+        part, self.rest = self.rest[: len(buffer)], self.rest[len(buffer) :]
+        buffer[: len(part)] = part
+        return len(part)

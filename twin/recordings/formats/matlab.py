@@ -1,0 +1,90 @@
+"""MATLAB .mat up to version 7 (scipy), and 7.3 where h5py is installed: vectors by name, those inside a struct as 'struct.field'."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.signals import How, Recording, share_time, starts_with
+
+_TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
+
+
+def read(path: Path, how: How) -> Recording:
+    """Vectors as signals on the map's time column or interval; single numbers are told, not imported."""
+    columns: dict[str, np.ndarray] = {}
+    if starts_with(path, b"MATLAB 7.3", b"\x89HDF"):
+        _newer(path, columns)
+    else:
+        _older(path, columns)
+    if not columns:
+        raise InputError(f"{path}: holds no vector of numbers; save the signals as vectors")
+    numbers = {name: float(v.ravel()[0]) for name, v in columns.items() if v.size == 1}
+    vectors: dict[str, tuple[np.ndarray, str]] = {}
+    for name, values in columns.items():
+        if values.size == 1:
+            continue
+        if values.ndim == 2 and min(values.shape) > 1:
+            table = values if values.shape[0] >= values.shape[1] else values.T
+            vectors |= {f"{name}({i + 1})": (table[:, i].astype(float), "") for i in range(table.shape[1])}
+        elif values.ndim <= 2:
+            vectors[name] = (values.ravel().astype(float), "")
+    notes = ["MATLAB: " + ", ".join([f"{len(vectors)} vectors", *(f"{name} = {value:g}" for name, value in numbers.items())])]
+    return Recording(path, "MATLAB", share_time(vectors, how.clock, str(path)), None, tuple(notes))
+
+
+def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
+    from scipy.io import loadmat
+
+    # a damaged file can make the library crash instead of raising: it is tried in a process of its own first
+    trial = subprocess.run([sys.executable, "-c", _TRIAL, str(path)], capture_output=True, check=False)
+    if trial.returncode not in (0, 1):
+        raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
+    try:
+        content = loadmat(path, squeeze_me=False, struct_as_record=True)
+    except Exception as error:  # scipy raises many classes on a damaged file
+        raise InputError(
+            f"{path}: not a readable MATLAB file ({str(error).splitlines()[0] or type(error).__name__}); save it again"
+        ) from None
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _collect(name, value, columns)
+
+
+def _collect(name: str, value: Any, columns: dict[str, np.ndarray]) -> None:
+    """Numbers of a variable, and of the fields of a struct."""
+    value = np.asarray(value)
+    if value.dtype.names:
+        if value.size == 1:
+            for part in value.dtype.names:
+                _collect(f"{name}.{part}", value.ravel()[0][part], columns)
+    elif value.dtype == object and value.size == 1:
+        _collect(name, value.ravel()[0], columns)
+    elif np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value) and value.size:
+        columns[name] = value
+
+
+def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            f"{path}: MATLAB 7.3 (HDF5) needs the package h5py; install it, or save in MATLAB with: save('{path.name}', ..., '-v7')"
+        ) from None
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#") and np.issubdtype(item.dtype, np.number) and item.size:
+            if "MATLAB_class" in item.attrs and item.attrs["MATLAB_class"] in (b"char", b"cell"):
+                return
+            columns[name.replace("/", ".")] = np.asarray(item).T
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except OSError as error:
+        raise InputError(f"{path}: not a readable MATLAB file ({str(error).splitlines()[0]}); save it again") from None

@@ -1,0 +1,30 @@
+"""Parquet: columns of numbers, units from the headings ('X.position [mm]')."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.signals import How, Recording, share_time, split_heading, starts_with
+
+
+def read(path: Path, how: How) -> Recording:
+    """All columns of numbers, on the map's time column or interval."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    if not starts_with(path, b"PAR1"):
+        raise InputError(f"{path}: not a Parquet file; give it the ending of its true format")
+    try:
+        table = pyarrow.parquet.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: a damaged Parquet file ({str(error).splitlines()[0]}); export it again") from None
+    columns: dict[str, tuple[np.ndarray, str]] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+            plain, unit = split_heading(name)
+            columns[plain] = (column.cast(pa.float64()).to_numpy(), unit)
+    return Recording(path, "Parquet", share_time(columns, how.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))

@@ -1,0 +1,152 @@
+"""Trace of a SINUMERIK solution line control, as its HMI writes it: XML, each signal with its own interval.
+
+    <traceSession>
+      <traceData><dataFrame>
+        <frameHeader startTime="2024-05-14T08:21:07.250Z" dropOuts="0" .../>
+        <dataSignal id="f1" name="/Nck/!SD/nckServoDataCmdPos64 [u1, 1]" description="Position setpoint" interval="0.002000"
+                    datapointCount="22709" unitsType="posn" .../>
+        <rec time="0.000000" f1="0.000000" f2="..."/>
+
+A record holds, of the signals of the servo cycle, only values that changed: what is missing was held, and `datapointCount` says how many
+samples there were. Signals of the interpolation cycle are written at every sample of their own. So a missing value is a lost sample only
+where the count says so. Layout as seen in files of software 4.x with version 01.00 of the format; units are not in the file (posn is mm or
+deg), the map says them. A DTD, an entity or anything external is refused.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.signals import How, Recording, Signal, starts_with
+
+NO_NUMBER = 9.2e18
+"""Values above are the bit patterns of NaN and infinity, which the control prints as whole numbers."""
+
+
+@dataclass
+class _Samples:
+    """One dataSignal while its records pass."""
+
+    name: str
+    description: str
+    interval: float
+    count: int | None
+    times: array[float] = field(default_factory=lambda: array("d"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+
+
+def read(path: Path, how: How) -> Recording:
+    """Read all signals of the first data frame."""
+    from defusedxml.common import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, iterparse
+
+    if not starts_with(path, b"<", b"\xef\xbb\xbf<", b" ", b"\n", b"\r", b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(f"{path}: not an XML file; give it the ending of its true format")
+    samples: dict[str, _Samples] = {}
+    started: datetime | None = None
+    root, frames, lost, last = "", 0, 0, float("nan")
+    parents: list[object] = []
+    try:
+        for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
+            tag = element.tag.rpartition("}")[2]
+            if event == "start":
+                root = root or tag
+                frames += tag == "dataFrame"
+                parents.append(element)
+                continue
+            parents.pop()
+            if frames == 1 and tag == "frameHeader":
+                started = _date(element.get("startTime"))
+                lost = int(float(element.get("dropOuts") or 0))
+            elif frames == 1 and tag == "dataSignal":
+                _begin(samples, element.attrib, path)
+            elif frames == 1 and tag == "rec":
+                last = _record(samples, element.attrib, path, last)
+            if tag == "rec" and parents:
+                parents[-1].remove(element)  # type: ignore[attr-defined]
+    except DefusedXmlException as error:
+        told = type(error).__name__.replace("Forbidden", "").replace("Reference", " reference").lower()
+        raise InputError(
+            f"{path}: refused: the XML declares its own {told or 'entities'}, which a trace never does; export it again"
+        ) from None
+    except ParseError as error:
+        raise InputError(f"{path}: not a whole XML file ({error}); it is cut off or damaged, export it again") from None
+    except (ValueError, LookupError) as error:
+        raise InputError(f"{path}: damaged XML ({str(error).splitlines()[0]}); export it again") from None
+    if not samples:
+        raise InputError(f"{path}: no trace of a SINUMERIK (root <{root}>, no <dataSignal>); export the trace, not its settings")
+    notes = [f"SINUMERIK trace: {len(samples)} signals"]
+    if lost:
+        notes.append(f"the control lost {lost} samples (dropOuts)")
+    if frames > 1:
+        notes.append(f"{frames} data frames: the first is read")
+    signals = {}
+    clocks: dict[tuple[float, float, int], np.ndarray] = {}
+    for one in samples.values():
+        signal, note = _signal(one, clocks, path)
+        if signal.name in signals:
+            raise InputError(f"{path}: signal '{signal.name}' occurs twice; remove one from the trace's settings")
+        signals[signal.name] = signal
+        notes += [note] if note else []
+    return Recording(path, "SINUMERIK trace XML", signals, started, tuple(notes))
+
+
+def _begin(samples: dict[str, _Samples], given: Mapping[str, str], path: Path) -> None:
+    try:
+        key, name, interval = given["id"], given["name"], float(given["interval"])
+    except KeyError as missing:
+        raise InputError(f"{path}: a <dataSignal> has no {missing}; this is not the layout of a SINUMERIK trace") from None
+    if not interval > 0.0:
+        raise InputError(f"{path}: signal '{name}': interval = {interval:g}; it must be above 0")
+    count = given.get("datapointCount")
+    samples[key] = _Samples(name, given.get("description", ""), interval, int(count) if count else None)
+
+
+def _record(samples: dict[str, _Samples], given: Mapping[str, str], path: Path, last: float) -> float:
+    """One record: its time, and the values that changed."""
+    time = float(given["time"])
+    if time <= last:
+        raise InputError(f"{path}: time does not increase at {time:g} s; the file is damaged, export it again")
+    for key, text in given.items():
+        if key == "time" or (one := samples.get(key)) is None:
+            continue
+        value = {"true": 1.0, "false": 0.0}[text] if text in ("true", "false") else float(text)
+        if not abs(value) < NO_NUMBER:
+            raise InputError(f"{path}: signal '{one.name}': no number at {time:g} s; cut the recording or leave the signal out")
+        one.times.append(time)
+        one.values.append(value)
+    return time
+
+
+def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], path: Path) -> tuple[Signal, str]:
+    """Values at every sample: those held put in, those lost left out."""
+    times, values = np.array(one.times), np.array(one.values)
+    if len(times) == 0:
+        return Signal(one.name, values, times, "", one.description), f"'{one.name}' holds no value"
+    at = (times - times[0]) / one.interval
+    number = np.rint(at).astype(int)
+    if np.abs(at - number).max() > 0.1 or (len(number) > 1 and np.diff(number).min() < 1):
+        return Signal(one.name, values, times, "", one.description), f"'{one.name}' is off its interval of {one.interval * 1e3:g} ms"
+    span = int(number[-1]) + 1
+    held = span - len(values)
+    if held and one.count is not None and one.count < span:
+        # fewer samples than the span has: what is missing was lost
+        return Signal(one.name, values, times, "", one.description), f"'{one.name}' lost {span - one.count} samples"
+    filled = values[np.searchsorted(number, np.arange(span), side="right") - 1]
+    key = (float(times[0]), one.interval, span)
+    grid = clocks.setdefault(key, times[0] + one.interval * np.arange(span))
+    return Signal(one.name, filled, grid, "", one.description), ""
+
+
+def _date(text: str | None) -> datetime | None:
+    try:
+        return datetime.fromisoformat(text.replace("Z", "+00:00")) if text else None
+    except ValueError:
+        return None

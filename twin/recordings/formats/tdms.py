@@ -1,0 +1,57 @@
+"""TDMS (LabVIEW, DAQ systems): every channel with its own waveform start and increment; else a time channel from the map."""
+
+from __future__ import annotations
+
+from datetime import datetime
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.signals import How, Recording, Signal, known_unit, share_time, starts_with
+
+
+def read(path: Path, how: How) -> Recording:
+    """Channels as 'group/channel'."""
+    try:
+        from nptdms import TdmsFile
+        from nptdms.log import log_manager
+    except ImportError:
+        raise InputError(f"{path}: TDMS needs the package npTDMS; install it with: pip install 'twin[tdms]'") from None
+    if not starts_with(path, b"TDSm"):
+        raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
+    log_manager.set_level(logging.CRITICAL)  # what it warns of is told below
+    try:
+        with TdmsFile.open(path) as file:
+            if file.file_status.incomplete_final_segment:
+                raise InputError(f"{path}: the TDMS file is cut off in its last segment; export it again")
+            channels = [c for group in file.groups() for c in group.channels()]
+            raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
+    except InputError:
+        raise
+    except Exception as error:  # what the package raises on a damaged file is not one class
+        raise InputError(
+            f"{path}: a damaged TDMS file ({str(error).splitlines()[0] if str(error) else type(error).__name__}); export it again"
+        ) from None
+    signals: dict[str, Signal] = {}
+    started: datetime | None = None
+    clocks: dict[tuple[float, float, int], np.ndarray] = {}
+    without: dict[str, tuple[np.ndarray, str]] = {}
+    for channel, name, values in raw:
+        unit = known_unit(str(channel.properties.get("unit_string", "")))
+        increment = float(channel.properties.get("wf_increment", 0.0))
+        if increment > 0.0 and how.clock.column is None:
+            begin = channel.properties.get("wf_start_time")
+            if started is None and begin is not None:
+                started = begin.astype(datetime) if isinstance(begin, np.datetime64) else begin
+            key = (float(channel.properties.get("wf_start_offset", 0.0)), increment, len(values))
+            time = clocks.setdefault(key, key[0] + increment * np.arange(len(values)))
+            signals[name] = Signal(name, values.astype(float), time, unit, str(channel.properties.get("description", "")))
+        else:
+            without[name] = (values.astype(float), unit)
+    if without and not signals:
+        signals = share_time(without, how.clock, str(path))
+    elif without:
+        signals |= {name: Signal(name, values, None, unit) for name, (values, unit) in without.items()}
+    return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",))

@@ -1,0 +1,144 @@
+"""Signals with their own intervals, gaps and skew brought on one even grid, block by block.
+
+Samples that lie on the grid are taken as they are; between samples a cubic spline through them (positions of a jerk-limited move sampled
+every 4 ms are off by less than 0.1 um then, by 10 um with straight lines).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.recordings.signals import BLOCK, Signal
+from twin.recordings.timing import Stretch, Timing
+
+ON_GRID = 1e-3
+"""A sample within this fraction of an interval of a grid time lies on it."""
+MARGIN = 16
+"""Samples beside a block that the spline sees: what lies further off counts less than 1e-9."""
+_GRID_ROUNDING_S = 1e-9
+
+
+@dataclass(frozen=True)
+class Source:
+    """A signal with its timing and how much later than the position it was recorded [s]."""
+
+    signal: Signal
+    timing: Timing
+    skew_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One even grid without gaps: begin [s], period [s], samples; `filled` counts the gaps that were bridged."""
+
+    begin: float
+    period: float
+    count: int
+    filled: int = 0
+
+    @property
+    def end(self) -> float:
+        return self.begin + self.period * (self.count - 1)
+
+    def times(self, first: int, last: int) -> np.ndarray:
+        """Grid times [s] of rows first .. last."""
+        return self.begin + self.period * np.arange(first, last)
+
+
+def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: float, fill: bool) -> list[Piece]:
+    """Grids over the times at which all signals have samples; one that is not filled breaks at every gap of any signal."""
+    spans = [(begin_s, end_s)]
+    bridged = 0
+    for source in sources:
+        shift = source.skew_s
+        own = [(s.begin - shift, s.end - shift) for s in source.timing.stretches]
+        if fill:
+            bridged = max(bridged, len(own) - 1)
+            own = [(own[0][0], own[-1][1])]
+        spans = [(max(a, c), min(b, d)) for a, b in spans for c, d in own if min(b, d) > max(a, c)]
+    # the grid goes through the samples of the first signal, so that they are taken as they are
+    lead = sources[0].timing.stretches[0].begin - sources[0].skew_s
+    out = []
+    for begin, end in spans:
+        first = np.ceil((begin - lead) / period - ON_GRID)
+        last = np.floor((end - lead) / period + ON_GRID)
+        if last > first:
+            out.append(Piece(float(lead + first * period), period, int(last - first) + 1, bridged))
+    return out
+
+
+def on_grid(source: Source, piece: Piece, first: int, last: int, fill: bool = False) -> np.ndarray:
+    """(last - first,) values of a signal at rows first .. last of a piece."""
+    times = piece.times(first, last) + source.skew_s
+    stretches = source.timing.stretches
+    if fill and len(stretches) > 1:
+        return _across(source, times)
+    middle = 0.5 * (piece.begin + piece.end) + source.skew_s
+    own = min(stretches, key=lambda s: max(s.begin - middle, middle - s.end))
+    return _within(source.signal, own, times)
+
+
+def _within(signal: Signal, own: Stretch, times: np.ndarray) -> np.ndarray:
+    """Values within one stretch: picked where all times lie on samples, else by spline."""
+    if own.even:
+        at = (times - own.begin) / own.interval
+        whole = np.rint(at)
+        if np.all(np.abs(at - whole) < ON_GRID + _GRID_ROUNDING_S / own.interval):
+            rows = np.clip(whole.astype(int), 0, own.count - 1)
+            low, high = int(rows[0]), int(rows[-1])
+            return np.asarray(signal.values[own.first + low : own.first + high + 1], float)[rows - low]
+    slack = int(np.ceil(own.spread / own.interval)) + MARGIN
+    low = max(int((times[0] - own.begin) / own.interval) - slack, 0)
+    high = min(int((times[-1] - own.begin) / own.interval) + slack + 2, own.count)
+    values = np.asarray(signal.values[own.first + low : own.first + high], float)
+    if own.even or signal.time is None:
+        base = own.begin + own.interval * np.arange(low, high)
+    else:
+        base = np.asarray(signal.time[own.first + low : own.first + high], float)
+        base, kept = np.unique(base, return_index=True)
+        values = values[kept]
+    if len(base) < 4:
+        return np.interp(times, base, values)
+    return CubicSpline(base, values)(np.clip(times, base[0], base[-1]))
+
+
+def _across(source: Source, times: np.ndarray) -> np.ndarray:
+    """Values of which some lie in gaps: a cubic through the samples on both sides."""
+    out = np.empty(len(times))
+    done = np.zeros(len(times), bool)
+    for own in source.timing.stretches:
+        inside = (times >= own.begin - ON_GRID * own.interval) & (times <= own.end + ON_GRID * own.interval)
+        if inside.any():
+            out[inside] = _within(source.signal, own, times[inside])
+            done |= inside
+    for before, after in zip(source.timing.stretches, source.timing.stretches[1:]):
+        lost = (times > before.end) & (times < after.begin) & ~done
+        if lost.any():
+            left, right = min(before.count, 8), min(after.count, 8)
+            base = np.concatenate([before.end + before.interval * np.arange(1 - left, 1), after.begin + after.interval * np.arange(right)])
+            values = np.concatenate(
+                [
+                    np.asarray(source.signal.values[before.first + before.count - left : before.first + before.count], float),
+                    np.asarray(source.signal.values[after.first : after.first + right], float),
+                ]
+            )
+            out[lost] = CubicSpline(base, values)(times[lost])
+            done |= lost
+    return np.where(done, out, out[np.argmax(done)] if done.any() else 0.0)
+
+
+def liveliest(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
+    """Rows (first, last) of the block of a piece in which the signal travels farthest; all of it where it is short."""
+    best, most = (0, min(piece.count, BLOCK)), -1.0
+    for first in range(0, piece.count, BLOCK):
+        last = min(first + BLOCK, piece.count)
+        if last - first < min(BLOCK // 2, piece.count):
+            continue
+        travel = float(np.abs(np.diff(on_grid(source, piece, first, last, fill))).sum())
+        if travel > most:
+            best, most = (first, last), travel
+    return best

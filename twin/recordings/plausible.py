@@ -1,0 +1,177 @@
+"""Do units and signs fit together? Signals of one axis are held against each other, then against what axes do.
+
+position ~ a setpoint, velocity ~ a d(position)/dt: a is 1; where it is 1000, 60 or 57.3, a unit is wrong, and which one is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
+
+TOLERANCE = 0.08
+"""A ratio this near to 1, or to a known factor, is that factor."""
+FITS = 0.5
+"""Correlation (squared) from which a ratio means anything."""
+SHARP = 0.9
+"""Correlation (squared) from which any ratio off 1 counts."""
+
+# ratio of what is recorded to what it should be -> what was probably mistaken
+_MISTAKES = {
+    1000.0: "a unit 1000 times too large (mm taken as m?)",
+    1e-3: "a unit 1000 times too small (m taken as mm?)",
+    60.0: "recorded per minute, taken as per second?",
+    1.0 / 60.0: "recorded per second, taken as per minute?",
+    60e3: "recorded in mm/min, taken as m/s?",
+    1.0 / 60e3: "recorded in m/s, taken as mm/min?",
+}
+_MISTAKES_OF = {
+    "linear": {
+        0.06: "recorded in m/min, taken as mm/s?",
+        1.0 / 0.06: "recorded in mm/s, taken as m/min?",
+        25.4: "recorded in mm, taken as inch?",
+        1.0 / 25.4: "recorded in inch, taken as mm?",
+    },
+    "rotary": {
+        180.0 / math.pi: "recorded in degrees, taken as radians?",
+        math.pi / 180.0: "recorded in radians, taken as degrees?",
+        2.0 * math.pi: "radians and turns mixed?",
+        1.0 / (2.0 * math.pi): "radians and turns mixed?",
+        1.0 / 6.0: "recorded in rev/min, taken as deg/s?",
+        6.0: "recorded in deg/s, taken as rev/min?",
+    },
+}
+_FASTEST = {"linear": 20.0, "rotary": 2.0 * math.pi * 50.0}  # m/s, rad/s
+_LONGEST = {"linear": 50.0, "rotary": 1e5}  # m, rad
+_SHORTEST = {"linear": 5e-6, "rotary": 1e-5}
+MOST_CURRENT = 2000.0
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Something that cannot be right: the signal, and one line that says what and what to do."""
+
+    axis: str
+    signal: str
+    text: str
+
+
+def doubts_of(
+    signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], machine: Machine | None
+) -> list[Doubt]:
+    """Contradictions between the signals (sample,) [SI] of each axis, and values that no such axis reaches."""
+    out: list[Doubt] = []
+    for axis in dict.fromkeys(a for a, _ in signals):
+        own = {s: v for (a, s), v in signals.items() if a == axis}
+        told = _against_each_other(axis, own, period, kinds[axis])
+        # ranges only where the signals agree among themselves: what contradicts is said once
+        out += told or _ranges(axis, own, period, kinds[axis], machine)
+    return out
+
+
+def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:
+    out = []
+    reference = next((s for s in ("setpoint", "position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
+    if reference is None:
+        return []
+    for signal in POSITIONS:
+        if signal in own and signal != reference:
+            # differences over a tenth of a second: offsets and following error stay out
+            step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
+            ratio = _ratio(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
+            if ratio is not None and (text := _mistake(*ratio, kind, loose=True)):
+                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio[0])} times as far as {axis}.{reference}: {text}"))
+    for signal in SPEEDS:
+        if signal in own:
+            base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
+            base = "setpoint" if signal == "velocity_setpoint" and "setpoint" in own else base
+            # compared as travel within short windows: noise of the slope averages out
+            step = max(1, min(round(0.02 / period), len(own[signal]) // 4))
+            moved = own[base][step:] - own[base][:-step]
+            summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
+            ratio = _ratio(summed[step:] - summed[:-step], moved)
+            if ratio is not None and (text := _mistake(*ratio, kind, loose=False)):
+                out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(ratio[0])} times the slope of {axis}.{base}: {text}"))
+    return out
+
+
+def _ratio(values: np.ndarray, reference: np.ndarray) -> tuple[float, float] | None:
+    """Least-squares factor from reference to values and their squared correlation; None where they do not go together."""
+    xx, xy, yy = float(reference @ reference), float(reference @ values), float(values @ values)
+    if xx <= 0.0 or yy <= 0.0 or xy**2 < FITS * xx * yy:
+        return None
+    return xy / xx, xy**2 / (xx * yy)
+
+
+def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
+    """What a ratio says, "" where it is 1; `loose`: a position may follow its set point with less than its amplitude."""
+    size = abs(ratio)
+    sign = "it runs the other way: sign = -1?" if ratio < 0.0 else ""
+    known = {**_MISTAKES, **_MISTAKES_OF[kind], 1.0: ""}
+    nearest = min(known, key=lambda factor: abs(math.log(size / factor)))
+    if abs(size / nearest - 1.0) <= TOLERANCE:
+        text = f"{known[nearest]} correct unit or scale" if known[nearest] else ""
+    elif (loose and not 0.1 < size < 10.0) or (not loose and fit > SHARP and not 0.8 < size < 1.25):
+        text = "check unit, scale and the travel of a motor turn"
+    else:
+        text = ""
+    return "; ".join(part for part in (text, sign) if part)
+
+
+def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, machine: Machine | None) -> list[Doubt]:
+    """Values that a machine axis does not reach, or that this machine's does not."""
+    out = []
+    known = machine.axis(axis) if machine else None
+    unit, metre = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
+    for signal in POSITIONS:
+        if signal not in own:
+            continue
+        low, high = float(own[signal].min()), float(own[signal].max())
+        step = max(1, round(0.02 / period))
+        speed = float(np.abs(own[signal][step:] - own[signal][:-step]).max() / (step * period)) if len(own[signal]) > step else 0.0
+        if known is not None and signal == "setpoint" and np.isfinite(known.travel).all():
+            room = float(known.travel[1] - known.travel[0])
+            if high - low > 3.0 * room:
+                out.append(
+                    Doubt(
+                        axis,
+                        signal,
+                        f"{axis}.{signal} travels {high - low:.4g} {unit}, the machine's axis {room:.4g}: wrong unit? correct unit or scale",
+                    )
+                )
+                continue
+        if high - low > _LONGEST[kind]:
+            out.append(Doubt(axis, signal, f"{axis}.{signal} travels {high - low:.4g} {unit}: no machine axis does; correct unit or scale"))
+        elif speed > _FASTEST[kind] or (known is not None and speed > 10.0 * known.max_velocity):
+            limit = f", the machine file allows {known.max_velocity:.3g}" if known else ""
+            out.append(
+                Doubt(
+                    axis, signal, f"{axis}.{signal} moves at {speed:.4g} {metre}{limit}: wrong unit, or wrong unit of time? correct the map"
+                )
+            )
+        elif 0.0 < high - low < _SHORTEST[kind] and signal == "setpoint":
+            out.append(Doubt(axis, signal, f"{axis}.{signal} moves by {high - low:.3g} {unit} in all: wrong unit? correct unit or scale"))
+    effort = known.effort if known else "current"
+    if effort in own:
+        peak = float(np.abs(own[effort]).max())
+        most = 3.0 * known.motor.peak_current_a if known else MOST_CURRENT
+        if peak > most:
+            told = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
+            out.append(
+                Doubt(
+                    axis,
+                    effort,
+                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{told}: wrong unit (mA?) or scale; correct the map",
+                )
+            )
+    return out
+
+
+def _plain(ratio: float) -> str:
+    """Two digits: 1000, 0.06, -2.5."""
+    return f"{float(f'{ratio:.2g}'):g}"

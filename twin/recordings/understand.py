@@ -1,0 +1,221 @@
+"""One run from its recordings and the map: columns found and converted, brought on one grid, units and skew judged.
+
+What is returned still reads from the recordings block by block: nothing as long as the run is held in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.recordings.convert import Conversion, conversion_of, kinds_of
+from twin.recordings.grid import Piece, Source, liveliest, on_grid, pieces_of
+from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
+from twin.recordings.plausible import doubts_of
+from twin.recordings.signals import NO_MEASUREMENT, Recording, Signal
+from twin.recordings.skew import Late, late_channels
+from twin.recordings.timing import Timing, timing_of
+
+SHORTEST_S = 0.2
+"""A piece between two gaps shorter than this is left out."""
+SAME_INTERVAL = 1e-3
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A mapped column: where it comes from, how it is converted, its timing."""
+
+    column: ColumnMap
+    source: Source
+    conversion: Conversion
+    file: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.column.key
+
+
+@dataclass(frozen=True)
+class Understood:
+    """A run as it was understood; `notes` are said to the user, `late` are the skews that were estimated."""
+
+    run: RunMap
+    channels: tuple[Channel, ...]
+    kinds: Mapping[str, str]
+    pieces: tuple[Piece, ...]
+    fill: bool
+    notes: tuple[str, ...]
+    late: tuple[Late, ...]
+    started: datetime | None
+    begin: float  # of the recordings [s]
+
+    def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
+        """Signals of rows first .. last of a piece, SI."""
+        out = {c.key: c.conversion(on_grid(c.source, piece, first, last, self.fill)) for c in self.channels}
+        for axis in {a for a, _ in out}:
+            if (axis, FOLLOWING_ERROR) in out:
+                error = out.pop((axis, FOLLOWING_ERROR))
+                out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
+        return out
+
+
+def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
+    """Everything that is known of a run before it is written. Raises InputError where the map does not fit or units contradict."""
+    notes = [note for recording in recordings for note in recording.notes]
+    channels, missing = [], []
+    for column in mapping.columns:
+        found = _find(column, recordings, str(mapping.path))
+        if found is None:
+            missing.append(column)
+            continue
+        recording, signal = found
+        where = f"{recording.path}: column '{signal.name}'"
+        if signal.time is None:
+            raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
+        channels.append((column, recording, signal, conversion_of(column, signal, str(recording.path))))
+    keys = [c.key for c, *_ in channels]
+    if twice := next((k for k in keys if keys.count(k) > 1), None):
+        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
+    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
+    axes = dict.fromkeys(c.axis for c, *_ in channels)
+    for axis in axes:
+        own = {c.signal for c, *_ in channels if c.axis == axis}
+        if "setpoint" not in own:
+            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
+    kinds = kinds_of([c for c, *_ in channels], [x[3] for x in channels], str(mapping.path))
+    timings: dict[int, Timing] = {}
+    made = []
+    for column, recording, signal, conversion in channels:
+        _check_numbers(recording, signal)
+        assert signal.time is not None
+        timing = timings.get(id(signal.time))
+        if timing is None:
+            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
+            notes += [n for n in timing.notes if n not in notes]
+        made.append(Channel(column, Source(signal, timing, column.skew_s), conversion, recording.path.name))
+    lead = next(c for c in made if c.column.signal == "setpoint")  # the grid is that of the first set point
+    period = mapping.period_s or _tidy(lead.source.timing.interval)
+    notes += _interval_notes(made, period)
+    begin = min(s.begin for c in made for s in c.source.timing.stretches)
+    fill = mapping.gaps == "fill"
+    notes += _gap_notes(made, mapping, run)
+
+    def cut(channels: Sequence[Channel]) -> list[Piece]:
+        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
+        start = begin + run.from_s if np.isfinite(run.from_s) else -np.inf
+        stop = begin + run.to_s if np.isfinite(run.to_s) else np.inf
+        return [p for p in pieces_of(sources, period, start, stop, fill) if p.count * period >= min(SHORTEST_S, 20 * period)]
+
+    pieces = cut(made)
+    if not pieces:
+        raise InputError(
+            f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
+        )
+    known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings), begin)
+    longest = max(pieces, key=lambda p: p.count)
+    rows = liveliest(lead.source, longest, fill)
+    window = known.block(longest, *rows)
+    doubts = doubts_of(window, period, kinds, mapping.machine)
+    if doubts and mapping.units == "refuse":
+        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
+        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "say" in the map imports it nevertheless')
+    notes += [d.text for d in doubts]
+    late = late_channels(window, period, kinds)
+    notes += _still(window)
+    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
+    correct = {(item.axis, item.signal): item.seconds for item in late if item.clear and mapping.skew == "correct"}
+    for item in late:
+        if item.clear:
+            told = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the position (+-{1.96e3 * item.deviation:.3f} ms)"
+            remedy = "left as it is: skew = 'correct' or skew_ms in the map takes it back"
+            notes.append(f"{told}; {'taken back' if correct else remedy}")
+    if correct:
+        made = [replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in made]
+        pieces = cut(made)
+    return replace(known, channels=tuple(made), pieces=tuple(pieces), notes=tuple(notes), late=tuple(late))
+
+
+def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:
+    """The column in one of a run's recordings: by its name, or by the last part of 'group/channel' where that is unique."""
+    for recording in recordings:
+        names = [n for n in recording.signals if n == column.name] or [n for n in recording.signals if n.rpartition("/")[2] == column.name]
+        if len(names) > 1:
+            raise InputError(f"{recording.path}: '{column.name}' is in several groups; name one of {', '.join(names)} in the map")
+        if names and len(recording.signals[names[0]].values):
+            return recording, recording.signals[names[0]]
+    if column.optional:
+        return None
+    known = [n for r in recordings for n in r.signals]
+    files = ", ".join(str(r.path) for r in recordings)
+    if column.name in known:
+        raise InputError(f"{files}: column '{column.name}' is empty; record it again, or leave it out of the map")
+    raise InputError(f"{files}: no column '{column.name}'; {nearest(column.name, known)}")
+
+
+def _check_numbers(recording: Recording, signal: Signal) -> None:
+    """Refuses NaN and infinity, with their place."""
+    if recording.format == "CSV":
+        return  # the reader has looked at every cell
+    for first, values in signal.blocks():
+        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        if bad.any():
+            row = first + int(np.argmax(bad))
+            assert signal.time is not None
+            at = float(signal.time[row : row + 1][0])
+            held = "NaN" if np.isnan(values[row - first]) else f"{values[row - first]:g}"
+            raise InputError(
+                f"{recording.path}: column '{signal.name}': sample {row + 1} ({at:.6g} s) holds {held}; repair it, or leave the column out"
+            )
+
+
+def _tidy(interval: float) -> float:
+    """An interval without the rounding of printed times: 1 ms instead of 1.00000004 ms."""
+    for digits in (2, 3, 4, 5):
+        rounded = float(f"{interval:.{digits}g}")
+        if abs(rounded - interval) < 2e-7 * interval:
+            return rounded
+    return interval
+
+
+def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
+    """Which signals come from another interval."""
+    groups: dict[float, list[str]] = {}
+    for channel in channels:
+        interval = channel.source.timing.interval
+        if abs(interval - period) > SAME_INTERVAL * period:
+            groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
+    return [
+        f"{', '.join(names)}: recorded every {interval * 1e3:.4g} ms, {'interpolated to' if interval > period else 'picked every'} {period * 1e3:.4g} ms"
+        for interval, names in groups.items()
+    ]
+
+
+def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[str]:
+    """Where samples are missing, each gap once."""
+    gaps = {
+        (round(a.end, 6), round(b.begin, 6)) for c in channels for a, b in zip(c.source.timing.stretches, c.source.timing.stretches[1:])
+    }
+    if not gaps:
+        return []
+    shown = ", ".join(f"{(b - a) * 1e3:.4g} ms after {a:.6g} s" for a, b in sorted(gaps)[:3]) + (", ..." if len(gaps) > 3 else "")
+    if mapping.gaps == "refuse":
+        raise InputError(f'{mapping.path}: run {run.name}: samples are missing ({shown}); gaps = "split" or "fill" in the map imports it')
+    done = "filled by a cubic" if mapping.gaps == "fill" else "the run is split there"
+    return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
+
+
+def _still(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
+    """Channels that never change although the axis moves."""
+    return [
+        f"{axis}.{signal} never changes while the set point moves: is it the right column?"
+        for (axis, signal), values in window.items()
+        if np.ptp(values) == 0.0 and np.ptp(window[axis, "setpoint"]) > 0.0
+    ]
+
+
+def _started(recordings: Sequence[Recording]) -> datetime | None:
+    return next((r.started for r in recordings if r.started is not None), None)

@@ -1,0 +1,139 @@
+"""The campaign: each run's traces written block by block, campaign.toml, import.json."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.grid import Piece
+from twin.recordings.mapping import Map
+from twin.recordings.signals import BLOCK
+from twin.recordings.trace import unit_of
+from twin.recordings.understand import Understood
+from twin.units import UNITS
+
+ERROR = "_error"
+"""Set point minus position [SI], for the picture only."""
+POINTS = 3000
+"""Points of a curve in the picture: the smallest and the largest sample of each part."""
+
+
+@dataclass
+class Written:
+    """A trace that was written: its name, when it began, the range of each signal in the written unit, and what the picture needs."""
+
+    name: str
+    started_at_s: float
+    feedforward: str | None
+    piece: Piece
+    units: dict[tuple[str, str], str]
+    low: dict[tuple[str, str], float] = field(default_factory=dict)
+    high: dict[tuple[str, str], float] = field(default_factory=dict)
+    curves: dict[tuple[str, str], list[np.ndarray]] = field(default_factory=dict)
+    times: list[np.ndarray] = field(default_factory=list)
+
+    def curve(self, key: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
+        """(times [s], values) of a thinned signal."""
+        return np.concatenate(self.times), np.concatenate(self.curves[key])
+
+
+def write_run(known: Understood, started_at_s: float, out: Path, runs: Collection[str]) -> list[Written]:
+    """The traces of a run: one, or one for each piece between gaps, named name_1, name_2, past the names of other `runs`."""
+    written = []
+    # what the map says is when the run began; else a part of a recording begins later than the recording
+    start = known.pieces[0].begin if known.run.started_at_s is not None else known.begin
+    of_pieces = (name for i in itertools.count(1) if (name := f"{known.run.name}_{i}") not in runs)
+    for name, piece in zip([known.run.name] if len(known.pieces) == 1 else of_pieces, known.pieces):
+        written.append(_write_piece(known, piece, name, started_at_s + piece.begin - start, out))
+    return written
+
+
+def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float, out: Path) -> Written:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    order = {axis: i for i, axis in enumerate(dict.fromkeys(c.column.axis for c in known.channels))}
+    keys = sorted(known.block(piece, 0, 2), key=lambda k: order[k[0]])
+    units = {(axis, signal): unit_of(signal, known.kinds[axis]) for axis, signal in keys}
+    headings = {key: f"{key[0]}.{key[1]} [{unit}]" for key, unit in units.items()}
+    schema = pa.schema([("time [s]", pa.float64()), *((h, pa.float64()) for h in headings.values())])
+    result = Written(name, started_at_s, known.run.feedforward, piece, units)
+    part = max(1, int(np.ceil(piece.count / (POINTS / 2))))
+    with pyarrow.parquet.ParquetWriter(out / f"{name}.parquet", schema) as writer:
+        # blocks of whole parts, so that the picture's parts do not straddle them
+        step = max(BLOCK // part, 1) * part
+        for first in range(0, piece.count, step):
+            last = min(first + step, piece.count)
+            block = known.block(piece, first, last)
+            time = piece.period * np.arange(first, last)
+            columns = {"time [s]": time, **{headings[key]: block[key] / UNITS[units[key]][1] for key in keys}}
+            writer.write_table(pa.table(columns, schema=schema))
+            result.times.append(_ends(time, part)[0])
+            for axis in order:
+                if (shown := next(((axis, s) for s in ("position", "motor_position") if (axis, s) in block), None)) is not None:
+                    result.curves.setdefault((axis, ERROR), []).append(_ends(block[axis, "setpoint"] - block[shown], part)[1])
+            for key in keys:
+                values = columns[headings[key]]
+                result.low[key] = min(result.low.get(key, np.inf), float(values.min()))
+                result.high[key] = max(result.high.get(key, -np.inf), float(values.max()))
+                result.curves.setdefault(key, []).append(_ends(values, part)[1])
+    return result
+
+
+def _ends(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
+    """(first of each part twice, smallest and largest of each part): a thinned curve that keeps its peaks."""
+    if part == 1:
+        return values, values
+    starts = np.arange(0, len(values), part)
+    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    return np.repeat(values[starts], 2), np.column_stack([low, high]).ravel()
+
+
+def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
+    """campaign.toml and import.json."""
+    lines = ["# imported by 'twin import'; import.json says what was understood"]
+    if mapping.machine_name:
+        lines.append(f"machine = {_text(mapping.machine_name)}")
+    for known, traces in runs:
+        for trace in traces:
+            lines += ["", f"[[run]]  # from {', '.join(known.run.files)}".replace("\n", " "), f"file = {_text(trace.name + '.parquet')}"]
+            lines += [f"feedforward = {_text(trace.feedforward)}"] if trace.feedforward else []
+            lines.append(f"started_at_s = {trace.started_at_s:.6f}")
+    content = {"runs": {trace.name: _record(known, trace) for known, traces in runs for trace in traces}}
+    try:
+        (out / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (out / "import.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
+
+
+def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
+    return {
+        "files": list(known.run.files),
+        "period_s": trace.piece.period,
+        "samples": trace.piece.count,
+        "gaps_filled": trace.piece.filled,
+        "columns": [
+            {
+                "column": c.column.name, "file": c.file, "axis": c.column.axis, "signal": c.column.signal, "taken_as": c.conversion.unit,
+                "factor_to_si": c.conversion.factor, "interval_s": c.source.timing.interval, "taken_back_s": c.source.skew_s,
+            }
+            for c in known.channels
+        ],
+        "skew": [
+            {"axis": s.axis, "signal": s.signal, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.late
+        ],
+        "notes": list(known.notes),
+    }  # fmt: skip
+
+
+def _text(value: str) -> str:
+    """A TOML string."""
+    return json.dumps(value)

@@ -1,0 +1,188 @@
+"""The cascade of one drive: P position loop, P or PI speed loop, PI current loop, and the winding between the ticks.
+
+Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` axis units per motor radian):
+
+    every position cycle:  w* = (Kv (s(t - d_pos) - x) + a_v ds/dt(t - d_ff)) / r
+                           T_ff = a_t J_ff d2s/dt2(t - d_ff) / r
+    every speed cycle:     e = w* - w;  T* = Kp e + I + T_ff;  i* = clip(T* / Kt, +-i_peak);  I += Kp Ts/Tn e unless clipped
+    every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
+    between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
+
+Kt and J_ff are those that the control was commissioned with; the motor's own Kt makes the torque. Without a current loop
+i* is the command (A, V, Nm) of an ideal actuator and i = i* at once. A P speed loop has 1/Tn = 0. w is measured, or made from
+the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order lag. The functions are compiled; `twin.simulation.cascade_reference` states the same law in plain numpy and a test holds both equal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.compiled_functions import compiled
+from twin.machine.keys import MOST_MEAN_CYCLES
+from twin.machine.machine import Machine
+
+
+class Drives(NamedTuple):
+    """Constants of all drives, each (axis,) float64 unless said otherwise."""
+
+    ratio: np.ndarray  # axis units per motor rad
+    position_gain: np.ndarray  # 1/s
+    speed_gain: np.ndarray  # Nm s/rad
+    speed_integral_gain: np.ndarray  # Kp Ts / Tn, Nm s/rad a speed cycle
+    control_torque_constant: np.ndarray  # Nm/A, what the control divides by
+    peak_current: np.ndarray  # A
+    current_gain: np.ndarray  # V/A
+    current_integral_gain: np.ndarray  # Kpi Ti / Tni, V/A a current cycle
+    bus_limit: np.ndarray  # V
+    torque_constant: np.ndarray  # Nm/A, the motor's own
+    back_emf: np.ndarray  # V s/rad
+    resistance: np.ndarray  # ohm
+    decay: np.ndarray  # exp(-R h / L) over one base tick h
+    mean_decay: np.ndarray  # mean of exp(-R t / L) over the tick
+    current_loop: np.ndarray  # bool: a current controller and a winding; else the command acts at once
+    on_motor_encoder: np.ndarray  # bool: the position loop is closed on the motor encoder
+    mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 where the speed is measured
+    differentiation_rate: np.ndarray  # 1 / (n Ts), 1/s
+    speed_lag: np.ndarray  # 1 - exp(-Ts / T) of the speed's filter, 1 without
+
+
+class DriveState(NamedTuple):
+    """State of all drives, each (axis,) float64."""
+
+    speed_setpoint: np.ndarray  # w*, rad/s at the motor
+    torque_feedforward: np.ndarray  # Nm
+    speed_integral: np.ndarray  # I, Nm
+    current_setpoint: np.ndarray  # A
+    current_integral: np.ndarray  # V
+    voltage: np.ndarray  # V
+    current: np.ndarray  # A, or the command
+    seen_speed: np.ndarray  # speed that the speed controller sees, axis units a second
+    seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
+
+
+def drives_of(machine: Machine) -> Drives:
+    """Constants of the cascade, computed from the machine's data sheet."""
+    h = machine.base_tick
+
+    def column(value) -> np.ndarray:  # type: ignore[no-untyped-def]
+        return np.array([value(axis) for axis in machine.axes], float)
+
+    def flag(value) -> np.ndarray:  # type: ignore[no-untyped-def]
+        return np.array([value(axis) for axis in machine.axes], bool)
+
+    ts = machine.speed_cycle
+    mean_cycles = np.array([axis.loops.speed_mean_cycles for axis in machine.axes], np.int64)
+    electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
+    return Drives(
+        ratio=column(lambda a: a.ratio),
+        position_gain=column(lambda a: a.loops.position_gain_per_s),
+        speed_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad),
+        speed_integral_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad * machine.speed_cycle / a.loops.speed_integral_time_s),
+        control_torque_constant=column(lambda a: a.told_torque_constant),
+        peak_current=column(lambda a: a.motor.peak_current_a),
+        current_gain=column(lambda a: a.loops.current_gain_v_per_a),
+        current_integral_gain=column(lambda a: a.loops.current_gain_v_per_a * machine.current_cycle / a.loops.current_integral_time_s),
+        bus_limit=column(lambda a: a.motor.bus_limit_v),
+        torque_constant=column(lambda a: a.motor.torque_constant_nm_per_a),
+        back_emf=column(lambda a: a.motor.back_emf_v_s_per_rad),
+        resistance=column(lambda a: a.motor.resistance_ohm),
+        decay=np.exp(-electrical_rate * h),
+        mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
+        current_loop=flag(lambda a: a.has_current_loop),
+        on_motor_encoder=flag(lambda a: a.encoder == "motor"),
+        mean_cycles=mean_cycles,
+        differentiation_rate=1.0 / (np.maximum(mean_cycles, 1) * ts),
+        speed_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_filter_time_s) if a.loops.speed_filter_time_s > 0.0 else 1.0),
+    )
+
+
+def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
+    """State at standstill: the integrators carry `held_torque` (axis,) [Nm at the motor], the windings its current.
+
+    A P speed controller has no integrator: what holds it is a following error.
+    """
+    current = held_torque / drives.torque_constant
+    zero = np.zeros_like(current)
+    return DriveState(
+        speed_setpoint=zero.copy(),
+        torque_feedforward=zero.copy(),
+        speed_integral=np.where(drives.speed_integral_gain > 0.0, current * drives.control_torque_constant, 0.0),
+        current_setpoint=current.copy(),
+        current_integral=drives.resistance * current,
+        voltage=drives.resistance * current,
+        current=current.copy(),
+        seen_speed=zero.copy(),
+        seen_positions=np.full((len(zero), MOST_MEAN_CYCLES + 1), np.nan),
+    )
+
+
+@compiled(inline=True)
+def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
+    """w* of axis `a` from the delayed set point, the feedforward (axis units a second; Nm) and the measured position."""
+    state.speed_setpoint[a] = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
+    state.torque_feedforward[a] = torque_feedforward
+
+
+@compiled(inline=True)
+def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-def]
+    """Speed of axis `a` for the speed controller [axis units a second]: `speed` as measured, or differentiated from `position`."""
+    n = drives.mean_cycles[a]
+    if n > 0:
+        seen = state.seen_positions[a]
+        if math.isnan(seen[0]):  # the first cycle: the axis has stood here
+            seen[:] = position
+        for i in range(n, 0, -1):
+            seen[i] = seen[i - 1]
+        seen[0] = position
+        speed = (seen[0] - seen[n]) * drives.differentiation_rate[a]
+    if drives.speed_lag[a] < 1.0:
+        speed = state.seen_speed[a] + drives.speed_lag[a] * (speed - state.seen_speed[a])
+    state.seen_speed[a] = speed
+    return speed
+
+
+@compiled(inline=True)
+def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
+    """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
+    error = state.speed_setpoint[a] - motor_speed
+    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * (
+        1.0 / drives.control_torque_constant[a]
+    )
+    limit = drives.peak_current[a]
+    if wanted > limit or wanted < -limit:
+        state.current_setpoint[a] = math.copysign(limit, wanted)
+        return True
+    state.current_setpoint[a] = wanted
+    state.speed_integral[a] += drives.speed_integral_gain[a] * error
+    return False
+
+
+@compiled(inline=True)
+def current_controller(a, drives, state, current_setpoint, current):  # type: ignore[no-untyped-def]
+    """Voltage of axis `a` from set and measured current [A]; True where the bus limit is met. An ideal actuator just takes the command."""
+    if not drives.current_loop[a]:
+        state.current[a] = current_setpoint
+        return False
+    error = current_setpoint - current
+    wanted = drives.current_gain[a] * error + state.current_integral[a]
+    limit = drives.bus_limit[a]
+    if wanted > limit or wanted < -limit:
+        state.voltage[a] = math.copysign(limit, wanted)
+        return True
+    state.voltage[a] = wanted
+    state.current_integral[a] += drives.current_integral_gain[a] * error
+    return False
+
+
+@compiled(inline=True)
+def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
+    """Advance the current of axis `a` by one tick under held voltage and speed; its mean over the tick [A] makes the torque."""
+    if not drives.current_loop[a]:
+        return state.current[a]
+    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * (1.0 / drives.resistance[a])
+    away = state.current[a] - final
+    state.current[a] = final + away * drives.decay[a]
+    return final + away * drives.mean_decay[a]

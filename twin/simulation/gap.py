@@ -1,0 +1,223 @@
+"""The sim-to-real gap: every run of a campaign simulated and compared signal by signal.
+
+The twin's prediction is the mean of a few runs with measuring noise in the loop (the control sees noisy samples, which
+moves an axis that is about to stick), its own record free of noise. `noise` is the gap that measuring noise alone makes:
+each realisation against the mean of the others, plus what the sensors add to a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.effects import Change
+from twin.errors import InputError
+from twin.machine.keys import EFFORTS
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.trace import OTHER_UNITS, Trace
+from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.run import PlantFace, simulate
+from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
+from twin.units import ARCSEC, AXIS_UNITS
+
+COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
+"""Of the last three the one that the axis' speed controller commands."""
+
+REALISATIONS = 4
+"""Runs with noise in the loop from which expectation and scatter are taken."""
+
+SAME_PERIOD = 1e-4
+"""Relative difference of periods that the printed times of a record may make."""
+
+SAME_TIME = 0.01
+"""Share of a period by which the last samples of a record and of its simulation may part and count as simultaneous."""
+
+LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
+"""Noise below which no record is, SI: a machine file that tells none makes no measurement without."""
+
+LEAST_COMMAND = 1e-4
+"""What is not told apart of a command, as a share of its limit: the resolution of a converter."""
+
+
+@dataclass(frozen=True)
+class SignalGap:
+    """Gap of one signal of one axis in one run, in `unit`: RMS, largest, and the RMS that noise alone makes."""
+
+    rms: float
+    max: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the twin expects of a run: mean trace, and the RMS scatter of each (axis, signal) that noise causes, SI."""
+
+    trace: Trace
+    scatter: dict[tuple[str, str], np.ndarray]
+
+
+def predict(
+    machine: Machine,
+    run: MeasuredRun,
+    realisations: int = REALISATIONS,
+    motion: Motion | None = None,
+    engine: bool = True,
+    seed: int = 0,
+) -> Prediction:
+    """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
+
+    With a known `motion` of the machine's axes the engine simulates one realisation, and what the others would be besides, and their
+    scatter, is told by the reduced plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
+    Without `engine` it tells all.
+    """
+    setpoints = recorded_setpoints(run.trace, machine)
+    check_travel(setpoints, machine, f"run {run.name}")
+    actual = machine.with_feedforward(run.feedforward)
+    period = simulated_period(machine, run.trace.period)
+
+    def realisation(i: int, plant_of: Callable[[Change], PlantFace] | None) -> Trace:
+        simulated = simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, plant_of=plant_of)
+        return at_times(simulated.without_noise, run.trace.time)
+
+    reduced = None if motion is None else lambda change: ReducedPlant(change, motion)
+    traces = [realisation(i, reduced) for i in range(realisations)]
+    by_engine = realisation(0, None) if reduced and engine else None
+    signals, scatter = {}, {}
+    for key in traces[0].signals:
+        stack = np.stack([trace.signals[key] for trace in traces])
+        signals[key] = stack.mean(axis=0)
+        if by_engine is not None:
+            signals[key] += by_engine.signals[key] - stack[0]
+        # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1))
+        spread = stack.std(axis=0, ddof=1) if realisations > 1 else np.zeros_like(signals[key])
+        scatter[key] = spread * np.sqrt(1.0 + 1.0 / max(realisations - 1, 1))
+    return Prediction(Trace(run.trace.time, signals, machine.kinds), scatter)
+
+
+class Job(NamedTuple):
+    """What `predict` is asked."""
+
+    machine: Machine
+    run: MeasuredRun
+    realisations: int = REALISATIONS
+    motion: Motion | None = None
+    engine: bool = True
+
+
+def predict_campaign(
+    machine: Machine, runs: Sequence[MeasuredRun], *, realisations: int = REALISATIONS, progress: Callable[[str], None] | None = None
+) -> dict[str, Prediction]:
+    """`predict` for several runs on all cores; independent of the number of workers."""
+    predictions = predict_each([Job(machine, run, realisations) for run in runs], progress=progress)
+    return {run.name: prediction for run, prediction in zip(runs, predictions)}
+
+
+def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: Callable[[str], None] | None = None) -> list[Prediction]:
+    """`predict` for all jobs, in their order; the longest are simulated first, so that no core waits for one."""
+    order = sorted(range(len(jobs)), key=lambda i: -len(jobs[i].run.trace.time) * jobs[i].realisations)
+    results: dict[int, Prediction] = {}
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        for i, prediction in zip(order, pool.map(lambda i: predict(*jobs[i]), order)):
+            results[i] = prediction
+            if progress:
+                progress(jobs[i].run.name)
+    return [results[i] for i in range(len(jobs))]
+
+
+def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
+    """Gap by axis and signal, for the signals that the run has."""
+    table: dict[str, dict[str, SignalGap]] = {}
+    for axis in machine.axes:
+        if axis.name not in run.trace.axes:
+            continue
+        signals = {}
+        for signal in COMPARED:
+            if not run.trace.has(axis.name, signal) or (signal in EFFORTS and signal != axis.effort):
+                continue
+            difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
+            scatter = prediction.scatter[axis.name, signal]
+            if signal in EFFORTS:
+                moving = is_moving(run.trace, axis)
+                difference, scatter = difference[moving], scatter[moving]
+            unit, factor = gap_unit(axis, signal)
+            sensor = max(sensor_noise(machine, axis, signal), LEAST_NOISE.get(signal, 0.0))
+            noise = np.sqrt(_mean_square(scatter) + sensor**2)
+            largest = float(np.abs(difference).max()) if difference.size else 0.0
+            signals[signal] = SignalGap(float(np.sqrt(_mean_square(difference)) * factor), largest * factor, float(noise * factor), unit)
+        table[axis.name] = signals
+    return table
+
+
+def gap_of_campaign(
+    machine: Machine, campaign: Campaign, progress: Callable[[str], None] | None = None
+) -> dict[str, dict[str, dict[str, SignalGap]]]:
+    """Gap of every run of a campaign: run -> axis -> signal."""
+    if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
+        raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    predictions = predict_campaign(machine, campaign.runs, progress=progress)
+    return {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}
+
+
+def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
+    """Unit in which a gap is told, and the factor from SI: um or arcsec, mm/s or deg/s; A, V or Nm."""
+    if signal in ("position", "motor_position"):
+        return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+    if signal == "velocity":
+        return AXIS_UNITS[axis.kind].speed
+    return (OTHER_UNITS[signal], 1.0)
+
+
+def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
+    """(sample,) True where the set point moves: there the current (or the command) is compared, that of an axis that sticks is history."""
+    return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > AT_REST[axis.kind]
+
+
+def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
+    """Standard deviation that a sensor adds to a record, rounding included [SI].
+
+    A command is no measurement, but one step of the encoder jumps through the gains: K (1 / (n Ts) + Kv) step.
+    """
+    noise = machine.noise(axis)
+    if signal == axis.effort and not axis.has_current_loop:
+        told = axis.told_torque_constant
+        gain = axis.loops.speed_gain_nm_s_per_rad / (told * axis.ratio)
+        n = axis.loops.speed_mean_cycles
+        steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
+            noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
+        )
+        return max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
+    deviation, resolution = {
+        "position": (noise.position, noise.position_resolution),
+        "motor_position": (noise.motor if axis.encoder == "motor" else 0.0, noise.motor_resolution),
+        "velocity": (noise.speed, 0.0),
+        "current": (noise.current, 0.0),
+    }.get(signal, (0.0, 0.0))
+    return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
+
+
+def simulated_period(machine: Machine, period: float) -> float:
+    """Sample period [s] of a simulation that is compared with a record of this one: the same, or each tick where that is no whole number
+    of ticks."""
+    ticks = period / machine.base_tick
+    return period if round(ticks) >= 1 and abs(ticks / round(ticks) - 1.0) < SAME_PERIOD else machine.base_tick
+
+
+def at_times(trace: Trace, times: np.ndarray) -> Trace:
+    """A simulated trace (rows at whole ticks from 0 on) at the times of a record (sample,) [s], which may begin anywhere."""
+    count = len(times)
+    if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
+        return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
+    return replace(
+        trace, time=times, signals={key: np.interp(times - times[0], trace.time, values) for key, values in trace.signals.items()}
+    )
+
+
+def _mean_square(values: np.ndarray) -> float:
+    return float(np.mean(values**2)) if values.size else 0.0

@@ -1,0 +1,51 @@
+"""MuJoCo as the engine of the loop: the compiled model of a changed machine, started at rest."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from twin.effects import Change
+from twin.simulation import loop
+from twin.simulation.engine_calls import engine_function_address
+from twin.simulation.plant_spec import build_plant
+
+
+class FullPlant:
+    """The whole machine in MuJoCo, with the effects' model edits and rotor joints."""
+
+    def __init__(self, change: Change):
+        plant = build_plant(change.machine, change.model_edits, change.split_axes)
+        self.plant = plant
+        data, model = plant.data, plant.model
+        self.engine = loop.Engine(
+            step=engine_function_address("mj_step"),
+            model=model._address,
+            data=data._address,
+            qpos=data.qpos,
+            qvel=data.qvel,
+            ctrl=data.ctrl,
+            applied=data.qfrc_applied,
+            bias=data.qfrc_bias,
+            passive=data.qfrc_passive,
+            constraint=data.qfrc_constraint,
+            frictionloss=model.dof_frictionloss,
+            coulomb_level=model.dof_frictionloss[plant.load_dof],
+            load_position=plant.load_position,
+            load_dof=plant.load_dof,
+            rotor_position=plant.rotor_position,
+            rotor_dof=plant.rotor_dof,
+            actuator=plant.actuator,
+        )
+
+    def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
+        """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
+        plant, data = self.plant, self.plant.data
+        data.qpos[:] = 0.0
+        data.qvel[:] = 0.0
+        data.qpos[plant.load_position] = start
+        mujoco.mj_forward(plant.model, data)
+        held = data.qfrc_bias[plant.load_dof] - constant_force
+        for a in np.flatnonzero(plant.rotor_dof != plant.load_dof):
+            data.qpos[plant.rotor_position[a]] = start[a] + change.rotor_offset(int(a), float(held[a]))
+        return held

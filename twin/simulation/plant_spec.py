@@ -1,0 +1,274 @@
+"""The mechanics: a machine file's MJCF brought to the file's masses, inertias and friction, compiled by MuJoCo.
+
+Values of the machine file win over those of the MJCF. An axis whose motor is not rigidly coupled to its load (backlash,
+compliance) gets a joint of its own for the rotor, `<axis>.rotor` in axis units; the coupling force is a term of the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import functools
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.machine.machine import Axis, Machine
+
+ModelEdit = Callable[["mujoco.MjSpec"], None]
+"""A change of the model that an effect makes, for example a body added to the table."""
+
+ENGINE_TOLERANCE = 1e-12
+SOFT_FRICTION_S = 0.02
+STICKING = ([0.0005, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
+"""Friction that sticks: time constant of MuJoCo's default, and the parameters that the Mikron's model has instead."""
+
+ROTOR_BODY_MASS = 1e-3
+"""Mass of the body that carries a rotor joint [kg]; its inertia is the joint's armature, this only has to be positive."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A compiled model with one engine state, and where each driven axis lives in it (indices (axis,), int64)."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    load_position: np.ndarray
+    load_dof: np.ndarray
+    rotor_position: np.ndarray
+    rotor_dof: np.ndarray
+    actuator: np.ndarray
+    coulomb: np.ndarray  # nominal level at the axis, N or Nm
+
+
+def load_spec(path: Path) -> mujoco.MjSpec:
+    """Parse an MJCF file, or copy what was read of it before; errors in one line."""
+    return _parsed(path, path.stat().st_mtime_ns if path.is_file() else 0).copy()
+
+
+@functools.lru_cache(maxsize=8)
+def _parsed(path: Path, _modified_ns: int) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: MuJoCo cannot read this model: {' '.join(str(error).split())}; correct it there") from None
+
+
+def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> Plant:
+    """Compile the machine's model; `split_axes` get a rotor joint of their own."""
+    model = compile_model(machine, edits, split_axes)
+    data = mujoco.MjData(model)
+    joints = [model.joint(axis.name) for axis in machine.axes]
+    rotors = [model.joint(f"{axis.name}.rotor") if axis.name in split_axes else joint for axis, joint in zip(machine.axes, joints)]
+
+    def index(values) -> np.ndarray:  # type: ignore[no-untyped-def]
+        return np.array(values, np.int64).reshape(len(machine.axes))
+
+    return Plant(
+        model=model,
+        data=data,
+        load_position=index([j.qposadr[0] for j in joints]),
+        load_dof=index([j.dofadr[0] for j in joints]),
+        rotor_position=index([j.qposadr[0] for j in rotors]),
+        rotor_dof=index([j.dofadr[0] for j in rotors]),
+        actuator=index([model.actuator(axis.name).id for axis in machine.axes]),
+        coulomb=np.array([axis.coulomb_friction for axis in machine.axes]),
+    )
+
+
+def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> mujoco.MjModel:
+    """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step."""
+    spec = load_spec(machine.model_path)
+    where = str(machine.path or machine.name)
+    spec.compiler.discardvisual = True  # pictures load the file themselves; geoms without mass only cost time here
+    spec.option.timestep = machine.base_tick
+    spec.option.gravity = [0.0, 0.0, -machine.gravity]
+    # travel is the control's business: a joint limit would push an axis that overshoots its end by a micrometre
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    _set_engine(spec)
+    _set_inertias(spec, where)
+    names = [joint.name for joint in spec.joints]
+    for axis in machine.axes:
+        if axis.name not in names:
+            raise InputError(f"{where}: axis {axis.name} has no joint in {machine.model_path.name}; {nearest(axis.name, names)}")
+        slides = spec.joint(axis.name).type == mujoco.mjtJoint.mjJNT_SLIDE
+        if slides != (axis.kind == "linear"):
+            raise InputError(
+                f"{where}: axis {axis.name} is {axis.kind}, its joint in {machine.model_path.name} is a {'slide' if slides else 'hinge'}; "
+                "correct kind or joint"
+            )
+    _set_bodies(spec, machine, where)
+    _set_moving_masses(spec, machine, where)
+    _set_geometry(spec, machine)
+    for axis in machine.axes:
+        _set_drive(spec, axis, split=axis.name in split_axes)
+    driven = set(machine.axis_names)
+    for joint in list(spec.joints):
+        if joint.name not in driven and not joint.name.endswith(".rotor"):
+            _lock(spec, joint)
+    for edit in edits:
+        edit(spec)
+    return compiled_spec(spec, where)
+
+
+def frames_of_model(machine: Machine) -> mujoco.MjModel:
+    """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
+    spec = load_spec(machine.model_path)
+    _set_geometry(spec, machine)
+    return compiled_spec(spec, str(machine.path or machine.name))
+
+
+def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
+    """Compile a spec; errors in one line that says where."""
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+
+
+def _set_engine(spec: mujoco.MjSpec) -> None:
+    """The engine as the twin needs it, whatever the model's file was made for: no contacts, no drives of its own, steps that the reduced plant copies."""
+    option = spec.option
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
+    option.tolerance = min(option.tolerance, ENGINE_TOLERANCE)
+    option.density, option.viscosity = 0.0, 0.0
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    # an actuator that is no plain motor (a position servo) would push by itself
+    names = {joint.name for joint in spec.joints}
+    foreign = [a for a in spec.actuators if a.name not in names or a.name != a.target or a.biastype != mujoco.mjtBias.mjBIAS_NONE]
+    if foreign:
+        for key in list(spec.keys):
+            spec.delete(key)
+    for actuator in foreign:
+        spec.delete(actuator)
+
+
+def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
+    """Masses that the file leaves to its shapes become explicit, so that they can be set and scaled."""
+    from_shapes = [b for b in spec.bodies[1:] if b.geoms and (not b.explicitinertial or spec.compiler.inertiafromgeom == 1)]
+    if not from_shapes or spec.compiler.inertiafromgeom == 0:
+        return
+    try:
+        model = spec.copy().compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+    for body in from_shapes:
+        compiled = model.body(body.name) if body.name else model.body(body.id)
+        body.mass, body.ipos, body.iquat, body.inertia = float(compiled.mass[0]), compiled.ipos, compiled.iquat, compiled.inertia
+        body.fullinertia = [math.nan] * 6
+        body.explicitinertial = body.mass > 0.0
+    spec.compiler.inertiafromgeom = 0
+
+
+def home_inertia_at_motor(machine: Machine) -> np.ndarray:
+    """Inertia at each motor (axis,) [kg m2] with all axes at zero: rotor, screw or gear, and load.
+
+    J = r^2 M_ii(q = 0); this is what torque feedforward is commissioned with.
+    """
+    plant = build_plant(machine)
+    plant.data.qpos[:] = 0.0
+    mujoco.mj_forward(plant.model, plant.data)
+    inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof]
+    return inertia * np.array([axis.ratio for axis in machine.axes]) ** 2
+
+
+def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Joint-space inertia matrix (dof, dof) with reflected rotor inertias, for the state last passed to mj_forward."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return full
+
+
+def _set_bodies(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
+    for body in machine.bodies:
+        target = spec.body(body.name)
+        if target is None:
+            known = [b.name for b in spec.bodies if b.name]
+            raise InputError(f"{where}: [body.{body.name}]: no such body in {machine.model_path.name}; {nearest(body.name, known)}")
+        target.mass = body.mass_kg
+        target.ipos = body.centre_of_mass_m
+        target.iquat = [1.0, 0.0, 0.0, 0.0]
+        target.inertia = body.inertia_kg_m2
+        target.fullinertia = [math.nan] * 6
+        target.explicitinertial = True
+
+
+def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
+    """`moving_mass_kg` is all that a screw moves: each slide's own body gets what its children leave."""
+    wanted = {axis.name: axis.moving_mass_kg for axis in machine.axes if axis.moving_mass_kg is not None}
+    by_body = {spec.joint(name).parent.name: name for name in wanted}
+
+    def set_below(body: mujoco.MjsBody) -> float:
+        children = sum(set_below(child) for child in body.bodies)
+        if body.name in by_body:
+            total = wanted[by_body[body.name]]
+            own = total - children
+            if own <= 0.0:
+                raise InputError(
+                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} does not exceed the {children:g} kg that it carries; "
+                    "it is all that the screw moves"
+                )
+            if body.mass > 0:
+                body.inertia = np.asarray(body.inertia) * own / body.mass
+            body.mass = own
+        return children + body.mass
+
+    set_below(spec.worldbody)
+
+
+def _set_geometry(spec: mujoco.MjSpec, machine: Machine) -> None:
+    """Offsets, table height, spindle nose and tool length move the frames of the model, where it has them."""
+    geometry = machine.geometry
+    table, workpiece, tool = spec.body("table"), spec.site("workpiece"), spec.site("tool")
+    if table is not None and "a_axis_to_c_axis_y_m" in geometry:
+        table.pos = [0.0, geometry["a_axis_to_c_axis_y_m"], geometry.get("a_axis_to_c_axis_z_m", 0.0)]
+    if workpiece is not None and "table_top_above_a_axis_m" in geometry:
+        # the part frame lies on the table top; the file gives its height above the A axis
+        workpiece.pos = [*np.asarray(workpiece.pos)[:2], geometry["table_top_above_a_axis_m"] - geometry.get("a_axis_to_c_axis_z_m", 0.0)]
+    if tool is not None and {"spindle_nose_at_home_m", "tool_length_m"} <= geometry.keys():
+        nose = np.array(geometry["spindle_nose_at_home_m"], float)
+        body = tool.parent
+        carrier = np.zeros(3)
+        while body is not None and body.name != "world":
+            carrier += np.asarray(body.pos)
+            body = body.parent
+        tool.pos = nose - [0.0, 0.0, geometry["tool_length_m"]] - carrier
+
+
+def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
+    """Friction of the load, gear and rotor of one axis; with `split` the rotor turns on a joint of its own."""
+    joint = spec.joint(axis.name)
+    joint.frictionloss = axis.coulomb_friction
+    joint.damping = [axis.viscous_friction, 0.0, 0.0]
+    joint.armature = 0.0
+    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the engine's default creeps
+        joint.solref_friction = STICKING[0]
+        joint.solimp_friction = STICKING[1]
+    actuator = spec.actuator(axis.name)
+    if actuator is None:
+        actuator = spec.add_actuator(name=axis.name, target=axis.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.gear = [1.0 / axis.ratio, 0.0, 0.0, 0.0, 0.0, 0.0]
+    actuator.armature = axis.rotor_inertia_kg_m2
+    if split:
+        body = spec.worldbody.add_body(
+            name=f"{axis.name}.rotor", mass=ROTOR_BODY_MASS, inertia=[ROTOR_BODY_MASS] * 3, explicitinertial=True
+        )
+        # a horizontal slide in axis units: gravity does not act on a rotor
+        body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
+        actuator.target = f"{axis.name}.rotor"
+
+
+def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    """An axis that is not driven stands still: its joint and its motor go."""
+    for actuator in list(spec.actuators):
+        if actuator.target == joint.name:
+            spec.delete(actuator)
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.delete(joint)

@@ -1,0 +1,281 @@
+"""Set points as the axis cards see them: from recorded samples to the values of each position cycle.
+
+Recorded set points of any constant period are interpolated by a cubic spline (continuous acceleration, so no jerk is
+added), read at arbitrary delays. The control differentiates them backwards over its position cycle Tp:
+
+    v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
+    T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
+
+Before the first sample the machine stood on it; after the last one it stays there. A recording that begins in motion gets a
+lead-in: the axes come up from rest to the speed that they have at its first sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
+from twin.units import AXIS_UNITS, deg_from_rad
+
+_OVERLAP = 40
+"""Samples beside a stretch that its spline also sees: the influence of a far sample decays by 0.27 a sample, to 1e-23."""
+
+_KEEP_SPLINE = 100_000
+"""Samples up to which one spline is kept for the whole run."""
+
+_MOST_DELAYS = 64
+"""Delays whose positions are remembered at once."""
+
+_MOST_COMMANDS = 8
+"""Commands of a whole run that are remembered at once."""
+
+TRAVEL_TOLERANCE = 1e-9
+"""Set points may exceed the travel by rounding only [m or rad]."""
+
+LEAD_S = 0.4
+UP_TO_SPEED = 0.6
+"""Least length of a lead-in [s], and the part of it in which the speed is reached: its transient has died when the recording begins."""
+
+AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
+"""Set point speeds up to which an axis is at rest [m/s, rad/s]."""
+
+LIMIT_TOLERANCE = 0.01
+"""Recorded set points are rounded: a limit counts as exceeded beyond this fraction."""
+
+
+class Setpoints:
+    """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s].
+
+    `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in.
+    """
+
+    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None):
+        self.position = np.ascontiguousarray(position, float)
+        self.period = period
+        self.before = self.position[:0] if before is None else before
+        self._all = self.position if before is None else np.concatenate([before, self.position])
+        self._parts: dict[tuple[int, ...], Setpoints] = {}
+        self._cycles: dict[tuple[float, float], np.ndarray] = {}
+        self._commands: dict[object, Command] = {}
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return (len(self.position) - 1) * self.period
+
+    @property
+    def lead(self) -> float:
+        """Length of the lead-in [s]."""
+        return len(self.before) * self.period
+
+    @property
+    def start(self) -> np.ndarray:
+        """Where the axes stand before they move (axis,)."""
+        return self._all[0]
+
+    def part(self, axes: tuple[int, ...]) -> Setpoints:
+        """The same set points of some axes only, by index; remembered, with their spline."""
+        if axes not in self._parts:
+            index = list(axes)
+            self._parts[axes] = Setpoints(self.position[:, index], self.period, self.before[:, index] if len(self.before) else None)
+        return self._parts[axes]
+
+    def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:
+        """For each delay (cycle, axis) positions that long before the position cycles; remembered for short runs."""
+        if self._spline is None:
+            times = np.arange(first, first + count) * period
+            return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
+        lead, total = self._whole(period)
+        out = []
+        for delay in delays:
+            known = self._cycles.get((period, delay))
+            if known is None:
+                known = self.at(np.arange(-lead, total) * period - delay)
+                if len(self._cycles) >= _MOST_DELAYS:  # where the delay itself is varied or fitted
+                    self._cycles.clear()
+                self._cycles[period, delay] = known
+            out.append(known[lead + first : lead + first + count])
+        return out
+
+    def command(self, key: object, period: float, first: int, count: int, of: Callable[[int, int], Command]) -> Command:
+        """A stretch of the command that `of(first, count)` gives; of short runs the whole is remembered under `key`."""
+        if self._spline is None:
+            return of(first, count)
+        lead, total = self._whole(period)
+        known = self._commands.get(key)
+        if known is None:
+            known = of(-lead, lead + total)
+            if len(self._commands) >= _MOST_COMMANDS:  # where what makes it is varied or fitted
+                self._commands.clear()
+            self._commands[key] = known
+        return Command(*(part[lead + first : lead + first + count] for part in known))
+
+    def _whole(self, period: float) -> tuple[int, int]:
+        """Position cycles of the lead-in, and those from the first sample to beyond the last one."""
+        return round(self.lead / period), int(np.ceil(self.duration / period)) + 2
+
+    @functools.cached_property
+    def _spline(self) -> CubicSpline | None:
+        """One spline through all samples, where that is cheap to keep."""
+        if not 4 <= len(self._all) <= _KEEP_SPLINE:
+            return None
+        return CubicSpline(np.arange(len(self._all)), self._all, axis=0, bc_type="natural")
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """(time, axis) positions at times [s] that lie close together, constant outside the samples."""
+        last = len(self._all) - 1
+        times = times + self.lead if len(self.before) else times
+        at = np.clip(times / self.period, 0, last)
+        near = np.rint(at)
+        at = np.where(np.abs(at - near) < 1e-9, near, at)  # a sample's own time gives the sample itself
+        if self._spline is not None:
+            return self._spline(at)
+        low = int(np.clip(np.floor(times.min() / self.period) - _OVERLAP, 0, last))
+        high = int(np.clip(np.ceil(times.max() / self.period) + _OVERLAP, 0, last))
+        if high - low < 3:
+            low, high = max(0, high - 3), min(last, low + 3)
+        index = np.arange(low, high + 1)
+        if high - low < 3:
+            return np.column_stack([np.interp(at, index, column[low : high + 1]) for column in self._all.T])
+        return CubicSpline(index, self._all[low : high + 1], axis=0, bc_type="natural")(at)
+
+
+class Command(NamedTuple):
+    """What the position controllers of all axes get in a stretch of position cycles, each (cycle, axis)."""
+
+    setpoint: np.ndarray  # delayed, m or rad
+    velocity_feedforward: np.ndarray  # m/s or rad/s
+    torque_feedforward: np.ndarray  # Nm at the motor
+
+
+def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
+    """The command of `count` position cycles from `first_cycle` on; `commissioned_inertia` (axis,) [kg m2 at the motor]."""
+    tp = machine.position_cycle
+    laws = [
+        _Law(
+            axis.loops.position_delay_s,
+            axis.loops.feedforward_delay_s,
+            axis.loops.velocity_feedforward,
+            axis.loops.torque_feedforward * inertia,
+            axis.ratio,
+        )
+        for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
+    ]
+
+    def of(first: int, count: int) -> Command:
+        # one spline evaluation for all axes, delays and steps back
+        delays = sorted({d for law in laws for d in (law.delay, *law.steps_back(tp))})
+        at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
+        out = Command(*np.empty((3, count, len(laws))))
+        for a, law in enumerate(laws):
+            now, before, earlier = (at[d][:, a] for d in law.steps_back(tp))
+            out.setpoint[:, a] = at[law.delay][:, a]
+            out.velocity_feedforward[:, a] = law.velocity_feedforward * (now - before) / tp
+            acceleration = (now - 2.0 * before + earlier) / tp**2
+            out.torque_feedforward[:, a] = law.fed_inertia * acceleration / law.ratio
+        return out
+
+    return setpoints.command((tp, *laws), tp, first_cycle, count, of)
+
+
+class _Law(NamedTuple):
+    """What makes the command of an axis from its set points: delays [s], factor of the speed, inertia [kg m2 at the motor] and ratio."""
+
+    delay: float
+    feedforward_delay: float
+    velocity_feedforward: float
+    fed_inertia: float
+    ratio: float
+
+    def steps_back(self, cycle: float) -> tuple[float, float, float]:
+        """Delays of the three set points that a second difference takes."""
+        return self.feedforward_delay, self.feedforward_delay + cycle, self.feedforward_delay + 2.0 * cycle
+
+
+def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
+    """Set points of a trace for the machine's axes in its order; axes that the trace lacks stay at 0 or the travel's nearest end."""
+    unknown = [axis for axis in trace.axes if axis not in machine.axis_names]
+    if unknown:
+        raise InputError(
+            f"trace has axis {unknown[0]}, machine {machine.name} has {', '.join(machine.axis_names)}; give the right --machine"
+        )
+    columns = []
+    for axis in machine.axes:
+        if trace.has(axis.name, "setpoint"):
+            columns.append(trace.get(axis.name, "setpoint"))
+        else:
+            columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
+    return Setpoints(np.column_stack(columns), trace.period)
+
+
+def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
+    """Set points of a recording, with a lead-in where it begins in motion."""
+    setpoints = setpoints_of(trace, machine)
+    position, period = setpoints.position, setpoints.period
+    speed = (position[1] - position[0]) / period
+    least = [AT_REST[axis.kind] for axis in machine.axes]
+    cycle = max(machine.position_cycle, machine.base_tick)
+    samples = np.arange(1, round(4.0 * LEAD_S / period) + 1)
+    whole = samples[np.abs(samples * period / cycle - np.rint(samples * period / cycle)) < 1e-6]
+    whole = whole[whole * period >= LEAD_S - 1e-12]
+    if np.all(np.abs(speed) <= least) or not whole.size:
+        return setpoints
+    n = int(whole[0])
+    t = np.arange(n) / n
+    x = np.minimum(t / UP_TO_SPEED, 1.0)  # the speed grows as 3 x^2 - 2 x^3, then stays
+    missing = np.where(x < 1.0, UP_TO_SPEED * (0.5 - x**3 + 0.5 * x**4) + 1.0 - UP_TO_SPEED, 1.0 - t)  # its integral from t to 1
+    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed))
+
+
+def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
+    """Raise InputError at the first set point outside an axis' travel."""
+    for a, axis in enumerate(machine.axes):
+        low, high = axis.travel
+        position = setpoints.position[:, a]
+        outside = np.flatnonzero((position < low - TRAVEL_TOLERANCE) | (position > high + TRAVEL_TOLERANCE))
+        if outside.size:
+            i = outside[0]
+            unit, factor = AXIS_UNITS[axis.kind].position
+            raise InputError(
+                f"{where}: axis {axis.name} set point {position[i] * factor:.6g} {unit} at {i * setpoints.period:.6g} s lies outside the "
+                f"travel {low * factor:.6g} .. {high * factor:.6g} {unit}; move the program or correct travel in the machine file"
+            )
+
+
+def limit_warnings(setpoints: Setpoints, machine: Machine) -> list[str]:
+    """One line for each axis and limit (speed, acceleration, jerk) that the set points exceed, with place and amount."""
+    lines = []
+    for a, axis in enumerate(machine.axes):
+        unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", deg_from_rad(1.0))
+        # differences over at least a position cycle, so that the rounding of recorded set points does not count as jerk
+        every = max(1, round(machine.position_cycle / setpoints.period))
+        position = setpoints.position[::every, a]
+        period = every * setpoints.period
+        if len(position) < 4:
+            continue
+        # what rounding of the recorded set points alone does to each difference
+        rounding = _rounding(position)
+        quantities = (("speed", axis.max_velocity, "/s"), ("acceleration", axis.max_acceleration, "/s2"), ("jerk", axis.max_jerk, "/s3"))
+        for order, (name, limit, per) in enumerate(quantities, start=1):
+            values = np.abs(np.diff(position, order)) / period**order
+            worst = int(np.argmax(values))
+            if values[worst] > limit * (1.0 + LIMIT_TOLERANCE) + rounding * 2**order / period**order:
+                lines.append(
+                    f"axis {axis.name}: set points reach a {name} of {values[worst] * factor:.4g} {unit}{per} at {worst * period:.3f} s, "
+                    f"the limit is {limit * factor:.4g} {unit}{per}"
+                )
+    return lines
+
+
+def _rounding(position: np.ndarray) -> float:
+    """Half a step of the grid on which the recorded values seem to lie (0 if none is seen)."""
+    steps = np.abs(np.diff(position))
+    steps = steps[steps > 0]
+    return float(min(steps.min(), 1e-8)) / 2 if steps.size else 0.0

@@ -1,0 +1,79 @@
+"""The summary of a run: per axis following error, current, and what part of its limits it used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.simulation.run import Run
+from twin.units import AXIS_UNITS, deg_from_rad
+
+
+def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
+    """Numbers of `summary.json`; following error is set point minus position at the same time."""
+    axes = {}
+    for axis in machine.axes:
+        trace = run.trace
+        error = trace.get(axis.name, "setpoint") - trace.get(axis.name, "position")
+        effort, speed = trace.get(axis.name, axis.effort), trace.get(axis.name, "velocity")
+        per = axis.effort_unit.lower()
+        units = AXIS_UNITS[axis.kind]
+        unit, factor = units.error
+        speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", deg_from_rad(1.0))
+        axes[axis.name] = {
+            "following_error_max": float(np.abs(error).max() * factor),
+            "following_error_rms": float(np.sqrt(np.mean(error**2)) * factor),
+            "following_error_unit": unit,
+            "speed_max": float(np.abs(speed).max() * speed_factor),
+            "speed_unit": speed_unit,
+            "speed_limit_used": float(np.abs(speed).max() / axis.max_velocity),
+            "effort": axis.effort,
+            "effort_unit": axis.effort_unit,
+            f"{axis.effort}_max_{per}": float(np.abs(effort).max()),
+            f"{axis.effort}_rms_{per}": float(np.sqrt(np.mean(effort**2))),
+            f"{axis.effort}_limit_{per}": axis.motor.peak_current_a,
+            "current_limited_s": run.current_limited_s[axis.name],
+            "voltage_limited_s": run.voltage_limited_s[axis.name],
+        }
+    return {"machine": machine.name, "duration_s": float(run.trace.time[-1]), "axes": axes}
+
+
+def summary_table(summary: dict[str, Any]) -> str:
+    """The same as a table for people."""
+    rows = []
+    for name, a in summary["axes"].items():
+        effort, unit = a["effort"], a["effort_unit"]
+        largest, limit = (a[f"{effort}_{what}_{unit.lower()}"] for what in ("max", "limit"))
+        limits = [f"{effort} {a['current_limited_s'] * 1e3:.1f} ms"] * (a["current_limited_s"] > 0)
+        limits += [f"voltage {a['voltage_limited_s'] * 1e3:.1f} ms"] * (a["voltage_limited_s"] > 0)
+        limits += ["speed"] * (a["speed_limit_used"] > 1.0)
+        rows.append(
+            [
+                name,
+                f"{a['following_error_max']:.2f} {a['following_error_unit']}",
+                f"{a['following_error_rms']:.2f} {a['following_error_unit']}",
+                f"{a['speed_max']:.3f} {a['speed_unit']}",
+                f"{a['speed_limit_used'] * 100:.0f} %",
+                f"{largest:.2f} {unit}",
+                f"{largest / limit * 100:.0f} %",
+                ", ".join(limits) or "-",
+            ]
+        )
+    efforts = {a["effort"] for a in summary["axes"].values()}
+    commanded = f"{efforts.pop()} max" if len(efforts) == 1 else "command max"
+    heading = ["axis", "following error max", "rms", "speed max", "of limit", commanded, "of limit", "limits met"]
+    return table(heading, rows)
+
+
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Plain text table: the first `left` columns left, the others right aligned."""
+    widths = [max(len(str(row[i])) for row in [heading, *rows]) for i in range(len(heading))]
+    lines = []
+    for row in [heading, *rows]:
+        cells = [str(cell).ljust(width) if i < left else str(cell).rjust(width) for i, (cell, width) in enumerate(zip(row, widths))]
+        lines.append("  ".join(cells).rstrip())
+    lines.insert(1, "  ".join("-" * width for width in widths))
+    return "\n".join(lines)
