@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet
 
 from devtools.measure_study import payload_currents, rapid_time
-from twin.cli.parser import main as twin
+from twin.cli import main as twin
 from twin.machine.machine import load_machine
 from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT

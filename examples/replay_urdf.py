@@ -14,8 +14,8 @@ import tempfile
 
 import numpy as np
 
+from twin.cli import replay
 from twin.recordings.trace import Trace, write_trace
-from twin.cli.replay import add_replay_arguments, replay_command
 
 GANTRY = Path(__file__).resolve().parent / "gantry" / "gantry.urdf"
 
@@ -45,11 +45,11 @@ def spindle_mesh() -> object:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Replay a URDF with a trace.")
-    add_replay_arguments(parser)
+    replay.add_arguments(parser)
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "spiral.csv"
         write_trace(spiral(), trace)
-        return replay_command(parser.parse_args([str(GANTRY), str(trace), *sys.argv[1:]]))
+        return replay.carry_out(parser.parse_args([str(GANTRY), str(trace), *sys.argv[1:]]))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,6 @@
 
 import sys
 
-from twin.cli.parser import main
+from twin.cli import main
 
 sys.exit(main())

@@ -31,3 +31,23 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self.bar.close()
+
+
+class Steps:
+    """A bar on a terminal that goes one step with each report, with its name."""
+
+    def __init__(self, text: str, total: int):
+        from tqdm import tqdm
+
+        self.bar = tqdm(total=total, desc=text, delay=1.0, disable=None, leave=False, bar_format="{desc} |{bar}| {elapsed}")
+
+    def __call__(self, name: str) -> None:
+        self.bar.set_description_str(name)
+        if self.bar.n < self.bar.total - 1:  # type: ignore[operator]
+            self.bar.update(1)
+
+    def __enter__(self) -> Steps:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.close()

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.cli.parser import main as twin
+from twin.cli import main as twin
 from twin.diagnose.tolerance import with_added
 from twin.effects.effect import check_setting
 from twin.errors import TwinError

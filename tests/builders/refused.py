@@ -2,7 +2,7 @@
 
 import pytest
 
-from twin.cli.parser import main
+from twin.cli import main
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

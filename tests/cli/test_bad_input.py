@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.builders.refused import refused
-from twin.cli.parser import main
+from twin.cli import main
 from twin.machine.machine import default_machine_path, load_machine
 
 HEAD = "time [s],X.setpoint [mm]\n"

@@ -11,8 +11,7 @@ import pytest
 
 from devtools import benchmark
 from tests.conftest import ROOT
-from twin.cli import demo
-from twin.cli.parser import main
+from twin.cli import main
 from twin.recordings.trace import read_trace
 
 EXAMPLE = ROOT / "examples" / "x_200mm.csv"
@@ -55,7 +54,7 @@ def test_stopped_by_the_user(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     def stopped(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twin.cli.commands.effects_command", stopped)
+    monkeypatch.setattr("twin.cli.effects.carry_out", stopped)
     assert main(["effects"]) == 130
     assert capsys.readouterr().err == "twin: stopped by the user\n"
 
@@ -64,7 +63,7 @@ def test_disk_that_is_full(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     def full(_: object) -> int:
         raise OSError(28, "No space left on device", "out/trace.parquet")
 
-    monkeypatch.setattr("twin.cli.commands.effects_command", full)
+    monkeypatch.setattr("twin.cli.effects.carry_out", full)
     assert main(["effects"]) == 2
     assert capsys.readouterr().err == "twin: out/trace.parquet: No space left on device; give another place or free this one\n"
 
@@ -98,7 +97,7 @@ def test_help_needs_no_engine() -> None:
 
 
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert demo.main(["--out", str(tmp_path)]) == 0
+    assert main(["demo", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     for feedforward in ("off", "velocity", "velocity+torque"):
         assert f"\n{feedforward} " in out
@@ -107,7 +106,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_example_is_what_the_demo_makes(tmp_path: Path) -> None:
-    assert demo.main(["--setpoints", str(tmp_path / "x.csv")]) == 0
+    assert main(["demo", "--setpoints", str(tmp_path / "x.csv")]) == 0
     made, kept = read_trace(tmp_path / "x.csv"), read_trace(EXAMPLE)
     np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
 

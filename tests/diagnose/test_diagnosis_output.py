@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from examples.diagnose import record, short_runs
-from twin.cli.parser import main
+from twin.cli import main
 from twin.diagnose import diagnose
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal

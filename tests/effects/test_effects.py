@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.builders.one_axis import MACHINE, NO_COULOMB, follow, there_and_back
-from twin.cli.parser import main
+from twin.cli import main
 from twin.effects import BLOCKS, EFFECTS, apply_effects, check_setting, parse_setting, settings_of, with_effects
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import load_machine

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.cli.parser import main
+from twin.cli import main
 from twin.diagnose.cross_validation import EVIDENCE
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.errors import InputError

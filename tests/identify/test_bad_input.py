@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, usual_runs, with_signal
-from twin.cli.parser import main
+from twin.cli import main
 from twin.errors import InputError
 from twin.identify.axis_run import axis_run
 from twin.identify.campaign_fit import identify_campaign

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import machine_text, slides, write_slides
-from twin.cli.parser import main
+from twin.cli import main
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects

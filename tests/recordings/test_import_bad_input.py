@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
-from twin.cli.parser import main
+from twin.cli import main
 
 TIME = np.arange(2000) * 1e-3
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
-from twin.cli.parser import main
+from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
 from twin.recordings.skew import late_channels

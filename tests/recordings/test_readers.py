@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
-from twin.cli.parser import main
+from twin.cli import main
 from twin.recordings.formats.delimited import find_dialect
 from twin.recordings.trace import Trace, read_trace
 

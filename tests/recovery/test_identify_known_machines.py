@@ -19,7 +19,7 @@ from devtools.identification_score import LIMITS, Judged
 from tests.builders.identify_campaigns import QUICK, campaign, recorded, usual_runs
 from tests.builders.script import script
 from tests.conftest import ROOT, SHARED
-from twin.cli.parser import main
+from twin.cli import main
 from twin.exam.programme import programme
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.plan import Plan, _acceleration_runs, _check_runs, _predict, plan_campaign, write_plan

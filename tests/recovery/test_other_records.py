@@ -9,7 +9,7 @@ import pytest
 
 from examples.diagnose import short_runs
 from tests.recovery.test_diagnosis import campaign_of, group_of, observed, run_of, searched, travel
-from twin.cli.parser import main
+from twin.cli import main
 from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text

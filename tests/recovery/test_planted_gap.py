@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import swings
-from twin.cli.parser import main
+from twin.cli import main
 from twin.machine.machine import Machine
 from twin.recordings.trace import write_trace
 from twin.simulation.run import simulate

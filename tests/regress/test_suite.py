@@ -19,7 +19,7 @@ import pytest
 
 from tests.builders.other_structures import write_slides
 from tests.builders.small_machine import write_small_machine
-from twin.cli.parser import main
+from twin.cli import main
 from twin.effects import EFFECTS
 from twin.recordings.trace import Trace
 from twin.regress import run_suite

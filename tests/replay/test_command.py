@@ -13,7 +13,8 @@ import urllib.request
 import numpy as np
 import pytest
 
-from twin.cli.replay import add_replay_arguments, main, replay_command
+from twin.cli import main
+from twin.cli import replay as replay_command
 from twin.errors import InputError
 from twin.geometry.body_poses import body_poses, rotate
 from twin.machine.machine import load_machine
@@ -45,8 +46,8 @@ def run(tmp_path: Path) -> Path:
 
 def replay(*arguments: str) -> int:
     parser = argparse.ArgumentParser()
-    add_replay_arguments(parser)
-    return replay_command(parser.parse_args(list(arguments)))
+    replay_command.add_arguments(parser)
+    return replay_command.carry_out(parser.parse_args(list(arguments)))
 
 
 def test_a_trace_becomes_a_recording(run: Path, tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_mesh_normals_point_outwards_and_creases_stay_sharp() -> None:
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line that the command prints for these arguments."""
-    assert main(list(map(str, arguments))) == 2
+    assert main(["replay", *map(str, arguments)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("twin: ")
     assert error.count("\n") == 1
@@ -269,7 +270,7 @@ def test_all_kinds_of_geoms_are_drawn(tmp_path: Path) -> None:
 def test_the_web_viewer_answers_on_this_computer_only_and_ends(run: Path) -> None:
     port = free_port()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "twin.replay", str(run), "--serve", "--port", str(port)]
+    command = [sys.executable, "-m", "twin", "replay", str(run), "--serve", "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         assert process.stdout is not None

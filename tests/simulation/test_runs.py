@@ -9,7 +9,7 @@ import pytest
 
 from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
-from twin.cli.parser import main
+from twin.cli import main
 from twin.errors import SimulationError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.trace import Trace, read_trace, write_trace

@@ -14,7 +14,7 @@ import pytest
 from tests.builders.other_structures import write_slides
 from tests.builders.refused import refused
 from tests.builders.study_files import FACTOR, GRID, rows_of, write_meshes, write_move, write_spec
-from twin.cli.parser import main
+from twin.cli import main
 from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.cli.cut import add_cut_arguments, cut_command
+from twin.cli import cut
 from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
@@ -54,8 +54,8 @@ def groove(folder: Path, *, jump: float = 0.0, z: float = 300.0) -> list[str]:
 
 def run(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser()
-    add_cut_arguments(parser)
-    return cut_command(parser.parse_args(arguments))
+    cut.add_arguments(parser)
+    return cut.carry_out(parser.parse_args(arguments))
 
 
 def test_cut_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

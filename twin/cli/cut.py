@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 import re
-import sys
 from typing import Any
 
 from twin.errors import InputError, nearest
@@ -19,7 +18,7 @@ from twin.surface.part import Part, read_part
 from twin.surface.shapes import MeshFile
 
 
-def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin cut`."""
     parser.add_argument("input", metavar="INPUT", help="part program, run directory (trace.parquet), or trace")
     parser.add_argument(
@@ -48,7 +47,7 @@ def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")
 
 
-def cut_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Cut, print a table, write everything."""
     from twin.simulation.summary import table
 
@@ -191,20 +190,3 @@ def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:
 def _name(text: str) -> str:
     """A file or entity name without blanks and signs."""
     return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-
-
-def main() -> int:
-    """`python -m twin.cli.cut`: the command alone."""
-    from twin.errors import TwinError
-
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_cut_arguments(parser)
-    try:
-        return cut_command(parser.parse_args())
-    except TwinError as error:
-        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,7 @@ Writes traces, a recording and a plot like the paper's Fig. 4, and prints what i
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 import sys
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.errors import TwinError
+from twin.cli.arguments import add_machine, machine_of
 from twin.geometry.scurve import moves_in_turn, phases_of_move
-from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal, lighter
 from twin.simulation.run import simulate
@@ -156,26 +156,24 @@ def _delayed(setpoint: np.ndarray, time: np.ndarray, delay: float) -> np.ndarray
     return np.interp(time - delay, time, setpoint)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="scripts/demo", description=f"The paper's test: {TITLE}, feedforward off and on.")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for traces, recording and plot")
-    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the Mikron UCP 710)")
+    add_machine(parser)
     parser.add_argument(
         "--setpoints", type=Path, metavar="FILE", help="only write the set points of the test to this file (.csv, .parquet)"
     )
-    args = parser.parse_args(arguments)
-    try:
-        machine = load_machine(args.machine)
-        setpoints = paper_test(machine)
-        if args.setpoints:
-            write_trace(setpoints, args.setpoints)
-            print(f"written: {args.setpoints}")
-            return 0
-        traces = run_test(machine, setpoints)
-        _report(machine, traces, args.out)
-    except (TwinError, OSError) as error:
-        print(f"demo: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Run the test, write traces, recording and plot, print what was found."""
+    machine = machine_of(args)
+    setpoints = paper_test(machine)
+    if args.setpoints:
+        write_trace(setpoints, args.setpoints)
+        print(f"written: {args.setpoints}")
+        return 0
+    _report(machine, run_test(machine, setpoints), args.out)
     return 0
 
 
@@ -213,7 +211,3 @@ def _times_at_speed(machine: Machine, time: np.ndarray) -> np.ndarray:
     begin = DWELL + ramp
     again = begin + t_v + ramp + DWELL + ramp
     return np.any([(time > b + t_v / 2) & (time < b + t_v) for b in (begin, again)], axis=0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,7 +12,7 @@ import twin
 from twin.errors import InputError, nearest
 
 
-def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="what is drawn (default 0); a published score has a fresh one")
     parser.add_argument("--cases", type=int, default=150, metavar="N", help="how many campaigns (default 150)")
@@ -36,7 +36,7 @@ def add_exam_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: which effects this campaign's runs, signals and noise can show")
 
 
-def exam_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Draw, seal, diagnose, open, mark, score; 1 where a target is missed by more than chance."""
     if args.plan:
         from twin.exam.detectability import foresee_command
@@ -114,6 +114,7 @@ def exam_command(args: argparse.Namespace) -> int:
 def summary(document: dict) -> str:  # type: ignore[type-arg]
     """The score as a table for the terminal."""
     from twin.exam.report import counted
+    from twin.exam.score import target_text
     from twin.simulation.summary import table
 
     s = document["score"]
@@ -141,11 +142,3 @@ def summary(document: dict) -> str:  # type: ignore[type-arg]
     if same["level"] is not None:
         lines.append(f"twin against plant with the same parameters and effects: {same['level']:.3g} times noise ({same['cases']} cases)")
     return "\n\n".join(lines)
-
-
-def target_text(target: object) -> str:
-    """A target in words."""
-    if isinstance(target, (tuple, list)):
-        return f"{target[0]:.0%} to {target[1]:.0%}"
-    assert isinstance(target, float)
-    return f"at most {-target:.3g}" if target < 0 else f"at least {target:.0%}"

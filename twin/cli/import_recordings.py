@@ -16,7 +16,7 @@ from twin.recordings.mapping import Map, RunMap, read_map, runs_of
 from twin.recordings.signals import Clock, How, Recording
 
 
-def add_import_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("files", nargs="+", metavar="FILES", help=f"recorded files ({' '.join(READERS)})")
     parser.add_argument(
@@ -27,7 +27,7 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-picture", action="store_true", help="do not draw the runs")
 
 
-def import_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Read, understand, write; say what was understood."""
     files = [Path(f) for f in args.files]
     if args.map is None:

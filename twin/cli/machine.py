@@ -13,7 +13,7 @@ from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
 
 
-def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin machine`."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
     new = actions.add_parser("new", help="write a commented machine file from an MJCF or a URDF")
@@ -34,7 +34,7 @@ def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
     show.set_defaults(action=_show)
 
 
-def machine_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Do what was asked for."""
     return int(args.action(args))
 

@@ -1,15 +1,19 @@
-"""The command line: one function per command, thin; all work is done by the modules that it names."""
+"""Reads the command line and carries the command out. One module of this package a command; `COMMANDS` lists them.
+
+A module of a command has `add_arguments(parser)` and `carry_out(args) -> int | None`, and is imported only when its command is given.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-import contextlib
+from collections.abc import Sequence
 import importlib
 import sys
-from typing import Any
+from types import ModuleType
+from typing import Any, NamedTuple
 
-from twin.errors import TwinError
+import twin
+from twin.errors import TwinError, nearest
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
 
@@ -20,13 +24,49 @@ Start with:  twin run examples/x_200mm.csv --out out/first
 """
 
 
+class Command(NamedTuple):
+    """One command: its name, the module of this package that carries it out, and what it does in a line."""
+
+    name: str
+    module: str
+    does: str
+
+
+COMMANDS: dict[str, tuple[Command, ...]] = {
+    "simulate": (
+        Command("demo", "demo", "the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
+        Command("run", "run", "simulate a program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
+        Command("interpolate", "interpolate", "turn a program into set points, no more"),
+        Command("cut", "cut", "cut the part along the followed tool path: where the mark is and how deep"),
+    ),
+    "look": (
+        Command("replay", "replay", "open the viewer on a run, a recording, a trace or any MJCF or URDF"),
+        Command("effects", "effects", "list the effects that a machine can have beyond the nominal model"),
+        Command("machine", "machine", "make a machine file from a model, check it, show its data sheet"),
+    ),
+    "measure": (
+        Command("import", "import_recordings", "turn recorded files (CSV, Sinumerik XML, TDMS, MDF4, .mat) into a campaign"),
+        Command("plan", "plan", "propose a measuring campaign that identifies each parameter to a wanted precision"),
+        Command("identify", "identify", "identify a machine's parameters, with intervals, from its own traces"),
+    ),
+    "diagnose": (
+        Command("gap", "gap", "simulate every run of a measured campaign and compare signal by signal"),
+        Command(
+            "diagnose", "diagnose", "say where a measured campaign differs from the twin, which effect causes it, how far the gap shrinks"
+        ),
+        Command("exam", "exam", "diagnose sealed campaigns of a second plant, open the seals, score"),
+    ),
+    "design": (Command("study", "study", "vary numbers of the machine file by a design, run every variant, show what each number buys"),),
+    "guard": (Command("regress", "regress", "run a suite of cases headless and compare with golden results: what moved, and where first"),),
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 done, 1 a verdict that fails, 2 bad input or usage (one line on standard error)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    parser = build_parser()
-    args = parser.parse_args(arguments)
+    args = build_parser(_command_in(arguments)).parse_args(arguments)
     try:
-        return int(_resolved(args.command)(args) or 0)
+        return int(_module(args.command).carry_out(args) or 0)
     except TwinError as error:
         print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -40,132 +80,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _resolved(command: str | Callable[[argparse.Namespace], int | None]) -> Callable[[argparse.Namespace], int | None]:
-    """A command by its name in `twin.cli.commands`, imported only when it is called: `twin --help` needs no engine."""
-    return getattr(importlib.import_module("twin.cli.commands"), command) if isinstance(command, str) else command
-
-
 class _Parser(argparse.ArgumentParser):
-    """Usage errors in one line, with exit code 2."""
+    """Usage errors in one line, with exit code 2; commands by groups in the help."""
 
     def error(self, message: str) -> Any:
         self.exit(2, f"twin: {message}; try '{self.prog} --help'\n")
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """All commands and their arguments; loads neither engine nor viewer."""
-    from twin.cli.cut import add_cut_arguments, cut_command
-    from twin.cli.exam import add_exam_arguments, exam_command
-    from twin.cli.identify import add_identify_arguments, add_plan_arguments, identify_command, plan_command
-    from twin.cli.import_recordings import add_import_arguments, import_command
-    from twin.cli.machine import add_machine_arguments, machine_command
-    from twin.cli.regress import add_regress_arguments, regress_command
-    from twin.cli.replay import add_replay_arguments, replay_command
-    from twin.cli.study import add_study_arguments, study_command
-
-    parser = _Parser(prog="twin", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-
-    def add(name: str, command: str | Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        sub.set_defaults(command=command)
-        return sub
-
-    run = add("run", "run_command", "simulate a program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)")
-    run.add_argument("input", metavar="INPUT", help="part program, or trace with <axis>.setpoint columns")
-    _machine_arguments(run)
-    run.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME:AXIS:PARAMETER=VALUE",
-        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; may be given several times; see 'twin effects')",
-    )
-    run.add_argument(
-        "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)"
-    )
-    run.add_argument("--out", metavar="DIR", help="folder for trace.parquet, run.rrd and summary.json (default: out/<name of the input>)")
-    run.add_argument(
-        "--strict", action="store_true", help="set points above an axis' speed, acceleration or jerk are an error, not a warning"
-    )
-    run.add_argument(
-        "--sample-period-ms", type=_positive, metavar="MS", help="period of the written trace (default: 1, as the machine file says)"
-    )
-    run.add_argument("--noise-seed", type=_seed, metavar="N", help="add the machine's measuring noise, drawn with this seed")
-    run.add_argument("--no-recording", action="store_true", help="do not write run.rrd")
-
-    interpolate = add("interpolate", "interpolate_command", "turn a program into set points, no more")
-    interpolate.add_argument("program", metavar="PROGRAM", help="part program (.mpf .ngc .apt ...)")
-    interpolate.add_argument("--out", required=True, metavar="FILE", help="trace with the set points (.parquet or .csv)")
-    interpolate.add_argument("--plot", metavar="PNG", help="plot programmed and reached feed over path length")
-    _machine_arguments(interpolate)
-
-    gap = add("gap", "gap_command", "simulate every run of a measured campaign and compare signal by signal")
-    gap.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
-    _machine_arguments(gap)
-    gap.add_argument("--json", metavar="FILE", help="write the result as JSON")
-
-    identify = add("identify", identify_command, "identify a machine's parameters, with intervals, from its own traces")
-    add_identify_arguments(identify)
-
-    plan = add("plan", plan_command, "propose a measuring campaign that identifies each parameter to a wanted precision")
-    add_plan_arguments(plan)
-
-    importing = add("import", import_command, "turn recorded files (CSV, Sinumerik XML, TDMS, MDF4, .mat) into a campaign by a map")
-    add_import_arguments(importing)
-
-    diagnose = add(
-        "diagnose", "diagnose_command", "say where a measured campaign differs from the twin, which effect causes it, how far it shrinks"
-    )
-    diagnose.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
-    _machine_arguments(diagnose)
-    diagnose.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
-    diagnose.add_argument(
-        "--quick", action="store_true", help="fewer candidates, quiet axes not searched: a look in less than half the time"
-    )
-    diagnose.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
-
-    exam = add("exam", exam_command, "diagnose sealed campaigns of a second plant, open the seals, score")
-    add_exam_arguments(exam)
-
-    cut = add("cut", cut_command, "cut the part along the followed tool path: where the mark is and how deep")
-    add_cut_arguments(cut)
-
-    regress = add("regress", regress_command, "run a suite of cases headless and compare with golden results: what moved, and where first")
-    add_regress_arguments(regress)
-
-    study = add("study", study_command, "vary numbers of the machine file by a design, run every variant, tell what each number buys")
-    add_study_arguments(study)
-
-    replay = add("replay", replay_command, "open the viewer on a run, a recording, a trace or any MJCF or URDF")
-    add_replay_arguments(replay)
-
-    machine = add("machine", machine_command, "make a machine file from a model, check it, show its data sheet")
-    add_machine_arguments(machine)
-
-    effects = add("effects", "effects_command", "list the effects that a machine can have beyond the nominal model")
-    effects.add_argument("name", nargs="?", metavar="NAME", help="tell one effect's law, parameters, bounds and usual sizes")
-    _machine_arguments(effects)
+def build_parser(only: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the command line: with the arguments of one command, or those of all."""
+    parser = _Parser(prog="twin", description=DESCRIPTION + _overview(), formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--version", action="version", version=f"twin {twin.__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True, parser_class=_Parser, help=argparse.SUPPRESS)
+    for command in _commands().values():
+        sub = commands.add_parser(command.name, description=command.does[0].upper() + command.does[1:] + ".")
+        if only is None or only == command.name:
+            _module(command.name).add_arguments(sub)
     return parser
 
 
-def _positive(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if 0.0 < (value := float(text)) < 1e6:
-            return value
-    raise argparse.ArgumentTypeError(f"'{text}': give a number above 0 and below 1e6")
+def _commands() -> dict[str, Command]:
+    return {command.name: command for group in COMMANDS.values() for command in group}
 
 
-def _seed(text: str) -> int:
-    with contextlib.suppress(ValueError):
-        if (value := int(text)) >= 0:
-            return value
-    raise argparse.ArgumentTypeError(f"'{text}': give a whole number, 0 or more")
+def _module(command: str) -> ModuleType:
+    return importlib.import_module(f"{__package__}.{_commands()[command].module}")
 
 
-def _machine_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the Mikron UCP 710 that ships with twin)")
+def _command_in(arguments: Sequence[str]) -> str | None:
+    """The command that is given, if it is one: a word that is none gets one line with the nearest."""
+    word = next((a for a in arguments if not a.startswith("-")), None)
+    if word is not None and word not in _commands() and arguments and arguments[0] == word:
+        sys.stderr.write(f"twin: no command '{word}'; {nearest(word, _commands())}; try 'twin --help'\n")
+        raise SystemExit(2)
+    return word if word in _commands() else ""
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _overview() -> str:
+    """The commands by what one wants to do."""
+    lines = []
+    for group, commands in COMMANDS.items():
+        lines.append(f"\n{group}")
+        lines += [f"  {command.name:<12}{command.does}" for command in commands]
+    return "\n".join(lines)

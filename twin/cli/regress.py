@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 """A difference below this share of its tolerance is the rounding of a file: no reason for a new golden result."""
 
 
-def add_regress_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin regress`."""
     parser.add_argument(
         "suite", nargs="?", default=DEFAULT_SUITE, metavar="SUITE", help=f"folder of suite files, or one of them (default: {DEFAULT_SUITE})"
@@ -37,7 +37,7 @@ def add_regress_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
 
 
-def regress_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """0: nothing moved beyond its tolerance; 1: something did, or a case could not run."""
     from twin.progress import Progress
     from twin.regress.run_suite import BROKEN, FAILED, run_suite

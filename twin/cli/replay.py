@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import sys
@@ -28,7 +27,7 @@ class Source:
     trace: Path | None
 
 
-def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin replay`."""
     parser.add_argument(
         "paths",
@@ -54,7 +53,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def replay_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Run `twin replay`; every fault is an InputError in one line."""
     from twin.replay import viewer
 
@@ -166,16 +165,3 @@ def _size(text: str) -> tuple[int, int]:
     if not (320 <= width <= 8192 and 240 <= height <= 8192):
         raise InputError(f"--size {text}: give width and height in pixels between 320x240 and 8192x8192, such as 1920x1080")
     return width, height
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command by itself: `python -m twin.replay PATH`."""
-    from twin.errors import TwinError
-
-    parser = argparse.ArgumentParser(prog="twin replay", description="Show a run in the viewer.")
-    add_replay_arguments(parser)
-    try:
-        return replay_command(parser.parse_args(arguments))
-    except TwinError as error:
-        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2

@@ -9,7 +9,7 @@ from twin.errors import InputError
 from twin.progress import Progress
 
 
-def add_study_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("spec", metavar="SPEC", help="study file (.toml): factors, design, runs")
     parser.add_argument("--machine", metavar="FILE", help="machine file (default: the study's, else the Mikron UCP 710)")
@@ -22,7 +22,7 @@ def add_study_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
 
 
-def study_command(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> int:
     """Carry out, answer, print the findings."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of

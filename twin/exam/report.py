@@ -11,7 +11,7 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 
-from .score import label_of, singles
+from .score import label_of, singles, target_text
 
 Document = Mapping[str, Any]
 
@@ -90,7 +90,6 @@ def _asked(targets: Sequence[Document]) -> list[Document]:
 
 
 def _target_table(targets: Sequence[Document]) -> Table:
-    from twin.cli.exam import target_text
 
     rows = []
     for t in targets:

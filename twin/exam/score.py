@@ -228,3 +228,11 @@ def _same_parameters(marks: Sequence[Mark]) -> dict[str, Any]:
         "position_rms": {a: _median(g["true_effects_position"].get(a) for g in rows) for a in axes},
         "unit": "level in multiples of noise; position RMS in um (X, Y, Z) and arcsec (A, C)",
     }
+
+
+def target_text(target: object) -> str:
+    """A target in words."""
+    if isinstance(target, (tuple, list)):
+        return f"{target[0]:.0%} to {target[1]:.0%}"
+    assert isinstance(target, float)
+    return f"at most {-target:.3g}" if target < 0 else f"at least {target:.0%}"

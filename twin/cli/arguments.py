@@ -1,0 +1,82 @@
+"""Arguments that several commands share, and what they stand for."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+import sys
+from typing import TYPE_CHECKING
+
+from twin.errors import InputError
+from twin.progress import Progress
+
+if TYPE_CHECKING:
+    from twin.machine import Machine
+    from twin.program import Program
+    from twin.recordings import Trace
+
+PICTURE_ENDINGS = (".png", ".svg", ".pdf")
+
+
+def positive(text: str) -> float:
+    """A number above 0, for argparse."""
+    with contextlib.suppress(ValueError):
+        if 0.0 < (value := float(text)) < 1e6:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text}': give a number above 0 and below 1e6")
+
+
+def seed(text: str) -> int:
+    """A seed, for argparse."""
+    with contextlib.suppress(ValueError):
+        if (value := int(text)) >= 0:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text}': give a whole number, 0 or more")
+
+
+def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 710 that ships with twin") -> None:
+    """`--machine FILE`."""
+    parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: {default})")
+
+
+def add_campaign(parser: argparse.ArgumentParser) -> None:
+    """`CAMPAIGN`, a folder of measured runs."""
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
+
+
+def machine_of(args: argparse.Namespace) -> Machine:
+    """The machine of `--machine`, with the effects of `--effect` added to those of its file where the command has that argument."""
+    from twin.machine import load_machine
+
+    machine = load_machine(args.machine)
+    added = getattr(args, "effect", None)
+    if not added:
+        return machine
+    from twin.effects import parse_setting, settings_of, with_effects
+
+    return with_effects(machine, [*settings_of(machine), *(parse_setting(text, machine) for text in added)])
+
+
+def setpoints_of_input(source: Path, machine: Machine) -> tuple[Program | None, Trace]:
+    """Set points of a program (with the program) or of a trace (without)."""
+    from twin.program.read import PROGRAM_ENDINGS
+    from twin.recordings import read_trace
+
+    if source.suffix.lower() not in PROGRAM_ENDINGS:
+        return None, read_trace(source, axes=machine.kinds, need=("setpoint",))
+    from twin.program import interpolate, read_program
+
+    program = read_program(source, machine)
+    for note in program.notes:
+        print(f"note: {source.name}: {note}", file=sys.stderr)
+    with Progress("interpolating") as bar:
+        return program, interpolate(program, machine, progress=bar)
+
+
+def picture_file(text: str) -> Path:
+    """A file that a picture can be written to; an InputError names the endings."""
+    path = Path(text)
+    if path.suffix.lower() not in PICTURE_ENDINGS:
+        raise InputError(f"{path}: a picture ends in {', '.join(PICTURE_ENDINGS)}")
+    return path

@@ -1,0 +1,36 @@
+"""`twin diagnose`: where a measured campaign differs from the twin, which effect causes it, how far the gap shrinks."""
+
+from __future__ import annotations
+
+import argparse
+
+from twin.cli.arguments import add_campaign, add_machine, machine_of, seed
+from twin.files import output_folder
+from twin.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    add_campaign(parser)
+    add_machine(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
+    parser.add_argument("--quick", action="store_true", help="fewer candidates, quiet axes not searched: a look in less than half the time")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Diagnose a campaign; print the verdict and write the evidence."""
+    from twin.diagnose import diagnose
+    from twin.diagnose.output import summary_text, write_diagnosis
+    from twin.recordings.campaign import read_campaign
+
+    machine = machine_of(args)
+    campaign = read_campaign(args.campaign, machine)
+    out = output_folder(args.out)
+    with Progress("diagnosing", total=None) as bar:
+        diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say)
+    document = write_diagnosis(diagnosis, out)
+    print(summary_text(document))
+    move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
+    print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
+    return 0
