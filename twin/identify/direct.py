@@ -13,10 +13,10 @@ from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
 from twin.identify.drive_balance import NAMES as LINEAR_NAMES
-from twin.identify.least_squares import Fit
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
+from twin.recordings.least_squares import Fit
 
 Runs = Mapping[str, Sequence[AxisRun | None]]
 """Axis -> its runs in the order of the campaign, None where the axis has no measured motion."""

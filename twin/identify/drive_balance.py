@@ -27,8 +27,8 @@ from twin.identify.between_samples import (
     missing_mean,
     sawtooth_of,
 )
-from twin.identify.least_squares import Fit, regress
 from twin.machine.machine import Axis, Machine
+from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 EVERY = 4

@@ -14,10 +14,10 @@ import numpy as np
 from twin.identify.axis_run import AxisRun, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.least_squares import regress
 from twin.identify.position_control import _linearised
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.least_squares import regress
 
 SIGNALS = {
     "position": "position gain and delays",

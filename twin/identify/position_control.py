@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.identify.axis_run import AxisRun
-from twin.identify.least_squares import Fit, regress
 from twin.machine.machine import Axis
+from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
 ITERATIONS = 8

@@ -26,10 +26,10 @@ from twin.identify.axis_run import AxisRun, _window, axis_run
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
 from twin.identify.drive_balance import EVERY, MeanCurrent, mean_of
-from twin.identify.least_squares import RELATED
 from twin.identify.products import inertia_key
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.least_squares import RELATED
 from twin.simulation.gap import is_moving
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.run import simulate

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
 from twin.errors import InputError
-from twin.identify.least_squares import Fit, regress, whiteness
+from twin.recordings.least_squares import Fit, regress, whiteness
 
 NAMES = ("mass", "viscous", "coulomb", "offset")
 BAND_HZ = 50.0

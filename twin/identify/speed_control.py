@@ -24,8 +24,8 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import FastLoop
 from twin.identify.drive_balance import mean_of
-from twin.identify.least_squares import regress
 from twin.machine.machine import Axis
+from twin.recordings.least_squares import regress
 
 NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
 PASS_HZ = (1.0, 25.0)
