@@ -16,12 +16,12 @@ ROUNDING = {"position": 1e-14, "velocity": 2e-12, "velocity_setpoint": 2e-12, "c
 """Largest difference of two orders of summing, amplified by the loops [m or rad, per s, A]."""
 
 
-def check(machine: Machine, setpoints: Setpoints) -> dict[str, float]:
+def check(machine: Machine, setpoints: Setpoints, also: tuple[str, ...] = ()) -> dict[str, float]:
     trace = simulate(machine, setpoints, sample_period=machine.base_tick).trace
     ticks = len(trace.time)
     reference = simulate_reference(machine, setpoints, ticks)
     worst = {}
-    for channel, bound in ROUNDING.items():
+    for channel, bound in (ROUNDING | dict.fromkeys(also, ROUNDING["velocity_setpoint"])).items():
         for a, axis in enumerate(machine.axes):
             difference = np.abs(trace.get(axis.name, channel) - reference[:, a, CHANNELS.index(channel)]).max()
             worst[channel] = max(worst.get(channel, 0.0), difference)

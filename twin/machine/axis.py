@@ -36,6 +36,8 @@ class Motor:
 class Loops:
     """Gains of the cascade, feedforward weights (0 switches off) and delays of the set point.
 
+    `dsc_delay_s` > 0: the drive closes the position loop (dynamic servo control); the NC's command reaches it so much later.
+
     `speed_mean_cycles` n > 0: the speed is not measured but differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts);
     `speed_filter_time_s`: first-order lag of the speed that the controller sees (0: none).
     """
@@ -49,6 +51,7 @@ class Loops:
     torque_feedforward: float = 0.0
     position_delay_s: float = 0.0
     feedforward_delay_s: float = 0.0
+    dsc_delay_s: float = 0.0
     speed_mean_cycles: int = 0
     speed_filter_time_s: float = 0.0
 

@@ -66,6 +66,9 @@ CONTROL = {
     "interpolation_cycle_us": positive(required=False),
 }
 
+INTERPOLATIONS = ("cubic", "linear")
+"""How a set point between two position cycles is made; the first is the default."""
+
 GEOMETRY = {
     "a_axis_to_c_axis_y_m": Key(required=False),
     "a_axis_to_c_axis_z_m": Key(required=False),
@@ -120,6 +123,7 @@ LOOPS = {
     "torque_feedforward": Key(-5.0, 5.0),
     "position_delay_s": Key(0.0, 1.0),
     "feedforward_delay_s": Key(0.0, 1.0),
+    "dsc_delay_s": Key(0.0, 1.0, required=False),
     "speed_mean_cycles": Key(0.0, MOST_MEAN_CYCLES, required=False),
     "speed_filter_time_s": Key(0.0, 1.0, required=False),
 }

@@ -27,6 +27,9 @@ DEFAULT_MACHINE = "mikron_ucp710.toml"
 LONGEST_TICK = 125e-6
 """Tick of a machine without current loops, whose file names none [s]: friction that sticks needs a short one."""
 
+OPTIONAL = ("dsc_delay_s", "setpoint_interpolation")
+"""Keys that `with_values` adds where the file lacks them."""
+
 FEEDFORWARD = ("off", "velocity", "velocity+torque")
 
 
@@ -73,6 +76,7 @@ class Machine:
     model_path: Path
     document: Mapping[str, Any] = field(repr=False)
     path: Path | None = None
+    setpoint_interpolation: str = keys.INTERPOLATIONS[0]
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -168,7 +172,7 @@ class Machine:
                 if isinstance(table[name], dict):
                     table[name] = dict(table[name])
                 table = table[name]
-            if not isinstance(table, dict) or (key not in table and key not in ("effect", "commissioned")):
+            if not isinstance(table, dict) or (key not in table and key not in ("effect", "commissioned", *OPTIONAL)):
                 raise InputError(f"machine {self.name}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
             table[key] = value
         driven = self.axis_names
@@ -275,7 +279,12 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
     for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
         if table not in document and table != "geometry":
             raise InputError(f"{where}: table [{table}] is missing; add it")
-        keys.check_table(document.get(table, {}), known, f"{where}: [{table}]")
+        keys.check_table(document.get(table, {}), known, f"{where}: [{table}]", ("setpoint_interpolation",) if table == "control" else ())
+    interpolation = document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0])
+    if interpolation not in keys.INTERPOLATIONS:
+        raise InputError(
+            f"{where}: [control]: setpoint_interpolation = {interpolation!r}; {nearest(str(interpolation), keys.INTERPOLATIONS)}"
+        )
     axes = document.get("axis")
     if not isinstance(axes, dict) or not axes:
         raise InputError(f"{where}: no [axis.NAME] table; describe at least one axis")
@@ -290,7 +299,7 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
     for name, tool in tools.items():
         keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
     parsed = tuple(axis_of_table(name, axes[name], f"{where}: [axis.{name}]") for name in order)
-    control = {k: v * keys.si_from_key(k) for k, v in document["control"].items()}
+    control = {k: v * keys.si_from_key(k) for k, v in document["control"].items() if k in keys.CONTROL}
     if "current_cycle_us" not in control:
         looped = [axis.name for axis in parsed if axis.has_current_loop]
         if looped:
@@ -311,6 +320,7 @@ def machine_from_document(document: Mapping[str, Any], model_path: Path, path: P
         model_path=model_path,
         document=document,
         path=path,
+        setpoint_interpolation=interpolation,
     )
     for key in ("current_cycle", "speed_cycle", "position_cycle"):
         cycles = getattr(machine, key) / machine.base_tick

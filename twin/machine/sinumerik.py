@@ -45,6 +45,7 @@ _COMMON = (
     Datum(32200, "POSCTRL_GAIN", "1000/min", "loops.position_gain_per_s", 1000.0 / 60.0),
     Datum(32610, "VELO_FFW_WEIGHT", "1", "loops.velocity_feedforward", 1.0),
     Datum(32650, "AX_INERTIA", "kgm2", "commissioned.inertia_kg_m2", 1.0),
+    Datum(32644, "STIFFNESS_DELAY_TIME", "s", "loops.dsc_delay_s", 1.0),
     Datum(32810, "EQUIV_SPEEDCTRL_TIME", "s", "loops.position_delay_s", 1.0),
     Datum(1104, "MOTOR_MAX_CURRENT", "A", "motor.peak_current_a", 1.0),
     Datum(1113, "TORQUE_CURRENT_RATIO", "Nm/A", "motor.torque_constant_nm_per_a", 1.0),

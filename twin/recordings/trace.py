@@ -18,7 +18,7 @@ from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
 
 # what a signal is, so that a wrong unit is noticed and the right one is written
 POSITIONS = ("setpoint", "position", "motor_position")
-SPEEDS = ("velocity", "velocity_setpoint")
+SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint")
 OTHER_UNITS = {
     "current": "A",
     "current_setpoint": "A",

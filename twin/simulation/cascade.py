@@ -8,6 +8,11 @@ Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` 
     every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
     between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
 
+With `dsc_delay_s` Td > 0 the drive closes the position loop (dynamic servo control, DSC). w* and T_ff of the first two lines are
+then what the NC sends; the drive receives them Td late and adds what its newest encoder value says, at every speed cycle:
+
+    w*(T) = w*_NC(T - Td) - Kv (x(T) - x(T - Td)) / r,    T_ff(T) = T_ff,NC(T - Td)
+
 Kt and J_ff are those that the control was commissioned with; the motor's own Kt makes the torque. Without a current loop
 i* is the command (A, V, Nm) of an ideal actuator and i = i* at once. A P speed loop has 1/Tn = 0. w is measured, or made from
 the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order lag. The functions are compiled; `twin.simulation.cascade_reference` states the same law in plain numpy and a test holds both equal.
@@ -23,6 +28,9 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.machine.keys import MOST_MEAN_CYCLES
 from twin.machine.machine import Machine
+
+WHOLE_CYCLE = 1e-9
+"""A delay this close to a whole number of speed cycles is whole."""
 
 
 class Drives(NamedTuple):
@@ -47,13 +55,18 @@ class Drives(NamedTuple):
     mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 where the speed is measured
     differentiation_rate: np.ndarray  # 1 / (n Ts), 1/s
     speed_lag: np.ndarray  # 1 - exp(-Ts / T) of the speed's filter, 1 without
+    dsc: np.ndarray  # bool: the drive closes the position loop
+    dsc_cycles: np.ndarray  # int64: whole speed cycles of its delay
+    dsc_part: np.ndarray  # what is left of its delay, as a part of a speed cycle
 
 
 class DriveState(NamedTuple):
-    """State of all drives, each (axis,) float64."""
+    """State of all drives, each (axis,) float64 unless said otherwise."""
 
-    speed_setpoint: np.ndarray  # w*, rad/s at the motor
-    torque_feedforward: np.ndarray  # Nm
+    commanded_speed: np.ndarray  # w* as the position controller of the NC computes it, rad/s at the motor
+    commanded_torque: np.ndarray  # T_ff as the NC computes it, Nm
+    speed_setpoint: np.ndarray  # w* in force in the drive, rad/s at the motor
+    torque_feedforward: np.ndarray  # T_ff in force in the drive, Nm
     speed_integral: np.ndarray  # I, Nm
     current_setpoint: np.ndarray  # A
     current_integral: np.ndarray  # V
@@ -61,6 +74,8 @@ class DriveState(NamedTuple):
     current: np.ndarray  # A, or the command
     seen_speed: np.ndarray  # speed that the speed controller sees, axis units a second
     seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
+    sent: np.ndarray  # (axis, cycle, 2) w*_NC + Kv x / r and T_ff,NC at the last speed cycles, a ring
+    newest: np.ndarray  # int64: where the newest of them stands, -1 before the first
 
 
 def drives_of(machine: Machine) -> Drives:
@@ -75,6 +90,8 @@ def drives_of(machine: Machine) -> Drives:
 
     ts = machine.speed_cycle
     mean_cycles = np.array([axis.loops.speed_mean_cycles for axis in machine.axes], np.int64)
+    dsc_delay = column(lambda a: a.loops.dsc_delay_s) / ts
+    dsc_cycles = np.floor(dsc_delay + WHOLE_CYCLE).astype(np.int64)
     electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
     return Drives(
         ratio=column(lambda a: a.ratio),
@@ -96,6 +113,9 @@ def drives_of(machine: Machine) -> Drives:
         mean_cycles=mean_cycles,
         differentiation_rate=1.0 / (np.maximum(mean_cycles, 1) * ts),
         speed_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_filter_time_s) if a.loops.speed_filter_time_s > 0.0 else 1.0),
+        dsc=dsc_delay > 0.0,
+        dsc_cycles=dsc_cycles,
+        dsc_part=np.maximum(dsc_delay - dsc_cycles, 0.0),
     )
 
 
@@ -107,6 +127,8 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
     current = held_torque / drives.torque_constant
     zero = np.zeros_like(current)
     return DriveState(
+        commanded_speed=zero.copy(),
+        commanded_torque=zero.copy(),
         speed_setpoint=zero.copy(),
         torque_feedforward=zero.copy(),
         speed_integral=np.where(drives.speed_integral_gain > 0.0, current * drives.control_torque_constant, 0.0),
@@ -116,14 +138,43 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
         current=current.copy(),
         seen_speed=zero.copy(),
         seen_positions=np.full((len(zero), MOST_MEAN_CYCLES + 1), np.nan),
+        sent=np.zeros((len(zero), int(drives.dsc_cycles.max(initial=0)) + 2, 2)),
+        newest=np.full(len(zero), -1, np.int64),
     )
 
 
 @compiled(inline=True)
 def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
     """w* of axis `a` from the delayed set point, the feedforward (axis units a second; Nm) and the measured position."""
-    state.speed_setpoint[a] = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
-    state.torque_feedforward[a] = torque_feedforward
+    speed = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
+    state.commanded_speed[a] = speed
+    state.commanded_torque[a] = torque_feedforward
+    if not drives.dsc[a]:
+        state.speed_setpoint[a] = speed
+        state.torque_feedforward[a] = torque_feedforward
+
+
+@compiled(inline=True)
+def drive_position_loop(a, drives, state, position):  # type: ignore[no-untyped-def]
+    """w* in force of axis `a` whose drive closes the position loop: what the NC sent Td ago, and how far the axis has moved since."""
+    moved = drives.position_gain[a] * position / drives.ratio[a]
+    ring = state.sent[a]
+    if state.newest[a] < 0:  # the first cycle: the axis has stood here
+        ring[:, 0] = state.commanded_speed[a] + moved
+        ring[:, 1] = state.commanded_torque[a]
+    at = state.newest[a] + 1
+    if at >= len(ring):
+        at = 0
+    state.newest[a] = at
+    ring[at, 0] = state.commanded_speed[a] + moved
+    ring[at, 1] = state.commanded_torque[a]
+    late = at - drives.dsc_cycles[a]
+    if late < 0:
+        late += len(ring)
+    later = late - 1 if late > 0 else len(ring) - 1
+    part = drives.dsc_part[a]
+    state.speed_setpoint[a] = ring[late, 0] + part * (ring[later, 0] - ring[late, 0]) - moved
+    state.torque_feedforward[a] = ring[late, 1] + part * (ring[later, 1] - ring[late, 1])
 
 
 @compiled(inline=True)

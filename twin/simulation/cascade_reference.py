@@ -16,7 +16,10 @@ from twin.machine.machine import Machine
 from twin.simulation.plant_spec import build_plant, home_inertia_at_motor
 from twin.simulation.setpoints import Setpoints
 
-CHANNELS = ("position", "velocity", "velocity_setpoint", "current", "current_setpoint", "voltage")
+CHANNELS = ("position", "velocity", "velocity_setpoint", "current", "current_setpoint", "voltage", "drive_velocity_setpoint")
+
+BEFORE_CYCLES = 4
+"""Position cycles before the start at which the set point stands on its first value; delays beyond them need no more."""
 
 
 @dataclass
@@ -25,8 +28,11 @@ class ReferenceCascade:
 
     machine: Machine
     held_torque: np.ndarray  # Nm at the motor, what the integrators carry at rest
-    w_star: np.ndarray = field(init=False)  # speed set point, rad/s
-    T_ff: np.ndarray = field(init=False)  # torque feedforward, Nm
+    w_NC: np.ndarray = field(init=False)  # speed set point as the NC computes it, rad/s
+    T_NC: np.ndarray = field(init=False)  # torque feedforward as the NC computes it, Nm
+    w_star: np.ndarray = field(init=False)  # speed set point in force, rad/s
+    T_ff: np.ndarray = field(init=False)  # torque feedforward in force, Nm
+    sent: list[np.ndarray] = field(init=False)  # (w_NC, T_NC, x) at the speed cycles so far
     I: np.ndarray = field(init=False)  # noqa: E741  integrator of the speed loop, Nm
     i_star: np.ndarray = field(init=False)  # current set point, A
     I_i: np.ndarray = field(init=False)  # integrator of the current loop, V
@@ -57,6 +63,7 @@ class ReferenceCascade:
         self.u_bus = column([m.bus_limit_v for m in motors])
         self.has_loop = np.array([axis.has_current_loop for axis in axes])
         self.n = [p.speed_mean_cycles for p in loops]
+        self.Td = column([p.dsc_delay_s for p in loops])
         self.T_w = column([p.speed_filter_time_s for p in loops])
         # at rest: the motor holds, nothing moves
         self.i = self.held_torque / self.Kt
@@ -66,11 +73,28 @@ class ReferenceCascade:
         self.I_i = self.R * self.i
         self.u = self.R * self.i
         self.w_star, self.T_ff = np.zeros(len(axes)), np.zeros(len(axes))
+        self.w_NC, self.T_NC, self.sent = self.w_star, self.T_ff, []
 
     def position_cycle(self, s: np.ndarray, velocity: np.ndarray, torque: np.ndarray, x: np.ndarray) -> None:
         """w* = (Kv (s - x) + feedforward) / r."""
-        self.w_star = (self.Kv * (s - x) + velocity) / self.r
-        self.T_ff = torque
+        self.w_NC = (self.Kv * (s - x) + velocity) / self.r
+        self.T_NC = torque
+
+    def drive(self, x: np.ndarray) -> None:
+        """w*(T) = w_NC(T - Td) - Kv (x(T) - x(T - Td)) / r and T_ff(T) = T_NC(T - Td); between two speed cycles on a straight line.
+
+        Td = 0 is w* = w_NC: the NC closes the loop.
+        """
+        Ts = self.machine.speed_cycle
+        self.sent.append(np.array([self.w_NC, self.T_NC, x]))
+        now = len(self.sent) - 1
+        cycles = np.arange(max(0, now - int(self.Td.max() / Ts) - 2), now + 1)
+        w, T, earlier = (
+            np.array([np.interp(now - d / Ts, cycles, [self.sent[c][row, a] for c in cycles]) for a, d in enumerate(self.Td)])
+            for row in range(3)
+        )
+        self.w_star = w - self.Kv * (x - earlier) / self.r
+        self.T_ff = T
 
     def speed_cycle(self, w: np.ndarray, q: np.ndarray) -> None:
         """T* = Kp e + I + T_ff; i* limited; the integrator stands still where the limit is met.
@@ -122,6 +146,9 @@ def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.nd
         spline = CubicSpline(samples, setpoints.position[:, a], bc_type="natural")
 
         def s(times: np.ndarray, spline: CubicSpline = spline) -> np.ndarray:
+            if machine.setpoint_interpolation == "linear":  # between the NC's samples at its position cycles
+                grid = np.arange(-BEFORE_CYCLES, cycles) * tp
+                return np.interp(times, grid, spline(np.clip(grid, samples[0], samples[-1])))
             return np.asarray(spline(np.clip(times, samples[0], samples[-1])))
 
         p = axis.loops
@@ -165,10 +192,11 @@ class ReferenceSimulation:
                 cycle = k // position_every
                 c.position_cycle(self.command[0][cycle], self.command[1][cycle], self.command[2][cycle], x)
             if k % speed_every == 0:
+                c.drive(x)
                 c.speed_cycle(w, x)
             if k % current_every == 0:
                 c.current_cycle()
-            for channel, values in enumerate((x, v, c.w_star * c.r, c.i, c.i_star, c.u)):
+            for channel, values in enumerate((x, v, c.w_NC * c.r, c.i, c.i_star, c.u, c.w_star * c.r)):
                 self.record[k, :, channel] = values
             data.ctrl[plant.actuator] = c.Kt * c.winding(w, h)
             mujoco.mj_step(model, data)

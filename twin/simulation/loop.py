@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.simulation.cascade import current_controller, position_controller, speed_controller, speed_seen, winding
+from twin.simulation.cascade import current_controller, drive_position_loop, position_controller, speed_controller, speed_seen, winding
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_terms import (
     CURRENT,
@@ -58,6 +58,7 @@ RECORDED = (
     "torque_feedforward",
     "torque_friction",
     "torque_gravity",
+    "drive_velocity_setpoint",
 )
 """Channels of the record, in SI; torques in Nm at the motor: the motor's, the feedforward's, and what friction and gravity take."""
 
@@ -167,6 +168,8 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 measured_speed += noise[1]
                 measured_current += noise[2]
 
+            closed_on = motor_position if drives.on_motor_encoder[a] else scale
+
             # control: each loop at its own cycle; what is constant is divided by first, for nothing waits for that
             if k % schedule.position_ticks == 0:
                 cycle = n // schedule.position_ticks
@@ -175,11 +178,12 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                     x[X_SETPOINT] = setpoint
                     call_axis_terms(terms, SETPOINT, signals, a)
                     setpoint = x[X_SETPOINT]
-                closed_on = motor_position if drives.on_motor_encoder[a] else scale
                 fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
                 position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
             differentiated = drives.mean_cycles[a] > 0
             if k % schedule.speed_ticks == 0:
+                if drives.dsc[a]:
+                    drive_position_loop(a, drives, state, closed_on)
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
                 if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])):
@@ -202,15 +206,16 @@ def advance(engine, schedule, drives, state, terms, signals, command, sensing, f
                 row[0] = x[X_SCALE]
                 row[1] = x[X_MOTOR_POSITION]
                 row[2] = measured_speed if differentiated else motor_speed
-                row[3] = state.speed_setpoint[a] * drives.ratio[a]
+                row[3] = state.commanded_speed[a] * drives.ratio[a]
                 row[4] = current
                 row[5] = state.current_setpoint[a]
                 row[6] = drives.torque_constant[a] * current
                 row[7] = state.torque_feedforward[a]
-                row[10] = scale
-                row[11] = motor_position
-                row[12] = measured_speed if noisy or differentiated else motor_speed
-                row[13] = measured_current
+                row[10] = state.speed_setpoint[a] * drives.ratio[a]
+                row[11] = scale
+                row[12] = motor_position
+                row[13] = measured_speed if noisy or differentiated else motor_speed
+                row[14] = measured_current
 
             # winding: the motor turns as fast as its encoder shows
             torque = drives.torque_constant[a] * winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))

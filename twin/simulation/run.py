@@ -224,6 +224,8 @@ def _traces(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: 
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]
         for c, channel in enumerate(loop.RECORDED):
+            if channel == "drive_velocity_setpoint" and not axis.loops.dsc_delay_s:
+                continue  # the NC's own
             if axis.effort != "current" and channel in ("current", "current_setpoint"):
                 continue  # an axis without current: its command, a voltage or the torque
             signals[axis.name, channel] = record[:, a, c]

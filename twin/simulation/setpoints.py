@@ -6,6 +6,9 @@ added), read at arbitrary delays. The control differentiates them backwards over
     v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
     T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
 
+With `setpoint_interpolation = "linear"` a delayed set point lies on the straight line between the NC's samples at its position
+cycles: a delay of 1.5 cycles is the mean of the values one and two cycles old.
+
 Before the first sample the machine stood on it; after the last one it stays there. A recording that begins in motion gets a
 lead-in: the axes come up from rest to the speed that they have at its first sample.
 """
@@ -14,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +46,9 @@ TRAVEL_TOLERANCE = 1e-9
 LEAD_S = 0.4
 UP_TO_SPEED = 0.6
 """Least length of a lead-in [s], and the part of it in which the speed is reached: its transient has died when the recording begins."""
+
+WHOLE_CYCLE = 1e-9
+"""A delay this close to a whole number of position cycles is whole."""
 
 AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
 """Set point speeds up to which an axis is at rest [m/s, rad/s]."""
@@ -165,18 +172,23 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
             axis.loops.velocity_feedforward,
             axis.loops.torque_feedforward * inertia,
             axis.ratio,
+            machine.setpoint_interpolation == "linear",
         )
         for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
     ]
 
     def of(first: int, count: int) -> Command:
         # one spline evaluation for all axes, delays and steps back
-        delays = sorted({d for law in laws for d in (law.delay, *law.steps_back(tp))})
+        delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
         at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
         out = Command(*np.empty((3, count, len(laws))))
         for a, law in enumerate(laws):
-            now, before, earlier = (at[d][:, a] for d in law.steps_back(tp))
-            out.setpoint[:, a] = at[law.delay][:, a]
+
+            def read(delay: float, a: int = a, law: _Law = law) -> np.ndarray:
+                return sum((weight * at[d][:, a] for d, weight in law.weights(delay, tp)), start=np.zeros(count))
+
+            now, before, earlier = map(read, law.steps_back(tp))
+            out.setpoint[:, a] = read(law.delay)
             out.velocity_feedforward[:, a] = law.velocity_feedforward * (now - before) / tp
             acceleration = (now - 2.0 * before + earlier) / tp**2
             out.torque_feedforward[:, a] = law.fed_inertia * acceleration / law.ratio
@@ -193,6 +205,15 @@ class _Law(NamedTuple):
     velocity_feedforward: float
     fed_inertia: float
     ratio: float
+    linear: bool = False
+
+    def weights(self, delay: float, cycle: float) -> list[tuple[float, float]]:
+        """Delays and weights of the set points that a delayed one is made of: itself, or the NC's two samples on both sides."""
+        if not self.linear:
+            return [(delay, 1.0)]
+        whole = math.floor(delay / cycle + WHOLE_CYCLE)
+        part = max(delay / cycle - whole, 0.0)
+        return [(n * cycle, weight) for n, weight in ((whole, 1.0 - part), (whole + 1, part)) if weight > WHOLE_CYCLE]
 
     def steps_back(self, cycle: float) -> tuple[float, float, float]:
         """Delays of the three set points that a second difference takes."""
