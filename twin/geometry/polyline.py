@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from twin.compiled_functions import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def keep_shape(points, tolerance, keep):  # type: ignore[no-untyped-def]
     """Mark in `keep` (n,) the rows of `points` (n, 3 k) that hold the paths of k points within a tolerance.
 

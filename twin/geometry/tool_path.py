@@ -18,9 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-from numba import njit
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
@@ -158,7 +158,7 @@ def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.nda
     return Contour(distance, nearest), where
 
 
-@njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def find_nearest(points, path, low, high, nearest, distance, where):  # type: ignore[no-untyped-def]
     """Nearest point on segments low[i] .. high[i] of the path (m, k), for each point i of (n, k).
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import math
 from pathlib import Path
 
-from numba import njit
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
+from twin.compiled_functions import compiled
 from twin.errors import InputError
 from twin.recordings.least_squares import Fit, regress, whiteness
 
@@ -172,7 +172,7 @@ def _forces(record: Record, voltage: np.ndarray, kept: slice) -> list[tuple[np.n
     return [(g * voltage[kept], g * record.voltage[kept]), (filtered[0], filtered[1])]
 
 
-@njit(cache=True)
+@compiled(allocates=True)
 def _advance(s, h, kp, kv, g, mass, viscous, coulomb, offset, q0, v0, limit):  # type: ignore[no-untyped-def]
     """Positions and voltages at the samples; between them the force is held and the axis slides by the exact solution, or sticks."""
     n = len(s)

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.geometry.kinematics import Kinematics
 
 
@@ -55,7 +55,7 @@ def frames_of(kinematics: Kinematics, active: bool) -> Frames:
     return Frames(bool(active), *(np.ascontiguousarray(a, float) for a in arrays))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _times(f, g, out):
     """Jet of a product: Leibniz' rule."""
     out[0] = f[0] * g[0]
@@ -64,7 +64,7 @@ def _times(f, g, out):
     out[3] = f[3] * g[0] + 3.0 * (f[2] * g[1] + f[1] * g[2]) + f[0] * g[3]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _turned(angle, along, cross, v, cos, sin, term, out):
     """Jets (4, 3) of Rot(angle) v for jets angle (4,) and v (4, 3)."""
     c, s = np.cos(angle[0]), np.sin(angle[0])
@@ -90,7 +90,7 @@ def _turned(angle, along, cross, v, cos, sin, term, out):
             out[d, i] += product[d]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def axis_jet(f, w, work, out):
     """Jets (4, 5) of the axes from jets (4, 5) of tip, A and C; `work` (5, 4, 4) is scratch."""
     if not f.active:
@@ -116,7 +116,7 @@ def axis_jet(f, w, work, out):
         out[d, 4] = w[d, 4]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def spline_jet(s, j, at, out):
     """Jets (4, 5) of the spline at parameter `at` of piece j."""
     x = at - s.t[j]

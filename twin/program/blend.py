@@ -18,9 +18,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.program import elements as el
 from twin.program.elements import ARC
 
@@ -42,14 +42,14 @@ class Spline(NamedTuple):
     c: np.ndarray
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _ratio(d, tolerance, angle_tolerance):
     """Size of a deviation (5,) in tolerances."""
     length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / tolerance
     return max(length, abs(d[3]) / angle_tolerance, abs(d[4]) / angle_tolerance)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def knot_distances(e, tolerance, angle_tolerance, distance):
     """Knot distance h (E + 1,) wanted at every joint, and whether a knot must lie on it.
 
@@ -92,7 +92,7 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
     return h, corner
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def grade(e, h, corner):
     """Let h grow from tight joints only by GROWTH per length (in place)."""
     n = h.shape[0]
@@ -105,7 +105,7 @@ def grade(e, h, corner):
         h[k] = min(h[k], h[k + 1] + GROWTH * (e.u[k + 1] - e.u[k]))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _wanted(e, h, corner, i, at):
     """h at parameter `at` of element i: constant for 2 h around a corner, then growing; capped on arcs."""
     low, high = at - e.u[i], e.u[i + 1] - at
@@ -119,7 +119,7 @@ def _wanted(e, h, corner, i, at):
     return min(size, min(LONGEST_SPAN, e.u[e.u.shape[0] - 1] / 8.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def breaks(e, h, corner):
     """Breaks t of the spline: marched by h from one corner (or end) to the next, then fitted to meet it."""
     n = e.kind.shape[0]
@@ -167,7 +167,7 @@ def breaks(e, h, corner):
     return t[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def spline_on(e, t):
     """The spline on given breaks: control points from the curve, then the cubic pieces."""
     pieces = t.shape[0] - 1
@@ -199,7 +199,7 @@ def spline_on(e, t):
     return Spline(t, _pieces(knots, control))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _pieces(knots, control):
     """Power coefficients of each cubic piece from control points, by divided differences and de Boor's scheme."""
     pieces = knots.shape[0] - 7
@@ -225,7 +225,7 @@ def _pieces(knots, control):
     return c
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def spline_point(s, j, at, out):
     """Point (5,) of piece j at parameter `at`."""
     x = at - s.t[j]
@@ -233,7 +233,7 @@ def spline_point(s, j, at, out):
         out[d] = s.c[j, 0, d] + x * (s.c[j, 1, d] + x * (s.c[j, 2, d] + x * s.c[j, 3, d]))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def joint_ratios(e, s, tolerance, angle_tolerance):
     """Deviation of the spline at every joint (E + 1,) in tolerances; beside an arc also between, put down to the nearer joint."""
     n = e.kind.shape[0]
@@ -256,7 +256,7 @@ def joint_ratios(e, s, tolerance, angle_tolerance):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def blend(e, tolerance, angle_tolerance, distance):
     """The spline of a stretch and its deviation at every joint in tolerances (at most 1)."""
     h, corner = knot_distances(e, tolerance, angle_tolerance, distance)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.program import moves as mv
 from twin.program.moves import Program
 
@@ -79,7 +79,7 @@ def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
     return points
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def nearest_along(points, length, at, hint, back, ahead):
     """Distance (n,) of points `at` (n, 3) to a polyline and the length (n,) at which the nearest point lies.
 

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+from twin.compiled_functions import compiled
 
 REFERENCE_RADIUS = 0.1
 """Radius [m] that turns rad into path length for A and C (as FGREF on the control); only the parametrisation depends on it."""
@@ -34,7 +35,7 @@ class Elements(NamedTuple):
     angle: np.ndarray  # (E,) angle [rad] > 0 of arcs
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def find(u, at, hint):
     """Index of the interval of the increasing array `u` that holds `at`, searched from `hint`."""
     last = u.shape[0] - 2
@@ -46,7 +47,7 @@ def find(u, at, hint):
     return i
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def point(e, i, at, out):
     """Programmed point (5,) at parameter `at` of element i."""
     share = (at - e.u[i]) / (e.u[i + 1] - e.u[i])
@@ -61,7 +62,7 @@ def point(e, i, at, out):
             out[k] = e.centre[i, k] + cos * e.radius1[i, k] + sin * e.radius2[i, k] + share * pitch
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def slope(e, i, at_end, out):
     """dw/du (5,) at the start or the end of element i."""
     length = e.u[i + 1] - e.u[i]
@@ -76,7 +77,7 @@ def slope(e, i, at_end, out):
             out[k] = (e.angle[i] * (cos * e.radius2[i, k] - sin * e.radius1[i, k]) + pitch) / length
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def integral(e, i, low, high, out):
     """Add the integral of the programmed point over [low, high] within element i to `out` (5,)."""
     length = e.u[i + 1] - e.u[i]
@@ -95,7 +96,7 @@ def integral(e, i, low, high, out):
             out[k] += e.centre[i, k] * (high - low) + circle + half * pitch
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def mean(e, low, high, hint, out):
     """Mean of the programmed point over [low, high] into `out` (5,); returns the element of `low`."""
     out[:] = 0.0

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
 
@@ -51,7 +51,7 @@ class Law(NamedTuple):
     slope: np.ndarray
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _run_up(s, j, f, limits, feed, rotary):
     """Way [m of u] from rest to feed in the direction of piece j under the jerk and acceleration limits."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
@@ -67,7 +67,7 @@ def _run_up(s, j, f, limits, feed, rotary):
     return speed * max(np.sqrt(speed / jerk), 0.5 * speed / acceleration)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _along(w, feed, rotary):
     """Path speed du/dt that gives the feed at a point with jets w."""
     square = w[1, 3] ** 2 + w[1, 4] ** 2 if rotary else w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2
@@ -75,7 +75,7 @@ def _along(w, feed, rotary):
     return feed / size if size > 1e-9 else np.inf
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _slope_change(s, j):
     """How much the direction of the path changes within piece j (rad, for small changes)."""
     h = s.t[j + 1] - s.t[j]
@@ -86,7 +86,7 @@ def _slope_change(s, j):
     return np.sqrt(square)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def run_ups(s, e, f, limits, feeds):
     """Run-up way of each piece, at most half the stretch."""
     pieces = s.t.shape[0] - 1
@@ -98,7 +98,7 @@ def run_ups(s, e, f, limits, feeds):
     return way
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def grid(s, e, f, limits, feeds):
     """Nodes of the time law, the piece of the spline in which each interval lies, and the run-up way of each piece."""
     pieces = s.t.shape[0] - 1
@@ -165,7 +165,7 @@ def grid(s, e, f, limits, feeds):
     return nodes[:count].copy(), piece[: count - 1].copy(), way
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
     """Derivatives of the axes at the nodes into q1, q2, q3 and the greatest a by speed and feed into `top`."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
@@ -192,7 +192,7 @@ def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
             top[n + end] = min(top[n + end], speed * speed)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def rest_bounds(q1, q2, q3, h, limit_j):
     """Greatest a at the inner end of the first and last interval so that u ~ t^3 keeps the jerk limits there.
 
@@ -216,7 +216,7 @@ def rest_bounds(q1, q2, q3, h, limit_j):
     return bound
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def node_values(h, c):
     """a and a' at the nodes from the coefficients (zero at both ends, where the motion rests)."""
     n = h.shape[0]
@@ -292,7 +292,7 @@ def _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress) -
         begin, join_at, window = begin_next, join, WINDOW
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def excess(s, f, limits, law):
     """Greatest jerk within each interval as a share of its limit (interval,), looked at between the nodes."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))

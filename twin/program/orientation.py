@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics
 
@@ -97,7 +97,7 @@ def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int)
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _choose(pairs, reachable, free, fixed, start, travel):
     n = pairs.shape[1]
     angles = np.empty((n, 2))

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.program import axis_path
 
 SMALL = 1e-4  # |k| t^2 below which the series is used
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _moved(x0, y0, k, t):
     """Way, speed and acceleration after the time t in an interval."""
     z = k * t * t
@@ -42,7 +42,7 @@ def _moved(x0, y0, k, t):
     return x0 * s1 + y0 * s2, x0 * c + y0 * s1, y0 * c + k * x0 * s1
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def _interval_time(x0, x1, y0, y1, h):
     """Time for an interval: exact for constant acceleration, then Newton on the closed form."""
     k = (y1 - y0) / h
@@ -56,7 +56,7 @@ def _interval_time(x0, x1, y0, y1, h):
     return t
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def node_times(nodes, a, slope):
     """Time (node,) [s] at which each node is passed, from rest at the first to rest at the last."""
     n = nodes.shape[0] - 1
@@ -73,7 +73,7 @@ def node_times(nodes, a, slope):
     return times
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def sample(s, f, nodes, piece, a, slope, times, stretch, first, period, count, axes, u, tip_speed, turn_speed):
     """Fill axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
 

@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from twin.compiled_functions import compiled
 
 CONVERGED, NOT_STARTED, STALLED = 0, 1, 2
 
@@ -35,7 +36,7 @@ TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
 _FAST = {"contract", "arcp", "reassoc"}
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
     """The smallest slack of all limits (negative: one is broken); only its sign has a meaning."""
     intervals = h.shape[0]
@@ -64,7 +65,7 @@ def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
     return least
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@compiled(allocates=True, fastmath=_FAST)
 def assemble(
     c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, fresh, dual_top, dual_c, dual_a, dual_j, gradient, diagonal, beside, apart
 ):
@@ -216,7 +217,7 @@ def assemble(
     return time, gap
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@compiled(allocates=True, fastmath=_FAST)
 def dual_steps(
     c, step, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, dual_top, dual_c, dual_a, dual_j, move_top, move_c, move_a, move_j
 ):
@@ -291,7 +292,7 @@ def dual_steps(
     return primal, dual
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def tie_ends(ties, gradient, diagonal, beside, apart):
     """Take coefficient 1 (= tie * coefficient 2) and the last but one at the end out of the equations."""
     t = ties[0]
@@ -305,7 +306,7 @@ def tie_ends(ties, gradient, diagonal, beside, apart):
     beside[n - 2] += t * apart[n - 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def solve_band(first, last, diagonal, beside, apart, right):
     """Solve the symmetric five-diagonal system in place for the unknowns first .. last (inclusive)."""
     for i in range(first, last + 1):
@@ -334,7 +335,7 @@ def solve_band(first, last, diagonal, beside, apart, right):
             right[i] -= apart[i] * right[i + 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
     """Node values of a that are about reachable: local limits, then growth from every low place as under constant jerk."""
     intervals = h.shape[0]
@@ -366,7 +367,7 @@ def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
     return a
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
     """Coefficients c (interval + 2,) of a(u), the time [s], the number of Newton steps and a status.
 

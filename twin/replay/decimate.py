@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 import heapq
 
-from numba import njit
 import numpy as np
+
+from twin.compiled_functions import compiled
 
 FINEST_BIN = 4
 """Samples of the shortest bin."""
@@ -69,7 +70,7 @@ def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
     return np.flatnonzero(found)
 
 
-@njit(cache=True, nogil=True)
+@compiled(allocates=True)
 def mark_corners(time, values, tolerance, keep):  # type: ignore[no-untyped-def]
     """Mark in `keep` (n,) the points whose polyline stays within a tolerance of all others, in one pass.
 

@@ -13,8 +13,8 @@ import os
 
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.errors import InputError
-from twin.surface.kernels import kernel
 from twin.surface.removal import CutStatistics, element_entry
 from twin.surface.steps import Steps
 from twin.surface.sweep import FRUSTUM
@@ -107,7 +107,7 @@ def cut_dexels(dexels: Dexels, steps: Steps, tool: Tool, *, threads: int | None 
     return replace(dexels, intervals=intervals, count=count), CutStatistics(pairs, int(tests.sum()))
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def cut_rays(first, last, point, n, intervals, count, moves, elements, tests, full):  # type: ignore[no-untyped-def]
     """Cut the rays first .. last; fills intervals, count, tests, and `full` where a list overflows."""
     back = (-n[0], -n[1], -n[2])

@@ -19,8 +19,8 @@ import os
 
 import numpy as np
 
+from twin.compiled_functions import compiled
 from twin.surface.height_rays import TILE, Nails, tile_bounds, tiles_of
-from twin.surface.kernels import kernel
 from twin.surface.steps import Steps
 from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_rim, swept_sphere
 from twin.surface.tools import Tool
@@ -31,6 +31,8 @@ BOUND_MARGIN = 1e-9
 """The bound of a nail is taken this much lower than computed [m], beyond its rounding."""
 UNDER = 1e-9
 """What a rounded element would take less than this [m] below the plane under it is left to the element that has that plane."""
+REORDERED = {"contract", "nsz", "arcp"}
+"""How the compiler may change sums in the loop that takes four nails at a time."""
 TILES_AT_ONCE = 64
 """Tiles that a thread takes at a time: bounds the time between two reports of progress."""
 
@@ -103,7 +105,7 @@ def group_bounds(steps: Steps, tool: Tool) -> np.ndarray:
     return out
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
     """Smallest distance between the segments a .. b and p .. q."""
     u = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
@@ -123,7 +125,7 @@ def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
     return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-untyped-def]
     """Lowest t at which nail p + t n lies in an element during the step m (a row of `moves`); nothing is sought above `top`."""
     tip, way = (m[0], m[1], m[2]), (m[3], m[4], m[5])
@@ -154,7 +156,7 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     return swept_rim(y, n, d, (m[13], m[14], m[15]), (m[16], m[17], m[18]), (m[19], m[20], m[21]), (m[22], m[23], m[24]), r, slope)
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
     """May an element during step m touch the capsule of a tile?"""
     a, b = (bound[0], bound[1], bound[2]), (bound[3], bound[4], bound[5])
@@ -181,7 +183,7 @@ def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
     return segments_apart(a, b, p, q) <= bound[6] + radius + extra
 
 
-@kernel(several_at_once=True)
+@compiled(ieee_division=True, allocates=True, fastmath=REORDERED)
 def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no-untyped-def]
     """Lowest t of each nail in the endless way of a sphere: below the one within the step, -inf along the way, NaN where missed.
 
@@ -206,7 +208,7 @@ def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no
         bounded[i] = t if cc > PARALLEL else -math.inf
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def cut_tiles(first, last, starts, bounds, lines, height, cutter, floor, moves, sample, groups, elements, tests):  # type: ignore[no-untyped-def]
     """Cut the nails of the tiles first .. last; see the module's text. Fills height, cutter and tests."""
     most = 0

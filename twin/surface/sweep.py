@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 
-from twin.surface.kernels import kernel
+from twin.compiled_functions import compiled
 
 SPHERE, FRUSTUM, ROUNDED = 0, 1, 2
 TINY = 1e-30
@@ -40,7 +40,7 @@ RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
 GOLDEN = 0.6180339887498949
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
     """Lowest t in a sphere that moves by d (length2 = d.d), and the s where it happens; y = nail point - first centre."""
     e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
@@ -83,7 +83,7 @@ def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
     return (-e - math.sqrt(disc), 0.0) if disc >= 0.0 else (math.inf, 0.0)
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
     """Interval where a x^2 + 2 b x + c <= 0, for a convex region; (inf, -inf) where there is none.
 
@@ -111,7 +111,7 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
     return x2, x1
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
     """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) where there is none.
 
@@ -133,7 +133,7 @@ def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
     return math.inf, -math.inf
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
     """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = nail point - tip at s = 0.
 
@@ -207,7 +207,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
     return best, at, 2 if best < math.inf else 1
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-untyped-def]
     """Lowest t in the frustum as it stands at the part s of its step."""
     u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
@@ -216,7 +216,7 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
     return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, 0.0, 0.0, math.inf)[0]
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
     """Does the part of the nail up to `top` surely miss the frustum during the whole step, by its faces or by its cone?"""
     x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
@@ -245,7 +245,7 @@ def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-
     return far - along * along / (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) > wide * wide
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
     """Lowest t in a frustum whose tip moves from `tip` by d and whose axis turns from u0 by du; nothing is sought above `top`."""
     y = (p[0] - tip[0], p[1] - tip[1], p[2] - tip[2])
@@ -314,7 +314,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     return best
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
     """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the nail lies.
 
@@ -346,13 +346,13 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     return t, math.atan2(x[0] * h2[0] + x[1] * h2[1] + x[2] * h2[2], x[0] * h1[0] + x[1] * h1[1] + x[2] * h1[2]), gap
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _turn(angle):  # type: ignore[no-untyped-def]
     """An angle brought to -pi .. pi."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
     """Lowest t on the rim between two angles: golden section, on the distance until the nail is met, then secants to the end."""
     x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
@@ -399,7 +399,7 @@ def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ig
     return best
 
 
-@kernel
+@compiled(ieee_division=True, allocates=True)
 def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untyped-def]
     """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = nail point - first centre.
 

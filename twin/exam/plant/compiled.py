@@ -1,9 +1,12 @@
 """The decorator of the plant's compiled functions: numba njit, without the GIL, cached on disk.
 
 numba's cache looks only at the file of a function, not at the files of the functions that it calls: after a change to
-control.py a cached loop in plant.py would go on with the old law. Here the cache's stamp is a digest of all sources of
-the compiled functions, so that a change to any of them compiles anew. Where a later numba keeps its stamp elsewhere,
-nothing is cached: slower, never stale.
+control.py a cached loop in plant.py would keep the old law. Here the cache's stamp is a digest of all sources of
+the compiled functions, so that a change to any of them compiles all anew. Where a later numba keeps its stamp elsewhere, or
+no folder is writable, nothing is cached: slower, never stale.
+
+`twin.compiled_functions` does the same for the twin. This one stays apart because the plant examines the twin: it imports
+nothing of it, so that no fault can hide by being in both.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ def compiled(inline: bool = False, allocates: bool = False) -> Callable:
     def wrap(function: Callable) -> Callable:
         plain = njit(nogil=True, error_model="numpy", _nrt=allocates, inline="always" if inline else "never")
         dispatcher: Any = plain(function)
-        dispatcher.enable_caching()
+        try:
+            dispatcher.enable_caching()
+        except (RuntimeError, OSError):  # no folder is writable; the twin has said so
+            return plain(function)
         file: Any = getattr(dispatcher._cache, "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
             return plain(function)
