@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
+from scipy.signal import cont2discrete
 
-from twin.diagnose.candidates import Start, combine
+from twin.diagnose.candidates import FRAME_DAMPING, Start, _swing, combine
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
 
@@ -31,3 +33,14 @@ def test_a_scaled_lag_delays_that_share(effect, cycle, share):
 def test_other_sizes_are_scaled_by_their_deviation_from_neutral():
     first = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
     assert combine(Start((first,)), [0.2], load_machine()).parameters["factor"] == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-3, 4e-3, 0.04, 0.1])
+def test_the_swing_of_a_frame_is_the_exact_one_at_every_sampling_period(period):
+    for frequency_hz in (12.0, 40.0, 90.0):
+        w = 2.0 * math.pi * frequency_hz
+        exact = cont2discrete(([1.0], [1.0, 2.0 * FRAME_DAMPING * w, w * w]), period, "zoh")
+        b, a = _swing(frequency_hz, period)
+        np.testing.assert_allclose(b, exact[0].ravel(), rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(a, exact[1], rtol=1e-9)
+        assert np.abs(np.roots(a)).max() < 1.0

@@ -263,22 +263,43 @@ class _Lines:
         return frequencies, power
 
     def _frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gain of a swinging frame in windup (or position), frequency by frequency."""
+        """How much of the windup (or, without it, of the position) a frame that swings with each frequency explains.
+
+        Frequencies that a run's sampling cannot show (from half its rate on) get nothing from it.
+        """
         from scipy.signal import lfilter
 
         frequencies = np.geomspace(12.0, 90.0, 40)
         power = np.zeros(len(frequencies))
         name = "windup" if any(n == "windup" for _, n in self.channels) else "position"
         for values, _, v, t in self._pieces(name):
+            if len(t) < 3:
+                continue
             period = float(np.median(np.diff(t)))
             a = np.gradient(v, period)
-            for i, f in enumerate(frequencies):
-                w, z = 2 * np.pi * f, 0.05
-                response = lfilter([period**2], [1.0, -2 + 2 * z * w * period + (w * period) ** 2, 1 - 2 * z * w * period], a)
+            for i in np.flatnonzero(frequencies < 0.5 / period):
+                response = lfilter(*_swing(float(frequencies[i]), period), a)
                 norm = float(response @ response)
                 if norm > 0:
                     power[i] += float(response @ values) ** 2 / norm
         return frequencies, power
+
+
+FRAME_DAMPING = 0.05
+"""Damping ratio with which a swinging frame is looked for."""
+
+
+def _swing(frequency_hz: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Filter (b, a) from acceleration to the swing x of a frame, x'' + 2 z w x' + w^2 x = acceleration, exact for one held over a sample.
+
+    With r = exp(-z w T), c = r cos(w_d T), s = r sin(w_d T), q = z / sqrt(1 - z^2), w_d = w sqrt(1 - z^2):
+    b = (0, 1 - c - q s, r^2 - c + q s) / w^2,   a = (1, -2 c, r^2). Stable at every sampling period.
+    """
+    w, z = 2.0 * math.pi * frequency_hz, FRAME_DAMPING
+    root = math.sqrt(1.0 - z * z)
+    r = math.exp(-z * w * period)
+    c, s, q = r * math.cos(w * root * period), r * math.sin(w * root * period), z / root
+    return np.array([0.0, 1.0 - c - q * s, r * r - c + q * s]) / w**2, np.array([1.0, -2.0 * c, r * r])
 
 
 def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:

@@ -17,7 +17,6 @@ from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
-from twin.diagnose.evidence import retuning_share, waterfall
 from twin.diagnose.fit import Fit
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
@@ -27,6 +26,7 @@ from twin.diagnose.state import Found
 from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
+from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import places
 from twin.effects import Setting, with_effects
 from twin.errors import InputError
@@ -109,8 +109,9 @@ class Diagnosis:
 
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
-        """Levels of the gap step by step, see `evidence.waterfall`."""
-        return waterfall(self)
+        """Levels of the gap step by step, see `twin.diagnose.waterfall`."""
+        ends = {axis: (self.axis_level("before", axis) ** 2, self.axis_level("after", axis) ** 2) for axis in self.axes}
+        return waterfall(self.found, ends, self.machine.parameter_tolerance)
 
     def _pooled(self, which: str) -> float:
         return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in self.axes]))) if self.axes else 1.0

@@ -1,31 +1,19 @@
-"""What the report shows, taken from a diagnosis: steps of the waterfall, the telling stretch, tables.
-
-The waterfall begins and ends with the measured gap of runs left out (`gap.before`, `gap.after`); between them the fit says
-how much each step closes on each axis. With E the mean square of an axis' residual over noise in the fit, step k is told as
-
-    level_k^2 = mean over axes of  after^2 + (E_k - E_end) / (E_0 - E_end) (before^2 - after^2)
-"""
+"""What the report shows besides numbers, taken from a diagnosis: the telling stretches, the map of blocks, levels by run, re-tuned values."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
-from twin.diagnose.cross_validation import retuned_within
-from twin.diagnose.fit import Fit
-from twin.diagnose.state import Found
+from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.where import STRETCH_S
-from twin.diagnose.wording import effect_title
 from twin.simulation.gap import COMPARED
-
-if TYPE_CHECKING:
-    from twin.diagnose.diagnosis import Diagnosis
 
 BLOCKS_NEED = {
     "position controller": (("position", "motor_position"), ("velocity_setpoint",)),
@@ -52,74 +40,6 @@ class Stretch:
     start: float
     stop: float
     block: str
-
-
-def waterfall(diagnosis: Diagnosis) -> list[tuple[str, float]]:
-    """Levels of the gap in multiples of noise: before, re-tuned, after each effect; the last is the gap that is left."""
-    ends = {axis: (diagnosis.axis_level("before", axis) ** 2, diagnosis.axis_level("after", axis) ** 2) for axis in diagnosis.axes}
-    current = {axis: before for axis, (before, _) in ends.items()}
-    steps: list[tuple[str, float]] = []
-
-    def step(label: str, found: Found | None = None, fit: Fit | None = None) -> None:
-        if found is not None:
-            current.update(_told_squares(found, fit, ends))
-        square = float(np.mean(list(current.values()))) if current else 1.0
-        if steps and steps[-1][0] == label:
-            steps.pop()
-        steps.append((label, float(np.sqrt(square))))
-
-    step("as the machine file says")
-    for found in diagnosis.found:
-        step("re-tuned within tolerance", found, retuned_within(found, diagnosis.machine.parameter_tolerance))
-    # groups of axes do not touch each other: the one whose effects close most comes first
-    for found in sorted(diagnosis.found, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
-        for label, fit in _accepted(found):
-            step(label, found, fit)
-    return steps
-
-
-def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
-    """Share of the squared gap above noise that re-tuning closes, of the steps of a waterfall."""
-    levels = [level**2 for _, level in steps]
-    return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
-
-
-def _told_squares(found: Found, fit: Fit | None, ends: dict[str, tuple[float, float]]) -> dict[str, float]:
-    """Squared level of each axis of a group after a step: the fit's share between the measured ends."""
-    first, now, last = (_axis_squares(found, f) for f in (None, fit, found.fit))
-    out = {}
-    for axis, (before, after) in ends.items():
-        if axis in now:
-            drop = first[axis] - last[axis]
-            share = (now[axis] - last[axis]) / drop if drop > 0.0 else 0.0
-            out[axis] = max(after + share * (before - after), 0.0)
-    return out
-
-
-def _accepted(found: Found) -> list[tuple[str, Fit]]:
-    """The fits by which effects came in, one after another; the last is the final one."""
-    steps: list[tuple[str, Fit]] = []
-    for fit in found.accepted:
-        last = fit.settings[-1]
-        if last.key in found.keys:
-            steps.append((effect_title({"effect": last.effect.name, "axis": last.axis, "from_axis": last.from_axis}), fit))
-    return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
-
-
-def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
-    """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
-    left = found.group.residual.copy()
-    if fit is not None:
-        left -= fit.response
-        # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
-        known = len(fit.tuning) == len(found.tuning.nuisances)
-        left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
-    squares: dict[str, list[float]] = {}
-    for channel in found.group.channels:
-        if channel.name != "controller":  # windup stands for the motor encoder
-            normed = left[channel.rows] / channel.weight / channel.sigma
-            squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
-    return {axis: float(np.mean(values)) for axis, values in squares.items()}
 
 
 def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str], list[list[tuple[str, float, float]]]]:

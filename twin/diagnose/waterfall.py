@@ -1,0 +1,93 @@
+"""The gap step by step: as the machine file says, re-tuned within tolerance, with each effect.
+
+The first and the last level are measured on runs left out (`gap.before`, `gap.after`). The levels between them come from the fit.
+With E the mean square of an axis' residual over noise in the fit, step k of an axis has
+
+    level_k^2 = after^2 + (E_k - E_end) / (E_0 - E_end) (before^2 - after^2)
+
+and the gap the root of the mean of that over the axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from twin.diagnose.cross_validation import retuned_within
+from twin.diagnose.fit import Fit
+from twin.diagnose.state import Found
+from twin.diagnose.wording import effect_title
+
+Ends = Mapping[str, tuple[float, float]]
+"""Axis -> squared gap over noise before and after correction."""
+
+
+def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
+    """Levels of the gap in multiples of noise: before, re-tuned, after each effect. The last is the gap that is left.
+
+    `state` is the last state of each group of axes, `tolerance` that of the machine's parameters (a fraction).
+    """
+    current = {axis: before for axis, (before, _) in ends.items()}
+    steps: list[tuple[str, float]] = []
+
+    def step(label: str, found: Found | None = None, fit: Fit | None = None) -> None:
+        if found is not None:
+            current.update(_levels_after(found, fit, ends))
+        square = float(np.mean(list(current.values()))) if current else 1.0
+        if steps and steps[-1][0] == label:
+            steps.pop()
+        steps.append((label, float(np.sqrt(square))))
+
+    step("as the machine file says")
+    for found in state:
+        step("re-tuned within tolerance", found, retuned_within(found, tolerance))
+    # groups of axes do not touch each other: the one whose effects close most comes first
+    for found in sorted(state, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
+        for label, fit in _accepted(found):
+            step(label, found, fit)
+    return steps
+
+
+def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
+    """Share of the squared gap above noise that re-tuning closes, of the steps of a waterfall."""
+    levels = [level**2 for _, level in steps]
+    return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
+
+
+def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]:
+    """Squared level of each axis of a group after a step: the fit's share between the measured ends."""
+    first, now, last = (_axis_squares(found, f) for f in (None, fit, found.fit))
+    out = {}
+    for axis, (before, after) in ends.items():
+        if axis in now:
+            drop = first[axis] - last[axis]
+            share = (now[axis] - last[axis]) / drop if drop > 0.0 else 0.0
+            out[axis] = max(after + share * (before - after), 0.0)
+    return out
+
+
+def _accepted(found: Found) -> list[tuple[str, Fit]]:
+    """The fits by which effects came in, one after another; the last is the final one."""
+    steps: list[tuple[str, Fit]] = []
+    for fit in found.accepted:
+        last = fit.settings[-1]
+        if last.key in found.keys:
+            steps.append((effect_title({"effect": last.effect.name, "axis": last.axis, "from_axis": last.from_axis}), fit))
+    return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
+
+
+def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
+    """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
+    left = found.group.residual.copy()
+    if fit is not None:
+        left -= fit.response
+        # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
+        known = len(fit.tuning) == len(found.tuning.nuisances)
+        left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
+    squares: dict[str, list[float]] = {}
+    for channel in found.group.channels:
+        if channel.name != "controller":  # windup stands for the motor encoder
+            normed = left[channel.rows] / channel.weight / channel.sigma
+            squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
+    return {axis: float(np.mean(values)) for axis, values in squares.items()}
