@@ -73,7 +73,7 @@ def test_the_surrogate_tells_its_own_error(count: int) -> None:
     assert surrogate.kind == "thin-plate spline"
     assert real < 0.03
     assert 0.5 < surrogate.error / real < 3.0  # a fifth of the points is missing where it is measured
-    swings = swings_of(["a", "b"], table, surrogate)
+    swings = swings_of(["a", "b"], table, truth(table), surrogate)
     assert swings[0].factor == "a"
     assert abs(next(s for s in swings if s.factor == "b").least_at) < 0.05
 

@@ -53,7 +53,7 @@ def test_responses_are_those_of_the_run(tmp_path: Path) -> None:
     assert found["speed_limit_used_X"] == pytest.approx(np.abs(v).max() / 0.5)
     assert found["copper_loss_X_w"] == pytest.approx(0.5 * np.mean(i**2))
     assert found["cycle_time_s"] == pytest.approx(trace.time[-1])
-    assert not any("_Y_" in name for name in found)  # Y stands
+    assert not any("_Y_" in name and "_loop_" not in name for name in found)  # Y stands
     last = np.flatnonzero(np.diff(s))[-1] + 1
     outside = np.flatnonzero(np.abs(s - x) > 1e-6)
     assert found["settling_time_X_ms"] == pytest.approx((outside[-1] + 1 - last) * 1.0)
@@ -86,14 +86,48 @@ def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Pa
     assert reasons[0] == ""
     assert "moving_mass_kg = 100 does not exceed the 350 kg" in reasons[1]
     assert "loops are unstable" in reasons[2] or "diverges" in reasons[2]
-    assert "axis X is at its current limit" in reasons[3]
+    assert "time at current limit of X is" in reasons[3]
     assert [bool(responses) for _, _, responses, _ in found] == [True, False, False, True, True]
     study = read_study(spec)
     # where only one variant runs, nothing is known of any factor
     assert answers_of(study, found[:2]).without_effect == []
-    # it counts, but it is neither the best nor on the front
+    # a variant at its limit is neither the best nor on the front, and enters no effect
     answers = answers_of(study, found)
     assert (answers.failed, answers.broken, answers.best, answers.pareto) == (2, 2, 0, [0])
+
+
+def test_the_commanded_path_of_a_trace_is_that_of_each_variant(tmp_path: Path) -> None:
+    """Set points of the axes are another tool path on another geometry: the contour error stays that of the drives."""
+    time, tilt = moves_in_turn(0.0, [0.3], 0.5, 2.0, 50.0, 0.06, 1e-3)
+    signals = {("A", "setpoint"): tilt, ("C", "setpoint"): np.zeros(len(time)), ("Z", "setpoint"): np.zeros(len(time))}
+    write_trace(Trace(time, signals, {"A": "rotary", "C": "rotary", "Z": "linear"}), tmp_path / "move.csv")
+    factor = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_z_m"\n[design]\nkind = "list"\nrows = [[0.0], [0.2]]\n'
+    nominal, other = rows_of(write_spec(tmp_path, factor), tmp_path / "out")
+    assert 0.0 < nominal[2]["contour_error_max_um"] < 1000.0
+    assert 0.2 < other[2]["contour_error_max_um"] / nominal[2]["contour_error_max_um"] < 5.0
+
+
+def test_a_variant_without_phase_margin_has_its_reason(tmp_path: Path) -> None:
+    gain = '[[factor]]\nname = "gain"\npath = "axis.X.loops.position_gain_per_s"\n[design]\nkind = "list"\nrows = [[50.0], [330.0]]\n'
+    good, poor = rows_of(write_spec(tmp_path, gain), tmp_path / "out")
+    assert good[3] is None
+    assert good[2]["phase_margin_position_loop_X_deg"] > 60.0
+    assert "phase margin position loop of X is" in (poor[3] or "") or not poor[2]
+    # the same without the constraint, and with one of one's own
+    asked = 'least_phase_margin_deg = 0\n[[constraint]]\nresponse = "crossover_position_loop_X_hz"\nleast = 20\n'
+    slow, fast = rows_of(write_spec(tmp_path, asked + gain.replace("330.0", "150.0")), tmp_path / "own")
+    assert "crossover position loop of X is 8.441 Hz, at least 20 Hz is asked for" in (slow[3] or "")
+    assert fast[3] is None
+
+
+def test_a_moment_at_a_limit_is_allowed(tmp_path: Path) -> None:
+    limit = '[[factor]]\nname = "limit"\npath = "axis.X.motor.peak_current_a"\n[design]\nkind = "list"\nrows = [[2.5]]\n'
+    ((_, _, found, reason),) = rows_of(write_spec(tmp_path, limit), tmp_path / "out")
+    assert found["time_at_current_limit_X_share"] > 0.001
+    assert "time at current limit of X is" in (reason or "")
+    assert "at most 0.1 % is allowed" in (reason or "")
+    ((*_, reason),) = rows_of(write_spec(tmp_path, f"most_time_at_limit = 0.9\n{limit}"), tmp_path / "allowed")
+    assert reason is None
 
 
 def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
@@ -126,7 +160,7 @@ def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
             assert found[name] == pytest.approx(np.abs(run.trace.get(axis, signal)).max())
         assert found["voltage_limit_used_X"] == pytest.approx(found["voltage_max_X_v"] / 10.0)
         assert nominal[3] is None
-        assert "axis X is at its voltage limit" in (limited[3] or "")
+        assert "time at voltage limit of X is" in (limited[3] or "")
         assert heavier[2]["current_max_Z_a"] > found["current_max_Z_a"]
         assert heavier[3] is None
 
@@ -335,7 +369,7 @@ def test_everything_is_written_and_the_best_machine_is_the_best(tmp_path: Path, 
     again = simulate(best, setpoints_of(read_trace(tmp_path / "move.csv"), best)).trace
     assert np.abs(again.get("X", "current")).max() == pytest.approx(document["best"]["responses"]["current_max_X_a"], rel=1e-12)
     page = (out / "report.html").read_text(encoding="utf-8")
-    for word in ("Findings", "current_max_X_a", "Trade-off", "Surrogate", "<svg"):
+    for word in ("Findings", "largest current of X [A]", "Trade-off", "Surrogate", "<svg"):
         assert word in page
     for plot in ("current_max_X_a.png", "current_max_X_a_effects.png", "pareto.png"):
         assert (out / "plots" / plot).stat().st_size > 5000

@@ -27,8 +27,9 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.simulation.summary import table
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
+    from twin.study.labels import label_of, titled, valued
     from twin.study.output import write_study
-    from twin.study.report import effect_rows, sentences
+    from twin.study.report import sentences, swing_rows
     from twin.study.results import answers_of
     from twin.study.spec import read_study
     from twin.study.store import Store
@@ -64,14 +65,16 @@ def carry_out(args: argparse.Namespace) -> int:
     for line in sentences(answers):
         print(line)
     for r in answers.responses:
-        print(f"\n{r.name}")
-        print(table(["factor", "change, low to high end", "95 % interval"], effect_rows(r)))
+        if r.swings:
+            print(f"\n{titled(r.name)} ({r.name})")
+            print(table(["factor", "moves it by", "least at", "largest at"], swing_rows(r)))
         if r.sobol:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
     if answers.best is not None:
         number, factors, responses, _ = answers.row(answers.best)
-        told = ", ".join(f"{name} {value:.4g}" for name, value in zip(answers.factors, factors))
-        print(f"\nleast {answers.responses[0].name}: {responses[answers.responses[0].name]:.4g} with variant {number}: {told}")
+        at = ", ".join(f"{name} {value:.4g}" for name, value in zip(answers.factors, factors))
+        first = answers.minimised
+        print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {at}")
     print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
     return 0

@@ -60,9 +60,9 @@ class Loop:
         """Do all poles of the closed loop lie inside the unit circle?"""
         return bool(np.abs(np.linalg.eigvals(self.a - self.b @ self.c)).max() < STABLE)
 
-    def grid(self) -> np.ndarray:
-        """Frequencies [Hz] from slow to half the sampling rate, logarithmic."""
-        return np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), GRID)
+    def grid(self, count: int = GRID) -> np.ndarray:
+        """Frequencies [Hz] (count,) from slow to half the sampling rate, logarithmic."""
+        return np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), count)
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ class Margins:
     stable: bool
 
 
-def margins_of(loop: Loop) -> Margins:
-    """Margins, found on a grid and refined; of several crossings the one with the least margin."""
-    f = loop.grid()
+def margins_of(loop: Loop, count: int = GRID) -> Margins:
+    """Margins, found on a grid of so many frequencies and refined; of several crossings the one with the least margin."""
+    f = loop.grid(count)
     response = loop.open_response(f)
     crossovers = [_refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1]) for i in _changes(np.log(np.abs(response)))]
     # the imaginary part changes its sign on the negative real axis
@@ -95,7 +95,7 @@ def margins_of(loop: Loop) -> Margins:
     gains = [(1.0 / abs(_at(loop, x)), x) for x in crossings]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
-    closed = np.abs(loop.closed_response(f))
+    closed = np.abs(response / (1.0 + response))
     fallen = np.flatnonzero(closed < math.sqrt(0.5))
     above = np.flatnonzero(closed >= math.sqrt(0.5))
     last = fallen[fallen > above[0]] if above.size else fallen[:0]

@@ -27,6 +27,8 @@ NO_EFFECT = 1e-9
 """A response that changes by less than this (relative) over all variants does not depend on any factor."""
 ROUNDING = 1e-9
 """A response whose numbers all stay below this, in its own unit (um, A, W, s), is zero."""
+FITS = 0.5
+"""A surrogate that misses left-out variants by more than this share of their spread (R2 below 0.75) is shown and not believed."""
 SURE = 1e-3
 """Chance of error at which a factor is said to move some response, where no two variants differ in it alone."""
 
@@ -49,6 +51,11 @@ class Surrogate:
     error: float
     spread: float
     predict: Callable[[np.ndarray], np.ndarray]
+
+    @property
+    def fits(self) -> bool:
+        """Does it predict variants left out well enough to speak for the response?"""
+        return self.error <= FITS * self.spread
 
 
 @dataclass(frozen=True)
@@ -204,12 +211,16 @@ def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
     return best
 
 
-def swings_of(names: Sequence[str], table: np.ndarray, surrogate: Surrogate) -> list[Swing]:
-    """Swing of each factor on the surrogate, largest first: it also sees an optimum inside, which a main effect does not."""
-    out = []
+def swings_of(names: Sequence[str], table: np.ndarray, y: np.ndarray, surrogate: Surrogate) -> list[Swing]:
+    """Swing of each factor on a surrogate of y that fits, largest first: it also sees an optimum inside, which a main effect does not."""
+    out: list[Swing] = []
+    if not surrogate.fits:
+        return out
+    reached = (float(y.min()), float(y.max()))
     for i, name in enumerate(names):
         points = np.tile(np.median(table, axis=0), (201, 1))
         points[:, i] = np.linspace(table[:, i].min(), table[:, i].max(), 201)
-        y = surrogate.predict(points)
-        out.append(Swing(name, float(np.ptp(y)), float(points[np.argmin(y), i]), float(points[np.argmax(y), i])))
+        # no factor moves a response further than the variants themselves went
+        along = np.clip(surrogate.predict(points), *reached)
+        out.append(Swing(name, float(np.ptp(along)), float(points[np.argmin(along), i]), float(points[np.argmax(along), i])))
     return sorted(out, key=lambda s: -s.swing)

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.study.labels import label_of, titled, valued
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response
 from twin.study.spec import Study
@@ -24,22 +25,28 @@ COLUMNS = 3
 
 def sentences(answers: Answers) -> list[str]:
     """The findings in words: which factor moves each response how far."""
-    told = []
+    said = []
     for r in answers.responses:
-        text = f"{r.name}: {r.y.min():.4g} to {r.y.max():.4g}"
+        text = f"{label_of(r.name)}: {valued(r.name, float(r.y.min()))} to {valued(r.name, float(r.y.max()))}"
         if r.swings:
             s = r.swings[0]
-            text += f"; {s.factor} moves it most, by {s.swing:.3g}: least at {s.least_at:.4g}, largest at {s.largest_at:.4g}"
-        elif r.effects:
-            e = r.effects[0]
-            text += f"; {' and '.join(e.factors)} moves it by {2 * e.value:.3g} from the low to the high end"
-        told.append(text)
-    told += [f"{name} has no effect on any response" for name in answers.without_effect]
-    if answers.failed:
-        told.append(f"{answers.failed} of {len(answers.rows)} variants could not be run; their rows give the reason")
-    if answers.broken:
-        told.append(f"{answers.broken} of {len(answers.rows)} variants broke a limit: they count in the effects, not as the best")
-    return told
+            text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: least at {s.least_at:.4g}, largest at {s.largest_at:.4g}"
+        elif r.surrogate:
+            text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
+        said.append(text)
+    said += [f"{name} has no effect on any response" for name in answers.without_effect]
+    for count, ran, what in (
+        (answers.failed, False, "could not be run"),
+        (answers.broken, True, "break a constraint: they enter neither effects nor best"),
+    ):
+        if count:
+            said.append(f"{count} of {len(answers.rows)} variants {what}; commonest reason: {answers.commonest(ran)}")
+    return said
+
+
+def swing_rows(r: Response) -> list[list[str]]:
+    """A line for each factor: how far it moves the response, and where that is least and largest."""
+    return [[s.factor, valued(r.name, s.swing), f"{s.least_at:.4g}", f"{s.largest_at:.4g}"] for s in r.swings]
 
 
 def effect_rows(r: Response) -> list[list[str]]:
@@ -62,24 +69,30 @@ def write_report(study: Study, answers: Answers, out: Path) -> list[str]:
     sections = [Section("Findings", items=sentences(answers))]
     for r in answers.responses:
         figures = [
-            shown(factors_figure(study, r), r.name, f"{r.name} of every variant, and the surrogate with the other factors at their median"),
-            shown(_effects_figure(r), f"{r.name}_effects", "Change from the low to the high end of each factor, with 95 % intervals"),
+            shown(
+                factors_figure(study, r),
+                r.name,
+                f"{titled(r.name)} of every variant that keeps the constraints, and the surrogate with the other factors at their median",
+            ),
         ]
+        if r.swings:
+            caption = "How far each factor moves it over its range with the others at their median; red: the surrogate's error"
+            figures.append(shown(_swings_figure(r), f"{r.name}_effects", caption))
         words = []
         if r.surrogate:
             share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
             words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {r.surrogate.error:.3g} RMS{share}.")
-        tables = []
+        tables = [Table(["factors", "change, low to high end", "95 % interval"], effect_rows(r), caption="Main effects and interactions")]
         if r.sobol:
             columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
             lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
             tables.append(Table(["factor", "first order", "+-", "total", "+-"], lines, caption="Sobol indices: shares of the variance"))
-        sections.append(Section(r.name, words, figures, tables))
+        sections.append(Section(titled(r.name), words, figures, tables))
     if len(answers.responses) >= 2 and answers.pareto:
         sections.append(_trade_off(answers, shown(_pareto_figure(answers), "pareto", "Every variant, and those on the front")))
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
-        ("Variants that broke a limit", [r for r in answers.rows if r[2] and r[3]]),
+        ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
     ):
         if rows:
             lines = [[str(n), *_numbers(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
@@ -93,9 +106,9 @@ def _lead(study: Study, answers: Answers) -> str:
     text = f"{len(answers.rows)} variants of {study.machine.name} ({study.design.kind}), run on {runs}."
     if answers.best is not None:
         number, factors, responses, _ = answers.row(answers.best)
-        name = answers.responses[0].name
-        told = ", ".join(f"{k} {v:.4g}" for k, v in zip(answers.factors, factors))
-        text += f" Least {name}: {responses[name]:.4g} with variant {number} ({told})."
+        name = answers.minimised
+        at = ", ".join(f"{k} {v:.4g}" for k, v in zip(answers.factors, factors))
+        text += f" Least {label_of(name)}: {valued(name, responses[name])} with variant {number} ({at})."
     return text
 
 
@@ -111,8 +124,11 @@ def _trade_off(answers: Answers, figure: Figure) -> Section:
     looked = [r.name for r in answers.responses]
     front = sorted((answers.row(n) for n in answers.pareto), key=lambda row: row[2][looked[0]])
     lines = [[str(n), *_numbers(factors), *_numbers([found[k] for k in looked])] for n, factors, found, _ in front[:MOST_LINES]]
-    words = [f"{len(front)} variants are beaten by no other one in all of {', '.join(looked)}; each is to be small.", *_of(front)]
-    return Section("Trade-off", words, [figure], [Table(["variant", *answers.factors, *looked], lines)])
+    words = [
+        f"{len(front)} variants are beaten by no other one in all of {', '.join(map(label_of, looked))}; each is to be small.",
+        *_of(front),
+    ]
+    return Section("Trade-off", words, [figure], [Table(["variant", *answers.factors, *map(titled, looked)], lines)])
 
 
 def factors_figure(study: Study, r: Response) -> Any:
@@ -133,23 +149,22 @@ def factors_figure(study: Study, r: Response) -> Any:
         unit = "times nominal" if factor.relative else unit_at(factor.paths[0])
         panel.set_xlabel(f"{factor.name} [{unit}]" if unit else factor.name)
     for row in axes:
-        row[0].set_ylabel(r.name)
+        row[0].set_ylabel(titled(r.name))
     if r.surrogate is not None:
         panels[0].legend(frameon=False, fontsize=8.5)
     return figure
 
 
-def _effects_figure(r: Response) -> Any:
-    effects = r.effects[:MOST_BARS]
-    figure, axes = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(effects))
+def _swings_figure(r: Response) -> Any:
+    swings = r.swings[:MOST_BARS]
+    error = r.surrogate.error if r.surrogate else 0.0
+    figure, axes = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(swings))
     panel = axes[0][0]
-    for i, e in enumerate(reversed(effects)):
-        panel.barh(i, 2 * e.value, color=BLUE if len(e.factors) == 1 else SOFT, height=0.6)
-        if np.isfinite(e.low):
-            panel.plot([2 * e.low, 2 * e.high], [i, i], color=RED, linewidth=1.6)
-    panel.set_yticks(range(len(effects)), [" x ".join(e.factors) for e in reversed(effects)])
-    panel.set_xlabel(f"change of {r.name}")
-    panel.axvline(0.0, color=SOFT, linewidth=0.8)
+    for i, s in enumerate(reversed(swings)):
+        panel.barh(i, s.swing, color=BLUE, height=0.6)
+        panel.plot([max(s.swing - error, 0.0), s.swing + error], [i, i], color=RED, linewidth=1.6)
+    panel.set_yticks(range(len(swings)), [s.factor for s in reversed(swings)])
+    panel.set_xlabel(f"moved by: {titled(r.name)}")
     return figure
 
 
@@ -159,14 +174,14 @@ def _pareto_figure(answers: Answers) -> Any:
     a, b = (r.name for r in answers.responses[:2])
     on = set(answers.pareto)
     for style, label, take in (
-        ({"color": SOFT, "markersize": 5}, "keeps the limits", lambda n, reason: reason is None and n not in on),
-        ({"color": AMBER, "markersize": 5}, "breaks a limit", lambda n, reason: reason is not None),
+        ({"color": SOFT, "markersize": 5}, "keeps the constraints", lambda n, reason: reason is None and n not in on),
+        ({"color": AMBER, "markersize": 5}, "breaks a constraint", lambda n, reason: reason is not None),
         ({"color": RED, "markersize": 8}, "on the front", lambda n, reason: n in on),
     ):
         points = [(found[a], found[b]) for n, _, found, reason in answers.rows if a in found and b in found and take(n, reason)]
         if points:
             panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
-    panel.set_xlabel(a)
-    panel.set_ylabel(b)
+    panel.set_xlabel(titled(a))
+    panel.set_ylabel(titled(b))
     panel.legend(frameon=False, fontsize=8.5)
     return figure

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -49,13 +51,14 @@ class Response:
 
 @dataclass(frozen=True)
 class Answers:
-    """All answers; `pareto` and `best` come from variants that break no limit; `best` is None where there is none."""
+    """All answers; effects, `pareto` and `best` (least `minimised`) come from variants that keep the constraints; `best` None: there is none."""
 
     factors: tuple[str, ...]
     rows: Sequence[Row]
     responses: list[Response]
     without_effect: list[str]
     pareto: list[int]
+    minimised: str
     best: int | None
 
     @property
@@ -65,8 +68,13 @@ class Answers:
 
     @property
     def broken(self) -> int:
-        """Variants that ran and broke a limit."""
+        """Variants that ran and broke a constraint."""
         return sum(bool(responses) and reason is not None for _, _, responses, reason in self.rows)
+
+    def commonest(self, ran: bool) -> str:
+        """The commonest reason of the variants that ran and broke a constraint, or that could not be run; without its numbers."""
+        reasons = Counter(_without_numbers(r.split("; ")[0]) for _, _, responses, r in self.rows if r and bool(responses) == ran)
+        return reasons.most_common(1)[0][0] if reasons else ""
 
     def row(self, number: int) -> Row:
         """The row of a variant."""
@@ -89,11 +97,16 @@ class Answers:
             number, factors, responses, _ = self.row(self.best)
             out["best"] = {
                 "variant": number,
-                "minimises": self.responses[0].name,
+                "minimises": self.minimised,
                 "factors": dict(zip(self.factors, factors)),
                 "responses": responses,
             }
         return out
+
+
+def _without_numbers(reason: str) -> str:
+    """A reason whose numbers stand as '..', so that the same reason of many variants counts as one."""
+    return re.sub(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?", "..", reason)
 
 
 def known_responses(rows: Sequence[Row]) -> list[str]:
@@ -125,9 +138,10 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
     """Answer a study from its rows; raises InputError where `answer` names no response."""
     names = tuple(f.name for f in study.factors)
     looked = looked_at(study, rows)
+    kept = [row for row in rows if row[3] is None]  # what a variant at its limits answers is the limit's doing, not the factor's
     responses = []
     for name in looked:
-        table, y = values_of(rows, name)
+        table, y = values_of(kept, name)
         if len(y) < 2 or not depends(y):
             continue
         surrogate = surrogate_of(table, y)
@@ -138,19 +152,20 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
                 y,
                 effects_of(names, table, y),
                 surrogate,
-                swings_of(names, table, surrogate) if surrogate else [],
+                swings_of(names, table, y, surrogate) if surrogate else [],
                 sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
             )
         )
-    fine = [row for row in rows if row[3] is None and all(name in row[2] for name in looked)]
+    fine = [row for row in kept if all(name in row[2] for name in looked)]
     values = np.array([[row[2][name] for name in looked] for row in fine]).reshape(len(fine), len(looked))
     return Answers(
         factors=names,
         rows=rows,
         responses=responses,
-        without_effect=without_effect(names, [values_of(rows, name) for name in known_responses(rows)]) if len(rows) > 1 else [],
+        without_effect=without_effect(names, [values_of(kept, name) for name in known_responses(kept)]) if len(kept) > 1 else [],
         pareto=[row[0] for row, front in zip(fine, pareto_front(values)) if front] if looked else [],
-        best=fine[int(np.argmin(values[:, 0]))][0] if responses and fine and looked[0] == responses[0].name else None,
+        minimised=looked[0] if looked else "",
+        best=fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None,
     )
 
 

@@ -4,7 +4,9 @@ seed = 1
 machine = "my_machine.toml"          # optional; else --machine or the Mikron
 part = "part.toml"                   # optional: also the depth of the mark on this part
 answer = ["contour_error_max_um"]    # optional: what the report looks at first; the first one is minimised
-recommission = true                  # optional: the control is told each variant's own inertia and torque constant
+recommission = true                  # optional: the control is commissioned with each variant's own inertia and torque constant
+least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and is never the best
+most_time_at_limit = 0.001           # optional: share of a run for which an axis may be at its current or voltage limit
 
 [fixed]                              # optional: numbers that all variants have, by path
 "axis.*.loops.torque_feedforward" = 0.0
@@ -42,13 +44,28 @@ from typing import Any
 
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, MOST_TIME_AT_LIMIT, Constraint, standing
 from twin.study.paths import matching_paths, number_at, with_numbers
 from twin.tables import is_number, known_keys
 
 DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
 """Designs, and the keys that each takes."""
 
-TOP = ("seed", "machine", "part", "answer", "recommission", "fixed", "run", "factor", "tied", "design")
+TOP = (
+    "seed",
+    "machine",
+    "part",
+    "answer",
+    "recommission",
+    "least_phase_margin_deg",
+    "most_time_at_limit",
+    "fixed",
+    "run",
+    "factor",
+    "tied",
+    "constraint",
+    "design",
+)
 INERTIA = "inertia."
 
 
@@ -114,6 +131,7 @@ class Study:
     answer: tuple[str, ...]
     part: Path | None
     recommission: bool
+    constraints: tuple[Constraint, ...]
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -159,7 +177,32 @@ def read_study(path: str | Path, machine_path: str | None = None) -> Study:
         answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
         part=path.parent / str(part) if part is not None else None,
         recommission=_flag(document, "recommission", str(path)),
+        constraints=_constraints(document, path),
     )
+
+
+def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, ...]:
+    margin, share = (
+        _bound(document, key, str(path), default)
+        for key, default in (("least_phase_margin_deg", LEAST_PHASE_MARGIN_DEG), ("most_time_at_limit", MOST_TIME_AT_LIMIT))
+    )
+    found = list(standing(margin, share))
+    for i, table in enumerate(document.get("constraint", [])):
+        where = f"{path}: constraint {i + 1}"
+        _known(table, ("response", "least", "most"), where)
+        if not isinstance(table.get("response"), str):
+            raise InputError(f"{where}: 'response' is missing; name a response or a pattern, e.g. current_limit_used_*")
+        if "least" not in table and "most" not in table:
+            raise InputError(f"{where}: has no bound; give least = .. or most = ..")
+        found.append(Constraint(table["response"], *(_bound(table, key, where) if key in table else None for key in ("least", "most"))))
+    return tuple(found)
+
+
+def _bound(table: Mapping[str, Any], key: str, where: str, default: float = 0.0) -> float:
+    value = table.get(key, default)
+    if not is_number(value):
+        raise InputError(f"{where}: {key} = {value!r}; give a number")
+    return float(value)
 
 
 def _known(table: object, keys: Sequence[str], where: str) -> None:

@@ -1,0 +1,47 @@
+"""What a design must keep: bounds on responses, given by name or pattern. A variant that breaks one has its reason.
+
+Two stand without being asked for: each loop keeps a phase margin, and no axis is at its current or voltage limit for longer
+than a small share of a run (half a millisecond of clipped voltage at a corner is no reason against a design).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+import fnmatch
+
+from twin.study.labels import label_of, valued
+
+LEAST_PHASE_MARGIN_DEG = 30.0
+"""Phase margin of every loop where the study file names none [deg]: below it a loop rings, whatever else it does."""
+
+MOST_TIME_AT_LIMIT = 0.001
+"""Share of a run for which an axis may be at its current or voltage limit where the study file names none [1]."""
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A bound on all responses whose names match `pattern` (`*` and `?`): not below `least`, not above `most`."""
+
+    pattern: str
+    least: float | None = None
+    most: float | None = None
+
+
+def standing(least_phase_margin_deg: float, most_time_at_limit: float) -> tuple[Constraint, ...]:
+    """The constraints that every study has."""
+    return (
+        Constraint("phase_margin_*_deg", least=least_phase_margin_deg),
+        Constraint("time_at_*_limit_*_share", most=most_time_at_limit),
+    )
+
+
+def broken_by(constraints: Sequence[Constraint], responses: Mapping[str, float]) -> Iterator[str]:
+    """A sentence for each response that breaks a constraint; of several runs the joined number speaks for all."""
+    for constraint in constraints:
+        for name in fnmatch.filter(responses, constraint.pattern):
+            value = responses[name]
+            if constraint.least is not None and value < constraint.least:
+                yield f"{label_of(name)} is {valued(name, value)}, at least {valued(name, constraint.least)} is asked for"
+            if constraint.most is not None and value > constraint.most:
+                yield f"{label_of(name)} is {valued(name, value)}, at most {valued(name, constraint.most)} is allowed"
