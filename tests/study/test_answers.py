@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from twin.errors import InputError
+from twin.machine.loops import loops_of, margins_of
+from twin.machine.machine import load_machine
+from twin.study.design import retuned
 from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
+from twin.study.paths import carrying_axes, with_numbers
 
 
 def points(count: int, low: list[float], high: list[float], seed: int = 0) -> np.ndarray:
@@ -101,3 +106,26 @@ def test_a_factor_without_effect_is_found_and_no_other(design: str) -> None:
     responses = [(table, 5.0 + a), (table, 2.0 + 0.1 * np.exp(a) + 0.01 * b**2), (table, np.full(len(table), 7.0))]
     assert without_effect(["a", "b", "c"], responses) == ["c"]
     assert without_effect(["a", "b", "c"], responses[2:]) == ["a", "b", "c"]
+
+
+def test_a_mass_on_an_axis_is_carried_by_all_that_carry_it() -> None:
+    machine = load_machine()  # the bed carries Y, Y carries X, X carries Z
+    assert [set(carrying_axes(f"added_mass.{axis}", machine, "")) for axis in "XYZ"] == [{"X", "Y"}, {"Y"}, {"X", "Y", "Z"}]
+    lighter = with_numbers(machine, {"added_mass.Z": -100.0, "axis.X.moving_mass_kg": 650.0})
+    assert [axis.moving_mass_kg for axis in lighter.axes[:3]] == [550.0, 950.0, 250.0]
+    with pytest.raises(InputError, match="no linear axis A"):
+        carrying_axes("added_mass.A", machine, "study")
+
+
+def test_retuned_loops_have_the_margins_of_the_machine_as_it_was() -> None:
+    machine = load_machine()
+    changed = with_numbers(
+        machine, {"added_mass.X": -250.0, "axis.X.rotor_and_screw_inertia_kg_m2": 2e-3, "axis.X.motor.inductance_h": 9e-3}
+    )
+    for variant, most in ((changed, 90.0), (retuned(changed, machine), 1.5)):
+        apart = [
+            abs(margins_of(a).phase - margins_of(b).phase)
+            for a, b in zip(loops_of(variant, variant.axis("X")), loops_of(machine, machine.axis("X")))
+        ]
+        assert max(apart) < most
+        assert (max(apart) > 5.0) == (variant is changed)

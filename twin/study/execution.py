@@ -39,7 +39,15 @@ class Workers:
 
 def fingerprint(study: Study, variants: np.ndarray) -> str:
     """What a folder of results is the result of; what is only answered from them (`answer`) is no part of it."""
-    parts: list[Any] = [twin.__version__, study.machine.document, study.factors, study.tied, study.recommission, study.constraints]
+    parts: list[Any] = [
+        twin.__version__,
+        study.machine.document,
+        study.factors,
+        study.tied,
+        study.recommission,
+        study.retune,
+        study.constraints,
+    ]
     parts += [(run.name, run.feedforward) for run in study.runs]
     files = [file.read_bytes() for file in files_of_study(study)]
     return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()

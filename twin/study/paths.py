@@ -4,6 +4,7 @@ axis.X.moving_mass_kg                    a number of the machine file, in the fi
 body.workpiece.centre_of_mass_m.0        one of several in a list
 axis.*.loops.position_gain_per_s         * stands for any one part
 effect.backlash.X.clearance              parameter of an effect, in SI; the machine gets the effect where it lacks it
+added_mass.X                             kg added to what X moves, and to what every linear axis that carries X moves
 """
 
 from __future__ import annotations
@@ -17,12 +18,18 @@ from typing import Any
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
+from twin.simulation.plant_spec import load_spec
+
+ADDED_MASS = "added_mass."
 
 
 def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
     """Paths of all numbers that a pattern names; an InputError with the nearest one where there is none."""
     if pattern.startswith("effect."):
         return [_effect_path(pattern, machine, where)]
+    if pattern.startswith(ADDED_MASS):
+        carrying_axes(pattern, machine, where)
+        return [pattern]
     known = numbers_of(machine.document)
     found = [path for path in known if _matches(path, pattern)]
     if not found:
@@ -33,6 +40,21 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
 def _matches(path: str, pattern: str) -> bool:
     parts, wanted = path.split("."), pattern.split(".")
     return len(parts) == len(wanted) and all(fnmatch.fnmatchcase(part, want) for part, want in zip(parts, wanted))
+
+
+def carrying_axes(path: str, machine: Machine, where: str) -> list[str]:
+    """Linear axes that move a mass added to an axis of `added_mass.AXIS`: the axis itself and all that carry it."""
+    name = path.removeprefix(ADDED_MASS)
+    movers = [axis.name for axis in machine.axes if axis.kind == "linear"]
+    if name not in movers:
+        raise InputError(f"{where}: '{path}': no linear axis {name}; {nearest(name, movers)}")
+    spec = load_spec(machine.model_path)  # its elements live as long as it does
+    bodies = {joint.name: joint.parent for joint in spec.joints}
+    carriers, body = set(), bodies[name]
+    while body is not None:
+        carriers.add(body.id)
+        body = body.parent
+    return [axis for axis in movers if bodies[axis].id in carriers]
 
 
 def _effect_path(path: str, machine: Machine, where: str) -> str:
@@ -81,6 +103,8 @@ def unit_at(path: str) -> str:
     """Unit of the number at a path, from the end of its key: 'm/rev', 'Nm s/rad'; 'SI' for an effect's, '' where the key has none."""
     if path.startswith("effect."):
         return "SI"
+    if path.startswith(ADDED_MASS):
+        return "kg"
     words = next(part for part in reversed(path.split(".")) if not part.isdigit()).split("_")
     units = [_UNIT_WORDS[w] for w in itertools.takewhile(_UNIT_WORDS.__contains__, reversed(words))]
     return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
@@ -92,6 +116,8 @@ def number_at(machine: Machine, path: str) -> float | None:
         _, name, axis, parameter = path.split(".")
         value = (_effect_table(machine, name, axis) or {}).get(parameter)
         return None if value is None else float(value)
+    if path.startswith(ADDED_MASS):
+        return 0.0
     at: Any = machine.document
     for key in path.split("."):
         at = at[int(key)] if isinstance(at, list) else at[key]
@@ -101,12 +127,17 @@ def number_at(machine: Machine, path: str) -> float | None:
 def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
     """The machine with other numbers, by path; raises InputError where one is impossible."""
     changed: dict[str, Any] = {}
+    added: dict[str, float] = {}
     effects = {(table["name"], table["axis"]): dict(table) for table in machine.effects}
     for path, value in values.items():
         *tables, last = path.split(".")
         if path.startswith("effect."):
             _, name, axis = tables
             effects.setdefault((name, axis), {"name": name, "axis": axis})[last] = value
+        elif path.startswith(ADDED_MASS):
+            for axis in carrying_axes(path, machine, "study"):
+                mass = f"axis.{axis}.moving_mass_kg"
+                added[mass] = added.get(mass, 0.0) + value
         elif last.isdigit():
             whole = ".".join(tables)
             if whole not in changed:
@@ -117,6 +148,8 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
             changed[whole][int(last)] = value
         else:
             changed[path] = value
+    for mass, more in added.items():
+        changed[mass] = changed.get(mass, number_at(machine, mass) or 0.0) + more
     if effects:
         changed["effect"] = copy.deepcopy(list(effects.values()))
     return machine.with_values(changed)

@@ -10,9 +10,10 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, RED, SOFT
-from twin.study.labels import label_of, titled, valued
+from twin.study.labels import label_of, titled, unit_of, valued
+from twin.study.outcomes import depends
 from twin.study.paths import unit_at
-from twin.study.results import Answers, Response
+from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
 
 MOST_LINES = 50
@@ -49,6 +50,25 @@ def swing_rows(r: Response) -> list[list[str]]:
     return [[s.factor, valued(r.name, s.swing), f"{s.least_at:.4g}", f"{s.largest_at:.4g}"] for s in r.swings]
 
 
+def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
+    """A line for each factor: by how much the response changes for a step that people think in: 100 kg, 10 %, a tenth of the range."""
+    lines = []
+    change = {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
+    for i, factor in enumerate(study.factors):
+        width = float(np.ptp(r.table[:, i]))
+        if factor.name not in change or width == 0.0:
+            continue
+        unit = unit_at(factor.paths[0])
+        step, said = (
+            (0.1, "10 %") if factor.relative else (100.0, "100 kg") if unit == "kg" else (width / 10.0, f"{width / 10.0:.3g} {unit}")
+        )
+        effect = change[factor.name]
+        low, value, high = (2.0 * v / width * step for v in (effect.low, effect.value, effect.high))
+        band = f"{low:+.3g} .. {high:+.3g}" if np.isfinite(low) else "-"
+        lines.append([factor.name, f"{value:+.3g} {unit_of(r.name)} per {said}", band])
+    return lines
+
+
 def effect_rows(r: Response) -> list[list[str]]:
     """A line for each effect: factors, change from the low to the high end, its 95 % interval."""
     return [
@@ -83,13 +103,21 @@ def write_report(study: Study, answers: Answers, out: Path) -> list[str]:
             share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
             words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {r.surrogate.error:.3g} RMS{share}.")
         tables = [Table(["factors", "change, low to high end", "95 % interval"], effect_rows(r), caption="Main effects and interactions")]
+        if sensitivities := sensitivity_rows(study, r):
+            tables.insert(
+                0, Table(["factor", "changes it by", "95 % interval"], sensitivities, caption="Sensitivities: straight line over the range")
+            )
         if r.sobol:
             columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
             lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
             tables.append(Table(["factor", "first order", "+-", "total", "+-"], lines, caption="Sobol indices: shares of the variance"))
         sections.append(Section(titled(r.name), words, figures, tables))
-    if len(answers.responses) >= 2 and answers.pareto:
-        sections.append(_trade_off(answers, shown(_pareto_figure(answers), "pareto", "Every variant, and those on the front")))
+    for i, (pair, front) in enumerate(answers.fronts.items()):
+        if front and _varies(answers, pair):
+            figure = shown(
+                _pareto_figure(answers, pair, front), "pareto" if i == 0 else f"pareto_{i + 1}", "Every variant, and those on the front"
+            )
+            sections.append(_trade_off(answers, pair, front, figure))
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
         ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
@@ -120,15 +148,17 @@ def _numbers(values: Sequence[float]) -> list[str]:
     return [f"{v:.4g}" for v in values]
 
 
-def _trade_off(answers: Answers, figure: Figure) -> Section:
-    looked = [r.name for r in answers.responses]
-    front = sorted((answers.row(n) for n in answers.pareto), key=lambda row: row[2][looked[0]])
-    lines = [[str(n), *_numbers(factors), *_numbers([found[k] for k in looked])] for n, factors, found, _ in front[:MOST_LINES]]
-    words = [
-        f"{len(front)} variants are beaten by no other one in all of {', '.join(map(label_of, looked))}; each is to be small.",
-        *_of(front),
-    ]
-    return Section("Trade-off", words, [figure], [Table(["variant", *answers.factors, *map(titled, looked)], lines)])
+def _varies(answers: Answers, pair: Sequence[str]) -> bool:
+    """Do both responses of a pair vary over the variants that have them?"""
+    return all(depends(y) for y in (values_of(answers.rows, name)[1] for name in pair) if len(y))
+
+
+def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:
+    rows = sorted((answers.row(n) for n in front), key=lambda row: row[2][pair[0]])
+    lines = [[str(n), *_numbers(factors), *_numbers([found[k] for k in pair])] for n, factors, found, _ in rows[:MOST_LINES]]
+    said = " and ".join(map(label_of, pair))
+    words = [f"{len(rows)} variants are beaten by no other one in both {said}; each is to be small.", *_of(rows)]
+    return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.factors, *map(titled, pair)], lines)])
 
 
 def factors_figure(study: Study, r: Response) -> Any:
@@ -168,11 +198,11 @@ def _swings_figure(r: Response) -> Any:
     return figure
 
 
-def _pareto_figure(answers: Answers) -> Any:
+def _pareto_figure(answers: Answers, pair: tuple[str, str], front: Sequence[int]) -> Any:
     figure, axes = new_figure(1, 1, width=7.0, height=4.2)
     panel = axes[0][0]
-    a, b = (r.name for r in answers.responses[:2])
-    on = set(answers.pareto)
+    a, b = pair
+    on = set(front)
     for style, label, take in (
         ({"color": SOFT, "markersize": 5}, "keeps the constraints", lambda n, reason: reason is None and n not in on),
         ({"color": AMBER, "markersize": 5}, "breaks a constraint", lambda n, reason: reason is not None),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import itertools
 from pathlib import Path
 import re
 from typing import Any
@@ -58,6 +59,7 @@ class Answers:
     responses: list[Response]
     without_effect: list[str]
     pareto: list[int]
+    fronts: dict[tuple[str, str], list[int]]
     minimised: str
     best: int | None
 
@@ -93,6 +95,7 @@ class Answers:
                 **({"sobol": r.sobol} if r.sobol else {}),
             }
         out["without_effect"], out["pareto"] = self.without_effect, self.pareto
+        out["fronts"] = [{"of": list(pair), "variants": front} for pair, front in self.fronts.items()]
         if self.best is not None:
             number, factors, responses, _ = self.row(self.best)
             out["best"] = {
@@ -117,10 +120,10 @@ def known_responses(rows: Sequence[Row]) -> list[str]:
 def looked_at(study: Study, rows: Sequence[Row]) -> list[str]:
     """Responses that the report is about: those of the study file, else the telling ones that vary."""
     known = known_responses(rows)
-    for name in study.answer:
+    for key, name in (*(("answer", name) for name in study.answer), *(("pareto", name) for pair in study.pareto for name in pair)):
         if known and name not in known:
             raise InputError(
-                f"{study.path}: answer: no response '{name}'; {nearest(name, known)} The variants are kept: correct it and add --resume"
+                f"{study.path}: {key}: no response '{name}'; {nearest(name, known)} The variants are kept: correct it and add --resume"
             )
     if study.answer:
         return list(study.answer)
@@ -163,10 +166,18 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         rows=rows,
         responses=responses,
         without_effect=without_effect(names, [values_of(kept, name) for name in known_responses(kept)]) if len(kept) > 1 else [],
-        pareto=[row[0] for row, front in zip(fine, pareto_front(values)) if front] if looked else [],
+        pareto=_front(kept, looked),
+        fronts={pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))},
         minimised=looked[0] if looked else "",
         best=fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None,
     )
+
+
+def _front(rows: Sequence[Row], names: Sequence[str]) -> list[int]:
+    """Numbers of the variants that no other one beats in all these responses."""
+    able = [row for row in rows if all(name in row[2] for name in names)]
+    values = np.array([[row[2][name] for name in names] for row in able]).reshape(len(able), len(names))
+    return [row[0] for row, front in zip(able, pareto_front(values)) if front] if names else []
 
 
 def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:

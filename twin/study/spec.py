@@ -5,6 +5,8 @@ machine = "my_machine.toml"          # optional; else --machine or the Mikron
 part = "part.toml"                   # optional: also the depth of the mark on this part
 answer = ["contour_error_max_um"]    # optional: what the report looks at first; the first one is minimised
 recommission = true                  # optional: the control is commissioned with each variant's own inertia and torque constant
+retune = "same margins"              # optional: speed gains follow the inertia, current gains the winding; else the gains stay
+pareto = [["a_um", "b_s"]]           # optional: trade-offs between pairs of responses; else between all of `answer`
 least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and is never the best
 most_time_at_limit = 0.001           # optional: share of a run for which an axis may be at its current or voltage limit
 
@@ -57,6 +59,8 @@ TOP = (
     "part",
     "answer",
     "recommission",
+    "retune",
+    "pareto",
     "least_phase_margin_deg",
     "most_time_at_limit",
     "fixed",
@@ -67,6 +71,8 @@ TOP = (
     "design",
 )
 INERTIA = "inertia."
+SAME_MARGINS = "same margins"
+"""Word of `retune`: gains follow inertia and winding, so that designs are compared and not their tunings."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,9 @@ class Study:
     answer: tuple[str, ...]
     part: Path | None
     recommission: bool
-    constraints: tuple[Constraint, ...]
+    retune: bool = False
+    constraints: tuple[Constraint, ...] = ()
+    pareto: tuple[tuple[str, str], ...] = ()
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -177,8 +185,23 @@ def read_study(path: str | Path, machine_path: str | None = None) -> Study:
         answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
         part=path.parent / str(part) if part is not None else None,
         recommission=_flag(document, "recommission", str(path)),
+        retune=_retune(document, path),
         constraints=_constraints(document, path),
+        pareto=_pairs(document.get("pareto", []), path),
     )
+
+
+def _retune(document: Mapping[str, Any], path: Path) -> bool:
+    value = document.get("retune")
+    if value not in (None, SAME_MARGINS):
+        raise InputError(f'{path}: retune = {value!r}; write "{SAME_MARGINS}", or leave it out to keep the gains')
+    return value is not None
+
+
+def _pairs(pairs: Any, path: Path) -> tuple[tuple[str, str], ...]:
+    if not isinstance(pairs, list) or not all(isinstance(p, list) and len(p) == 2 and all(isinstance(n, str) for n in p) for p in pairs):
+        raise InputError(f'{path}: pareto = {pairs!r}; give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')
+    return tuple((a, b) for a, b in pairs)
 
 
 def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, ...]:
