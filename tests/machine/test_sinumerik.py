@@ -97,6 +97,15 @@ def test_a_variant_is_written_where_the_number_stands(tmp_path: Path) -> None:
     assert "position_gain_per_s" not in changed.document["axis"]["X"]["loops"]
 
 
+@pytest.mark.parametrize(("enable", "delay_s"), [(None, 0.005), (1.0, 0.005), (0.0, None)])
+def test_dynamic_stiffness_control(enable: float | None, delay_s: float | None) -> None:
+    """Its delay counts unless it is switched off, and goes back to the control with its switch."""
+    data = {32644: 0.005} | ({} if enable is None else {32640: enable})
+    assert plain_values(data, "linear").get("loops.dsc_delay_s") == delay_s
+    back = {d.number: value for d, value in machine_data({"kind": "linear", "loops": {"dsc_delay_s": delay_s or 0.0}})}
+    assert back.get(32640) == (1.0 if delay_s else None)
+
+
 def test_two_values_that_disagree(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"position_gain_per_s = 50 and its machine datum .33.3333. disagree"):
         load_machine(with_machine_data(tmp_path, take=False, POSCTRL_GAIN=2.0))

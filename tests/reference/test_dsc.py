@@ -5,13 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders.one_axis import swing
 from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
 from tests.reference.test_cascade_reference import check
+from twin.effects import with_effects
+from twin.exam.plant.parameters import settings_of, unit_factors
+from twin.exam.plant.plant import run
 from twin.geometry.scurve import moves_in_turn
+from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.simulation.run import commissioned_inertia, simulate
 from twin.simulation.setpoints import Setpoints, command_of
+from twin.units import ARCSEC
 
 SPEED = 0.1  # m/s
 
@@ -89,3 +95,59 @@ def test_written_and_read(mikron: Machine, tmp_path: Path) -> None:
     again = load_machine(tmp_path / "m.toml")
     assert again.axis("A").loops.dsc_delay_s == 5.25e-3
     assert again.setpoint_interpolation == "linear"
+
+
+def fine_measuring(machine: Machine) -> Machine:
+    """The machine with measuring systems that round to almost nothing."""
+    steps = {k: 1e-13 for k in machine.document["measurement"] if k.endswith(("resolution_m", "resolution_rad", "resolution_deg"))}
+    return machine.with_values({f"measurement.{key}": value for key, value in steps.items()})
+
+
+@pytest.mark.parametrize(("delay_s", "interpolation"), [(0.0, "linear"), (5.25e-3, "cubic"), (5.3e-3, "linear")])
+def test_twin_and_second_plant_agree(mikron: Machine, delay_s: float, interpolation: str) -> None:
+    machine = fine_measuring(with_dsc(mikron, delay_s, interpolation)).with_values({"axis.X.loops.position_delay_s": 3e-3})
+    points = swings(machine, 0.5)
+    trace = simulate(machine, points).trace
+    other = run(settings_of(dict(machine.document), unit_factors()), points.position, noise=False)
+    there = simulate(mikron, points).trace.matrix("position")
+    position = trace.matrix("position")
+    assert np.abs(there - position)[:, 0].max() > 1e-6  # it does something
+    for a, axis in enumerate(machine.axes):
+        rms = np.sqrt(np.mean((position - other.position)[:, a] ** 2))
+        assert rms < (0.05e-6 if axis.kind == "linear" else 0.1 * ARCSEC), axis.name
+        speed = np.abs(trace.get(axis.name, "velocity_setpoint") - other.velocity_setpoint[:, a])
+        assert np.sqrt(np.mean(speed**2)) < 1e-3 * np.abs(other.velocity_setpoint[:, a]).max(), axis.name
+
+
+def test_the_loop_of_the_drive_itself(mikron: Machine) -> None:
+    """The simulated axis answers a swinging set point as the loops say: x / s = e^(-j w Td) H Kv P / (1 + L), H a command held over Tp."""
+    f, period, delay, m = 12.0, 1e-3, 5.25e-3, 16
+    machine = with_effects(mikron.with_axes(["X"]), [{"name": "coulomb_friction", "axis": "X", "factor": 0.0}])
+    machine = machine.with_values({"axis.X.loops.position_delay_s": 0.0, "axis.X.loops.dsc_delay_s": delay}).with_feedforward("off")
+    position = swing(2e-4, f, 2.0)
+    trace = simulate(machine, Setpoints(position[:, None], period)).trace
+    last = slice(-round(12 / f / period) - 1, -1)
+    turn = np.exp(-2j * np.pi * f * trace.time[last])
+    measured = np.sum(trace.get("X", "position")[last] * turn) / np.sum(position[last] * turn)
+    # the drive's loop without an NC that holds: the position cycle as short as the speed cycle
+    alone = machine.with_values({"axis.X.loops.dsc_delay_s": 0.0, "control.position_cycle_us": 125})
+    at = np.array([f])
+    plant = loops_of(alone, alone.axis("X"))[2].open_response(at)[0]
+    loop = loops_of(machine, machine.axis("X"))[2]
+    z = np.exp(2j * np.pi * f * machine.speed_cycle)
+    held = sum(z**-i for i in range(m)) / m
+    expected = np.exp(-2j * np.pi * f * delay) * held * plant / (1.0 + loop.open_response(at)[0])
+    assert abs(plant / loop.open_response(at)[0] - 1.0) > 0.02  # what the NC holds counts
+    assert abs(measured / expected - 1.0) < 0.01
+
+
+def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
+    """Td costs no phase: at a gain at which a loop with that much dead time is unstable the drive's still is not."""
+    fast = with_dsc(mikron, 8e-3).with_values({"axis.X.loops.position_gain_per_s": 160.0})
+    margins = margins_of(loops_of(fast, fast.axis("X"))[2])
+    assert margins.stable
+    dead_time = np.degrees(2.0 * np.pi * margins.crossover * 8e-3)
+    assert margins.phase - dead_time < 0.0
+    points = Setpoints(np.concatenate([np.zeros(50), np.full(400, 1e-4)])[:, None], 1e-3)
+    settled = simulate(fast.with_axes(["X"]), points).trace.get("X", "position")[-50:]
+    assert np.ptp(settled) < 1e-6

@@ -10,6 +10,13 @@ fastest cycle, then powers), and e -> y the open loop with its controller inside
     speed      i* = (Kp e + I) / Kt                                closed current loop, rotor (and load behind a spring), speed as it is seen
     position   w* = Kv e / r                                       closed speed loop, encoder
 
+A drive that closes the position loop itself (`dsc_delay_s` Td, m speed cycles a position cycle) does so at every speed cycle. Of the way
+over Ts the NC's command holds its part for a position cycle, which the drive's newest encoder value does not take back:
+
+    L(z) = Kv P(z) (1 - z^-(Td/Ts) (1 - (1 + z^-1 + ... + z^-(m-1)) / m))
+
+This is exact but for what sampling at the position cycle folds down from above half its rate. Td itself costs no phase in the loop.
+
 Friction is viscous here, inertia that of the home pose, limits are not met; a spring is that of `transmission_compliance`.
 """
 
@@ -139,9 +146,33 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
     loops.append(inner)
     a, b = _closed(inner)
     position = _wider(motor if axis.encoder == "motor" else load, len(a))
-    a, b = _held(a, b, round(machine.position_cycle / machine.speed_cycle))
+    cycles = round(machine.position_cycle / machine.speed_cycle)
+    if axis.loops.dsc_delay_s > 0.0:
+        a, b, row = _closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
+        loops.append(Loop("position", machine.speed_cycle, a, b * axis.loops.position_gain_per_s, row[None]))
+        return loops
+    a, b = _held(a, b, cycles)
     loops.append(Loop("position", machine.position_cycle, a, b * axis.loops.position_gain_per_s, position[None]))
     return loops
+
+
+def _closed_in_drive(
+    delay: float, cycles: int, a: np.ndarray, b: np.ndarray, position: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The plant with what a drive's position loop sees as a row: `delay` and a position cycle in speed cycles."""
+    weights = np.zeros(math.ceil(delay) + cycles + 1)  # of the encoder's values, newest first
+    weights[0] = 1.0
+    whole = math.floor(delay)
+    for late, part in ((whole, 1.0 - (delay - whole)), (whole + 1, delay - whole)):
+        if part > 0.0:
+            weights[late] -= part
+            weights[late : late + cycles] += part / cycles
+    size, last = len(a), len(weights) - 1
+    a = block_diag(a, np.zeros((last, last)))
+    a[size, :size] = position
+    for i in range(1, last):
+        a[size + i, size + i - 1] = 1.0
+    return a, np.vstack([b, np.zeros((last, 1))]), np.concatenate([weights[0] * position, weights[1:]])
 
 
 def first_mode(machine: Machine, axis: Axis) -> float | None:

@@ -80,6 +80,7 @@ CYCLE_UNIT_US = 31.25
 GEAR_DENOMINATOR = Datum(31050, "DRIVE_AX_RATIO_DENOM", "1", "", 1.0)
 GEAR_NUMERATOR = Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "", 1.0)
 FFW_MODE = Datum(32620, "FFW_MODE", "-", "", 1.0)
+DSC_ENABLE = Datum(32640, "STIFFNESS_CONTROL_ENABLE", "-", "", 1.0)
 CYCLES = {
     1000: "CURRCTRL_CYCLE_TIME",
     1001: "SPEEDCTRL_CYCLE_TIME",
@@ -97,7 +98,7 @@ _ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
     """Machine data of one axis by number, whether the file has their numbers or names."""
-    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE)}
+    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE, DSC_ENABLE)}
     names = {name: number for number, name in (known | CYCLES).items()}
     out: dict[int, float] = {}
     for key, value in table.items():
@@ -138,6 +139,8 @@ def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
         else:
             out.setdefault("loops.velocity_feedforward", 1.0)
         out["loops.torque_feedforward"] = 1.0 if mode in (2, 4) else 0.0
+    if data.get(DSC_ENABLE.number) == 0.0:
+        out.pop("loops.dsc_delay_s", None)  # its delay may stand there and not act
     return out
 
 
@@ -201,6 +204,8 @@ def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
             out.append((datum, value / datum.factor))
     loops = table.get("loops", {})
     torque, velocity = loops.get("torque_feedforward", 0.0), loops.get("velocity_feedforward", 0.0)
+    if loops.get("dsc_delay_s", 0.0):
+        out.append((DSC_ENABLE, 1.0))
     return [*out, (FFW_MODE, 4.0 if torque else 3.0 if velocity else 0.0)]
 
 
@@ -260,7 +265,11 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
                 of_index[f"AX{int(index[0]) + 1}"] = same[0]
             continue
         axis = of_index.get(index[-1], index[-1] if index[-1] in axes else "")
-        known = set(CYCLES) if not axis else {d.number for d in DATA[axes[axis]]} | {GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number, 32620}
+        known = (
+            set(CYCLES)
+            if not axis
+            else {d.number for d in DATA[axes[axis]]} | {GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number, FFW_MODE.number, DSC_ENABLE.number}
+        )
         first = len(index) < 2 or index[0] in ("", "0")  # parameter set 0, the one that is active
         try:
             number_value = float(value)

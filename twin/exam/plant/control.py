@@ -6,6 +6,8 @@
                     e_i = i* - i; u = clip(Kpi e_i + I_i);                       I_i += Kpi Ts / Tni e_i unless clipped
 s_d, s_f: set point after the position and the feedforward delay; s_f1, s_f2 one and two cycles earlier; x scale, w motor
 speed, i current as measured at that tick. Lags are exact: y += (s - y)(1 - exp(-T / tau)).
+An axis with `dsc_delay` has its position loop in the drive: a telegram (w*, T_ff) of the control is in force Td after it was made, and
+the drive takes off Kv / r times the way of the scale since then, at every tick. Between two ticks telegram and scale are straight lines.
 Beyond the library (neutral by default): dead band on s_d - x, lag and one-sided clip on w*, notch on T*.
 """
 
@@ -40,6 +42,7 @@ class Control(NamedTuple):
     speed_share: np.ndarray  # 1 - exp(-Ts / tau)
     speed_clip: np.ndarray  # rad/s, positive direction only
     notch: np.ndarray  # [axis, 5]: b0 b1 b2 a1 a2
+    transport: np.ndarray  # delay of the telegram in ticks, 0 = the control closes the position loop
 
 
 def control_of(s: Settings) -> Control:
@@ -71,6 +74,7 @@ def control_of(s: Settings) -> Control:
         share(s.tick, s.speed_lag),
         s.speed_clip / s.ratio,
         notch,
+        s.dsc_delay / s.tick,
     )
 
 
@@ -82,13 +86,13 @@ def _notch(hz: float, width: float, tick: float) -> np.ndarray:
 
 
 # State of the control, one row per axis
-W_SET, T_FF, I_SPEED, I_CURRENT, LAG_S, LAG_I, LAG_W, N1, N2, S_F1, S_F2 = range(11)
-CONTROL_STATES = 11
+W_SET, T_FF, I_SPEED, I_CURRENT, LAG_S, LAG_I, LAG_W, N1, N2, S_F1, S_F2, W_SENT, T_SENT = range(13)
+CONTROL_STATES = 13
 
 
 @compiled(inline=True)
 def position_cycle(c: Control, state: np.ndarray, k: int, s_position: float, s_feedforward: float, scale: float) -> None:
-    """Updates speed set point and torque feedforward of axis k."""
+    """Updates what the control sends to axis k: speed set point and torque feedforward."""
     state[k, LAG_S] += (s_position - state[k, LAG_S]) * c.set_point_share[k]
     error = state[k, LAG_S] - scale
     band = c.dead_band[k]
@@ -96,10 +100,29 @@ def position_cycle(c: Control, state: np.ndarray, k: int, s_position: float, s_f
         error = math.copysign(max(abs(error) - band, 0.0), error)
     s1, s2 = state[k, S_F1], state[k, S_F2]
     speed = (c.kv[k] * error + c.velocity_gain[k] * (s_feedforward - s1)) / c.ratio[k]
-    state[k, W_SET] = min(speed, c.speed_clip[k])
-    state[k, T_FF] = c.torque_gain[k] * (s_feedforward - 2.0 * s1 + s2)
+    state[k, W_SENT] = speed
+    state[k, T_SENT] = c.torque_gain[k] * (s_feedforward - 2.0 * s1 + s2)
+    if c.transport[k] == 0.0:
+        state[k, W_SET] = state[k, W_SENT] = min(speed, c.speed_clip[k])
+        state[k, T_FF] = state[k, T_SENT]
     state[k, S_F2] = s1
     state[k, S_F1] = s_feedforward
+
+
+@compiled(inline=True)
+def drive_cycle(c: Control, state: np.ndarray, k: int, n: int, scale: float, past: np.ndarray) -> None:
+    """Position loop of axis k in its drive at tick n; past [axis, tick, 3] keeps speed, torque and scale, filled up at tick 0."""
+    length = past.shape[1]
+    for i in range(length if n == 0 else 1):
+        slot = (n + i) % length
+        past[k, slot, 0], past[k, slot, 1], past[k, slot, 2] = state[k, W_SENT], state[k, T_SENT], scale
+    back = math.floor(c.transport[k])
+    weight = c.transport[k] - back
+    a, b = (n - back) % length, (n - back - 1) % length
+    speed = (1.0 - weight) * past[k, a, 0] + weight * past[k, b, 0]
+    way = scale - (1.0 - weight) * past[k, a, 2] - weight * past[k, b, 2]
+    state[k, W_SET] = min(speed - c.kv[k] * way / c.ratio[k], c.speed_clip[k])
+    state[k, T_FF] = (1.0 - weight) * past[k, a, 1] + weight * past[k, b, 1]
 
 
 @compiled(inline=True)

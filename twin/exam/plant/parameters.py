@@ -149,6 +149,8 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.kpi, s.tni = pick(loops, "current_gain_v_per_a"), pick(loops, "current_integral_time_s")
     s.velocity_weight, s.torque_weight = pick(loops, "velocity_feedforward"), pick(loops, "torque_feedforward")
     s.position_delay, s.feedforward_delay = pick(loops, "position_delay_s"), pick(loops, "feedforward_delay_s")
+    s.dsc_delay = np.array([table.get("dsc_delay_s", 0.0) for table in loops], dtype=float)
+    s.straight_set_points = machine["control"].get("setpoint_interpolation") == "linear"
     s.kt_control, s.bus = told("torque_constant_nm_per_a", pick(motor, "torque_constant_nm_per_a")), pick(motor, "bus_limit_v")
     s.current_limit = pick(motor, "peak_current_a")
     nominal = pair_of(machine, unit_factors())

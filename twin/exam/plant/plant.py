@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from .compiled import compiled
-from .control import W_SET, Control, control_at_rest, control_of, current_cycle, position_cycle
+from .control import W_SENT, Control, control_at_rest, control_of, current_cycle, drive_cycle, position_cycle
 from .measurement import Sensors, sensors_of
 from .mechanics import (
     CURRENT,
@@ -146,6 +146,7 @@ def _simulate(
     s_position: np.ndarray,
     s_feedforward: np.ndarray,
     noise_x: np.ndarray,
+    noise_between: np.ndarray,
     noise_w: np.ndarray,
     noise_i: np.ndarray,
     jitter: np.ndarray,
@@ -165,13 +166,15 @@ def _simulate(
     voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
     work = np.zeros((8, STATES, 5))
     ring = np.zeros((128, 5))
+    past = np.zeros((5, int(c.transport.max()) + 2, 3))
     for n in range((samples - 1) * sample_ticks + 1):
         t = n * tick
         row, sampled = n // sample_ticks, n % sample_ticks == 0
         cycle = n % cycle_ticks == 0
         for k in range(5):
             # measure
-            if sampled or cycle:
+            in_drive = c.transport[k] > 0.0
+            if sampled or cycle or in_drive:
                 q = y[Q, k]
                 if sensors.play[k] != 0.0:
                     play[k] = min(max(play[k], q - 0.5 * sensors.play[k]), q + 0.5 * sensors.play[k])
@@ -186,12 +189,15 @@ def _simulate(
                 for j in range(5):
                     if sensors.crosstalk[k, j] != 0.0:
                         x += sensors.crosstalk[k, j] * (y[Q, j] - q0[j])
-                x = round((x + noise_x[row, k]) / sensors.scale_step[k]) * sensors.scale_step[k]
+                noise = noise_between[n, k] if in_drive and not sampled else noise_x[row, k]
+                x = round((x + noise) / sensors.scale_step[k]) * sensors.scale_step[k]
             w = motor_speed(m, k, y[QM, k], y[VM, k]) + noise_w[n, k]
             current = y[CURRENT, k] + noise_i[n, k]
             # control
             if cycle:
                 position_cycle(c, state, k, s_position[n // cycle_ticks, k], s_feedforward[n // cycle_ticks, k], x)
+            if in_drive:
+                drive_cycle(c, state, k, n, x, past)
             voltage[k] = current_cycle(c, state, k, w, current)
             # record
             ring[n % 128, k] = current
@@ -200,7 +206,7 @@ def _simulate(
                 out[0, row, k] = x
                 out[1, row, k] = round(shown / sensors.motor_step[k]) * sensors.motor_step[k]
                 out[2, row, k] = w * m[RATIO, k]
-                out[3, row, k] = state[k, W_SET] * m[RATIO, k]
+                out[3, row, k] = state[k, W_SENT] * m[RATIO, k]
                 out[4, row, k] = ring[max(n - sensors.skew[k], 0) % 128, k]
                 out[5, row, k] = y[Q, k]
                 out[6, row, k] = y[CURRENT, k]
@@ -231,9 +237,9 @@ def run(
     period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
     grid = np.arange(samples) * period
     cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
+    at = _on_straight_lines if s.straight_set_points else _delayed
     s_position, s_feedforward = (
-        np.column_stack([_delayed(grid, s_points[:, k], cycles - delay[k]) for k in range(5)])
-        for delay in (s.position_delay, s.feedforward_delay)
+        np.column_stack([at(grid, s_points[:, k], cycles, delay[k]) for k in range(5)]) for delay in (s.position_delay, s.feedforward_delay)
     )
     # Noise
     rng = np.random.default_rng(seed)
@@ -242,6 +248,8 @@ def run(
     jitter = rng.standard_normal((samples, 5)) * s.jitter_s
     noise_w = rng.standard_normal((ticks, 5)) * (sensors.speed_noise / s.ratio * noise)
     noise_i = rng.standard_normal((ticks, 5)) * (sensors.current_noise * noise)
+    # a drive that closes the position loop reads its scale at every tick
+    noise_between = np.zeros((0, 5)) if not c.transport.any() else rng.standard_normal((ticks, 5)) * sensors.scale_noise * noise
     # Rest: the scale shows the first set point, the drive trains are loaded, the integrators carry what holds
     q0 = s_points[0] - sensors.drift * started_at_s
     hold = m[STEADY_FORCE].copy()
@@ -268,6 +276,7 @@ def run(
         s_position,
         s_feedforward,
         noise_x,
+        noise_between,
         noise_w,
         noise_i,
         jitter,
@@ -288,12 +297,17 @@ def run(
     return Trace(grid, s_points, *out)
 
 
-def _delayed(grid: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """values(at), the first value before the start; exact where `at` meets the grid."""
-    at = np.clip(at, grid[0], grid[-1])
+def _delayed(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: float) -> np.ndarray:
+    """values(cycles - delay), the first value before the start; exact where these times meet the grid."""
+    at = np.clip(cycles - delay, grid[0], grid[-1])
     if np.ptp(values) == 0.0:
         return np.full(len(at), values[0])
     return CubicSpline(grid, values)(at)
+
+
+def _on_straight_lines(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: float) -> np.ndarray:
+    """The same on straight lines between the values that the control has at its own cycles."""
+    return np.interp(cycles - delay, cycles, _delayed(grid, values, cycles, 0.0))
 
 
 def _deflection(m: np.ndarray, k: int, force: float) -> float:
