@@ -19,7 +19,7 @@ import numpy as np
 
 from twin.machine.machine import load_machine
 from twin.simulation.summary import table
-from twin.surface.height_rays import Nails, grid_nails
+from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
 from twin.surface.paper_parts import PARTS, TangentPlanes, VerticalCorner
@@ -29,14 +29,14 @@ from twin.surface.steps import Steps, steps_between
 from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
 
 WANTED_RATE = 20.0
-"""Million nail-step tests a second and core."""
+"""Million ray-step tests a second and core."""
 
 
-def patch(spacing: float = 2e-5) -> Nails:
+def patch(spacing: float = 2e-5) -> HeightRays:
     """4 mm x 2 mm of a plane."""
     u, v = np.arange(0.0, 4e-3, spacing), np.arange(0.0, 2e-3, spacing)
     point = np.stack([*np.meshgrid(u, v), np.zeros((len(v), len(u)))], axis=-1)
-    return grid_nails("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 5e-5, 1e-3)
+    return grid_rays("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 5e-5, 1e-3)
 
 
 def raster(tool: Tool, turning: bool, passes: int = 16) -> Steps:
@@ -48,12 +48,12 @@ def raster(tool: Tool, turning: bool, passes: int = 16) -> Steps:
     return steps_between(tip, np.column_stack([sway, 0.0 * sway, np.ones(len(tip))]), tool.reach)
 
 
-def plain_numpy(nails: Nails, steps: Steps, radius: float) -> np.ndarray:
-    """The straightforward way: every step against all nails at once, ball only, no culling; heights (nail,)."""
-    height = nails.height.copy()
-    n = nails.direction
+def plain_numpy(rays: HeightRays, steps: Steps, radius: float) -> np.ndarray:
+    """The straightforward way: every step against all rays at once, ball only, no culling; heights (ray,)."""
+    height = rays.height.copy()
+    n = rays.direction
     for tip, way, axis in zip(steps.tip, steps.way, steps.axis):
-        y = nails.point - tip - radius * axis
+        y = rays.point - tip - radius * axis
         a, b, g = way @ way, -(n @ way), -(y @ way)
         e, f = np.einsum("ij,ij->i", y, n), np.einsum("ij,ij->i", y, y) - radius**2
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -68,14 +68,14 @@ def plain_numpy(nails: Nails, steps: Steps, radius: float) -> np.ndarray:
 
 def measure_speed() -> int:
     """Tests a second of every tool, and numpy on the same job."""
-    nails, rows, missed = patch(), [], 0
+    rays, rows, missed = patch(), [], 0
     cone = revolution([(0.0, 0.0), (3e-3, 1e-3), (5e-3, 8e-3), (5e-3, 0.04)], name="cone")
     for tool in (ball_end(10e-3), flat_end(10e-3), bull_nose(10e-3, 1e-3), cone):
         for turning in (False, True):
             steps = raster(tool, turning, 2 if turning else 16)
-            cut(nails, steps_between(steps.tip[:3], steps.axis[:3], tool.reach), tool, threads=1)  # compiled
+            cut(rays, steps_between(steps.tip[:3], steps.axis[:3], tool.reach), tool, threads=1)  # compiled
             cpu, wall = time.process_time(), time.perf_counter()
-            _, work = cut(nails, steps, tool, threads=1)
+            _, work = cut(rays, steps, tool, threads=1)
             cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
             rate = work.tests / cpu / 1e6
             missed += rate < WANTED_RATE
@@ -84,19 +84,19 @@ def measure_speed() -> int:
                  f"{cpu:.2f}", f"{wall:.2f}", f"{rate:.1f}",
                  f"{work.pairs / cpu / 1e6:.0f}", "" if rate >= WANTED_RATE else "below"]
             )  # fmt: skip
-    print(f"nail-step tests, one thread, {len(nails)} nails; tested: after culling; wanted {WANTED_RATE:g} million a second and core")
+    print(f"ray-step tests, one thread, {len(rays)} rays; tested: after culling; wanted {WANTED_RATE:g} million a second and core")
     print(table(["tool", "axis", "pairs M", "tested M", "cpu s", "wall s", "tested M/s", "pairs M/s", ""], rows, left=2))
-    # side by side: the ball alone, 5 um nails would only make numpy wait longer
+    # side by side: the ball alone, 5 um rays would only make numpy wait longer
     ball = replace(ball_end(10e-3), elements=ball_end(10e-3).elements[:1])
     steps = raster(ball, False)
     cpu = time.process_time()
-    fast, work = cut(nails, steps, ball, threads=1)
+    fast, work = cut(rays, steps, ball, threads=1)
     cpu, began = time.process_time() - cpu, time.process_time()
-    slow = plain_numpy(nails, steps, 5e-3)
+    slow = plain_numpy(rays, steps, 5e-3)
     numpy_cpu = time.process_time() - began
     off = np.abs(fast.height - slow).max()
     print(
-        f"\nside by side, ball-end, {len(nails)} nails x {len(steps)} steps: compiled {cpu:.3f} s, "
+        f"\nside by side, ball-end, {len(rays)} rays x {len(steps)} steps: compiled {cpu:.3f} s, "
         f"plain numpy {numpy_cpu:.2f} s, {numpy_cpu / cpu:.0f} times; "
         f"numpy {work.pairs / numpy_cpu / 1e6:.1f} million pairs a second; greatest difference {off * 1e6:.1e} um"
     )
@@ -119,10 +119,10 @@ def measure_parts(only: list[str]) -> None:
         cpu = time.process_time()
         machine_part(part, levels[-1:])
         cpu = time.process_time() - cpu
-        nails = len(machining.cuts[0].finest)
+        rays = len(machining.cuts[0].finest)
         work = machining.statistics
         print(
-            f"{part.name}: {nails} nails in the zone, {len(levels[-1].path)} poses: "
+            f"{part.name}: {rays} rays in the zone, {len(levels[-1].path)} poses: "
             f"all {len(levels)} levels {machining.seconds:.1f} s wall, one level {cpu:.1f} s cpu "
             f"({work.tests / 1e6:.0f} of {work.pairs / 1e6:.0f} million pairs tested); "
             f"interpolation and two runs of the machine {simulated:.1f} s"

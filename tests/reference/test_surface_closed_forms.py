@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin.surface.dexels import box_dexels, cut_dexels
-from twin.surface.height_rays import Nails, grid_nails
+from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.metrology import scallop_height, section
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between
@@ -18,11 +18,11 @@ TOLERANCE = 1e-7
 R = 5e-3
 
 
-def plane(width: float = 4e-3, spacing: float = 2e-5, height: float = 1e-4, length: float = 2e-4) -> Nails:
-    """Nails along z on the plane z = 0, `length` along x and `width` along y."""
+def plane(width: float = 4e-3, spacing: float = 2e-5, height: float = 1e-4, length: float = 2e-4) -> HeightRays:
+    """Rays along z on the plane z = 0, `length` along x and `width` along y."""
     u, v = np.arange(0.0, length, spacing), np.arange(-width / 2, width / 2 + spacing / 2, spacing)
     point = np.stack([*np.meshgrid(u, v), np.zeros((len(v), len(u)))], axis=-1)
-    return grid_nails("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, height, 2e-3)
+    return grid_rays("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, height, 2e-3)
 
 
 def straight(tool: Tool, y: float = 0.0, z: float = 0.0, axis: tuple[float, float, float] = (0.0, 0.0, 1.0), points: int = 5) -> Steps:
@@ -33,12 +33,12 @@ def straight(tool: Tool, y: float = 0.0, z: float = 0.0, axis: tuple[float, floa
 
 def test_scallop_of_a_ball_end() -> None:
     """Passes at a pitch p leave R - sqrt(R^2 - p^2 / 4)."""
-    tool, pitch, nails = ball_end(2 * R), 0.25e-3, plane(spacing=1.25e-5, length=5e-5)
+    tool, pitch, rays = ball_end(2 * R), 0.25e-3, plane(spacing=1.25e-5, length=5e-5)
     for k in range(-9, 10):
-        nails, _ = cut(nails, straight(tool, y=k * pitch), tool)
-    _, profile = section(nails, u=0.0)
-    inner = np.abs(nails.v) < 1e-3
-    off = np.abs(nails.v) % pitch
+        rays, _ = cut(rays, straight(tool, y=k * pitch), tool)
+    _, profile = section(rays, u=0.0)
+    inner = np.abs(rays.v) < 1e-3
+    off = np.abs(rays.v) % pitch
     off = np.minimum(off, pitch - off)
     np.testing.assert_allclose(profile[inner], (R - np.sqrt(R**2 - off**2))[inner], atol=1e-10)
     assert scallop_height(profile[inner]) == pytest.approx(R - math.sqrt(R**2 - pitch**2 / 4), abs=TOLERANCE)
@@ -58,10 +58,10 @@ def test_flat_end_cuts_a_plane_and_a_cylinder_wall() -> None:
     inside = np.abs(after.v) < R
     np.testing.assert_allclose(after.map()[inside], -3e-5, atol=1e-12)
     np.testing.assert_allclose(after.map()[~inside], 1e-4, atol=1e-12)
-    # nails across the axis, standing on a wall at y = -R that the side mills: a plunge leaves the cylinder itself
+    # rays across the axis, standing on a wall at y = -R that the side mills: a plunge leaves the cylinder itself
     x = np.linspace(-3e-3, 3e-3, 61)
     point = np.stack([x, np.full(61, -R), np.full(61, 8e-3)], axis=-1)[None]
-    wall = grid_nails("wall", point, np.broadcast_to([0.0, 1.0, 0.0], point.shape), x, np.zeros(1), 5e-3, 1e-3)
+    wall = grid_rays("wall", point, np.broadcast_to([0.0, 1.0, 0.0], point.shape), x, np.zeros(1), 5e-3, 1e-3)
     plunged, _ = cut(wall, steps_between(np.array([[0, 0, 5e-3], [0, 0, 0.0]]), np.tile([0, 0, 1.0], (2, 1)), tool.reach), tool)
     np.testing.assert_allclose(plunged.height, R - np.sqrt(R**2 - x**2), atol=TOLERANCE)
     milled, _ = cut(wall, straight(tool), tool)
@@ -72,8 +72,8 @@ def test_flat_end_cuts_a_plane_and_a_cylinder_wall() -> None:
 def test_tilted_flat_end_cuts_an_ellipse(tilt_deg: float) -> None:
     """Tilted by b about y and moved along x, the disc's rim leaves the projection of a circle: z = -sin b sqrt(R^2 - y^2)."""
     b, tool = math.radians(tilt_deg), flat_end(2 * R, cutting_length=0.03)
-    nails = plane(width=6e-3, height=4e-3)
-    after, _ = cut(nails, straight(tool, z=2e-3, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
+    rays = plane(width=6e-3, height=4e-3)
+    after, _ = cut(rays, straight(tool, z=2e-3, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
     np.testing.assert_allclose(after.map()[:, 2], 2e-3 - math.sin(b) * np.sqrt(R**2 - after.v**2), atol=TOLERANCE)
 
 
@@ -82,8 +82,8 @@ def test_bull_nose_profile(tilt_deg: float) -> None:
     """Upright: flat to Rm, then a quarter circle. Tilted along the way: lowest of the ellipse of Rm, rounded by r."""
     r, b = 1e-3, math.radians(tilt_deg)
     tool = bull_nose(2 * R, r, cutting_length=0.03)
-    nails = plane(width=7e-3, height=4e-3)
-    after, _ = cut(nails, straight(tool, z=5e-4, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
+    rays = plane(width=7e-3, height=4e-3)
+    after, _ = cut(rays, straight(tool, z=5e-4, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
     phi = np.linspace(0.0, 2.0 * math.pi, 400_001)
     # the rim's circle in the part: centre r above the tip along the axis; each of its points sweeps a cylinder along x
     ring_y, ring_z = (R - r) * np.sin(phi), 5e-4 + r * math.cos(b) - (R - r) * np.cos(phi) * math.sin(b)
@@ -122,28 +122,28 @@ def test_turning_flat_end_pivots_a_plane() -> None:
     axes = np.array([[0.0, 0.0, 1.0], [math.sin(b), 0.0, math.cos(b)]])
     u = np.linspace(-4e-3, 4e-3, 41)
     point = np.stack([u, np.zeros(41), np.zeros(41)], axis=-1)[None]
-    nails = grid_nails("line", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, np.zeros(1), 1e-3, 2e-3)
-    after, _ = cut(nails, steps_between(np.zeros((2, 3)), axes, tool.reach), tool)
+    rays = grid_rays("line", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, np.zeros(1), 1e-3, 2e-3)
+    after, _ = cut(rays, steps_between(np.zeros((2, 3)), axes, tool.reach), tool)
     # the disc of the last pose falls towards +x: z = -x tan b there, 0 on the other side
     np.testing.assert_allclose(after.height, np.where(u > 0, -u * math.tan(b), 0.0), atol=TOLERANCE)
 
 
 def test_same_whatever_the_order_tiling_and_threads() -> None:
     rng = np.random.default_rng(3)
-    tool, nails = bull_nose(2 * R, 1e-3), plane(width=2e-3, spacing=1e-4, length=1e-3)
+    tool, rays = bull_nose(2 * R, 1e-3), plane(width=2e-3, spacing=1e-4, length=1e-3)
     tip = np.cumsum(rng.normal(0.0, 3e-4, (12, 3)) * [1, 1, 0.05], axis=0)
     axis = np.array([0.0, 0.0, 1.0]) + 0.05 * rng.standard_normal((12, 3))
     steps = steps_between(tip, axis, tool.reach)
-    first, _ = cut(nails, steps, tool, threads=1)
+    first, _ = cut(rays, steps, tool, threads=1)
     for tile, threads in ((4, 2), (64, 3)):
-        again, _ = cut(nails, steps, tool, tile=tile, threads=threads)
+        again, _ = cut(rays, steps, tool, tile=tile, threads=threads)
         assert np.array_equal(first.height, again.height)
         assert np.array_equal(first.cutter, again.cutter)
-    # another order of nails and of steps
+    # another order of rays and of steps
     back = Steps(*(getattr(steps, name)[::-1].copy() for name in ("tip", "way", "axis", "turn", "angle", "rim", "sample")))
-    assert np.array_equal(cut(nails, back, tool)[0].height, first.height)
-    turned = grid_nails(
-        "turned", nails.point.reshape(*nails.shape, 3)[:, ::-1], nails.direction.reshape(*nails.shape, 3), nails.u, nails.v, 1e-4, 2e-3
+    assert np.array_equal(cut(rays, back, tool)[0].height, first.height)
+    turned = grid_rays(
+        "turned", rays.point.reshape(*rays.shape, 3)[:, ::-1], rays.direction.reshape(*rays.shape, 3), rays.u, rays.v, 1e-4, 2e-3
     )
     assert np.array_equal(cut(turned, steps, tool)[0].map()[:, ::-1], first.map())
 
@@ -151,13 +151,13 @@ def test_same_whatever_the_order_tiling_and_threads() -> None:
 def test_converges_with_the_square_of_the_step() -> None:
     """Chords of a circular path of radius 25 mm: the error falls four times when the steps are halved."""
     tool, radius = ball_end(2 * R), 25e-3
-    nails = plane(width=2e-4, spacing=2e-5, height=1e-3, length=4e-3)
+    rays = plane(width=2e-4, spacing=2e-5, height=1e-3, length=4e-3)
     errors = []
     for count in (40, 80, 160):
         a = np.linspace(-0.3, 0.3, count + 1)
         tip = np.column_stack([2e-3 + radius * np.sin(a), 0.0 * a, radius * (1.0 - np.cos(a))])
         steps = steps_between(tip, np.tile([0.0, 0.0, 1.0], (count + 1, 1)), tool.reach)
-        after, _ = cut(nails, steps, tool)
+        after, _ = cut(rays, steps, tool)
         # the ball's lowest line: a torus of tube R about a circle above; cut from below along its middle
         row = after.shape[0] // 2
         height = radius + R - np.sqrt((radius + R) ** 2 - (after.u - 2e-3) ** 2)
@@ -166,15 +166,15 @@ def test_converges_with_the_square_of_the_step() -> None:
     assert np.all((ratios > 3.4) & (ratios < 4.6)), (errors, ratios)
 
 
-def test_nail_density_resolves_a_scallop_with_second_order() -> None:
-    """The highest nail of a smooth hump misses its top by at most R'' / 8 of the square of the spacing."""
+def test_ray_density_resolves_a_scallop_with_second_order() -> None:
+    """The highest ray of a smooth hump misses its top by at most R'' / 8 of the square of the spacing."""
     tool, depth = ball_end(2 * R), 30e-6
     missed = []
     for spacing in (80e-6, 40e-6, 20e-6):
         u, v = np.arange(2) * spacing, (np.arange(-40, 40) + 0.5) * spacing
         point = np.stack([*np.meshgrid(u, v), np.zeros((len(v), 2))], axis=-1)
-        nails = grid_nails("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 1e-3, 1e-3)
-        after, _ = cut(nails, straight(tool, z=-depth), tool)
+        rays = grid_rays("plane", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 1e-3, 1e-3)
+        after, _ = cut(rays, straight(tool, z=-depth), tool)
         missed.append(after.height.min() + depth)
     np.testing.assert_allclose(np.array(missed[:-1]) / missed[1:], 4.0, rtol=0.02)
 

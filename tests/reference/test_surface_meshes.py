@@ -1,4 +1,4 @@
-"""Meshes as stock: thickness and volume of dexels are the mesh's, nails end where they first leave it."""
+"""Meshes as stock: thickness and volume of dexels are the mesh's, rays end where they first leave it."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_volume_of_a_sphere_and_of_a_hollow_one():
 
 
 def heights(tmp_path: Path, bodies: list[list[list[float]]], at: float, inside_out: bool = False) -> np.ndarray:
-    """Heights [mm] of nails 0.5 mm deep towards +x on a wall at x = `at` [mm] in a stock of boxes [[x, y, z], [x, y, z]] in mm."""
+    """Heights [mm] of rays 0.5 mm deep towards +x on a wall at x = `at` [mm] in a stock of boxes [[x, y, z], [x, y, z]] in mm."""
     stock = trimesh.util.concatenate([trimesh.creation.box(bounds=b) for b in bodies])
     if inside_out:
         stock.invert()
@@ -46,7 +46,7 @@ def heights(tmp_path: Path, bodies: list[list[list[float]]], at: float, inside_o
         "surface": [{**wall, "along_mm": [-4.03, 4.03], "across_mm": [-4.07, 4.07], "depth_mm": 0.5}],
     }
     part = part_from_document(document, tmp_path, "part.toml")
-    return _with_stock(part.surfaces[0].nails(part), part).height * 1e3
+    return _with_stock(part.surfaces[0].rays(part), part).height * 1e3
 
 
 NEAR, OPPOSITE = [[-10, -5, -5], [1, 5, 5]], [[31, -5, -5], [40, 5, 5]]
@@ -54,7 +54,7 @@ NEAR, OPPOSITE = [[-10, -5, -5], [1, 5, 5]], [[31, -5, -5], [40, 5, 5]]
 
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_the_opposite_wall_of_a_pocket_is_no_stock(tmp_path: Path, inside_out: bool) -> None:
-    """A nominal wall at x = 0 with 1 mm of stock, the wall across the pocket 30 mm away: the nails end at 1 mm."""
+    """A nominal wall at x = 0 with 1 mm of stock, the wall across the pocket 30 mm away: the rays end at 1 mm."""
     np.testing.assert_allclose(heights(tmp_path, [NEAR, OPPOSITE], 0.0, inside_out), 1.0, atol=1e-3)
 
 
@@ -64,6 +64,6 @@ def test_stock_that_ends_below_the_nominal_surface(tmp_path: Path) -> None:
     np.testing.assert_allclose(heights(tmp_path, [NEAR, OPPOSITE], 2.0), -0.5, atol=1e-9)
 
 
-def test_a_wall_thinner_than_the_depth_of_the_nails(tmp_path: Path) -> None:
+def test_a_wall_thinner_than_the_depth_of_the_rays(tmp_path: Path) -> None:
     thin = [[-0.3, -5, -5], [0.1, 5, 5]]
     np.testing.assert_allclose(heights(tmp_path, [thin, OPPOSITE], 0.0), 0.1, atol=1e-3)

@@ -1,7 +1,7 @@
 """A second implementation: thousands of random sweeps of all tools against brute-force distances to the moving tool.
 
-The tool's outline is a distance in the half-plane (radius, height), evaluated at many moments of a step and refined; a nail's end
-must lie on the swept volume within 0.1 um (distance along the nail), and nothing of the tool may lie below it.
+The tool's outline is a distance in the half-plane (radius, height), evaluated at many moments of a step and refined; a ray's end
+must lie on the swept volume within 0.1 um (distance along the ray), and nothing of the tool may lie below it.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import math
 import numpy as np
 import pytest
 
-from twin.surface.height_rays import grid_nails
+from twin.surface.height_rays import grid_rays
 from twin.surface.removal import cut
 from twin.surface.steps import steps_between
 from twin.surface.tools import ball_end, bull_nose, flat_end, revolution
 
 TOLERANCE = 1e-7
-"""0.1 um along the nail."""
+"""0.1 um along the ray."""
 TOOLS = {
     "ball": ball_end(10e-3, cutting_length=0.02),
     "flat": flat_end(10e-3, cutting_length=0.02),
@@ -78,7 +78,7 @@ def test_random_sweeps(tool: str, turning: bool) -> None:
     rng = np.random.default_rng(7 + turning)
     cut_count = 0
     for _ in range(250):
-        # a patch of nails across the way of the tool, standing anywhere between along and across its axis
+        # a patch of rays across the way of the tool, standing anywhere between along and across its axis
         axis = np.array([0.0, 0.0, 1.0]) + 0.6 * rng.standard_normal(3) * [1, 1, 0]
         axes = np.array([axis, axis + (rng.uniform(0.0, 0.12) * rng.standard_normal(3) if turning else 0.0)])
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -88,12 +88,12 @@ def test_random_sweeps(tool: str, turning: bool) -> None:
         n /= np.linalg.norm(n)
         across = np.linalg.svd(n[None])[2][1:]
         points = rng.uniform(-6e-3, 6e-3, (3, 2)) @ across + axes[0] * rng.uniform(0.0, 8e-3)
-        nails = grid_nails("random", points[None], np.broadcast_to(n, (1, 3, 3)), np.arange(3.0), np.zeros(1), 0.05, 0.05)
+        rays = grid_rays("random", points[None], np.broadcast_to(n, (1, 3, 3)), np.arange(3.0), np.zeros(1), 0.05, 0.05)
         steps = steps_between(tips, axes, 0.02, tolerance=1e-9)
-        after, _ = cut(nails, steps, TOOLS[tool], threads=1)
+        after, _ = cut(rays, steps, TOOLS[tool], threads=1)
         for i in range(3):
             h = after.height[i]
-            # nothing of the tool below the end of the nail
+            # nothing of the tool below the end of the ray
             below = points[i] + np.linspace(-0.05, h - TOLERANCE, 400)[:, None] * n
             if h < 0.05:
                 below = np.vstack([below, points[i] + (h - np.geomspace(TOLERANCE, 1e-3, 60))[:, None] * n])
@@ -104,5 +104,5 @@ def test_random_sweeps(tool: str, turning: bool) -> None:
             cut_count += 1
             # and the end itself is touched: just above it the tool is there, or it lies on the tool's surface
             here = min(closest(tool, points[i] + (h + e) * n, tips, axes) for e in (0.0, 0.5 * TOLERANCE, TOLERANCE))
-            assert here < 2e-9, f"the end of the nail is {here * 1e6:.4f} um off the swept tool"
+            assert here < 2e-9, f"the end of the ray is {here * 1e6:.4f} um off the swept tool"
     assert cut_count > 120

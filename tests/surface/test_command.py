@@ -14,7 +14,6 @@ from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.surface.mesh import read_mesh
-from twin.surface.paper_parts import PARTS
 from twin.surface.part import part_from_document, read_part
 
 PART = """
@@ -81,7 +80,7 @@ def test_cut_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str
     mesh = trimesh.load(tmp_path / "out" / "plane_followed.ply", process=False)
     assert mesh.vertices[:, 2].min() == pytest.approx(300.0 - 0.020, abs=1e-3)
     assert len(np.unique(mesh.visual.vertex_colors, axis=0)) > 10
-    assert "million nail-step tests" in capsys.readouterr().out
+    assert "million ray-step tests" in capsys.readouterr().out
 
 
 def test_path_that_never_touches(tmp_path: Path) -> None:
@@ -136,12 +135,12 @@ def test_bad_part_files(tmp_path: Path, old: str, new: str, says: str) -> None:
         read_part(file)
 
 
-def test_too_many_nails(tmp_path: Path) -> None:
+def test_too_many_rays(tmp_path: Path) -> None:
     file = tmp_path / "part.toml"
     file.write_text(PART.format(z=300).replace("spacing_mm = 0.2", "spacing_mm = 0.001"), encoding="utf-8")
     part = read_part(file)
-    with pytest.raises(InputError, match="nails at 1 um"):
-        part.surfaces[0].nails(part)
+    with pytest.raises(InputError, match="rays at 1 um"):
+        part.surfaces[0].rays(part)
 
 
 def test_meshes_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,17 +207,6 @@ def test_what_a_mark_on_a_mesh_lacks_is_null(tmp_path: Path) -> None:
     mark = result["cuts"][1]["mark"]
     assert [mark[key] for key in ("width_mm", "length_mm", "u_mm", "v_mm")] == [None] * 4
     assert mark["depth_um"] == pytest.approx(0.0, abs=0.1)
-
-
-@pytest.mark.parametrize("name", list(PARTS))
-def test_example_parts_are_what_the_generator_writes(name: str) -> None:
-    folder = Path(__file__).parents[2] / "examples" / "parts"
-    assert (folder / f"{name}.mpf").read_text(encoding="utf-8") == PARTS[name].program()
-    assert (folder / f"{name}.toml").read_text(encoding="utf-8") == PARTS[name].part()
-    part = read_part(folder / f"{name}.toml")
-    nails = part.surfaces[0].nails(part)
-    assert len(nails) > 1000
-    np.testing.assert_allclose(np.linalg.norm(nails.direction, axis=1), 1.0, atol=1e-12)
 
 
 def test_part_needs_surfaces(tmp_path: Path) -> None:

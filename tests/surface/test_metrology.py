@@ -11,18 +11,18 @@ import pytest
 
 from twin.errors import InputError
 from twin.geometry.tool_path import ToolPath, contour_error
-from twin.surface.height_rays import Nails, grid_nails, tile_bounds, tiles_of
+from twin.surface.height_rays import HeightRays, grid_rays, tile_bounds, tiles_of
 from twin.surface.metrology import areal, mark, scallop_height, without_form
 from twin.surface.steps import bend_of, refined_axes, steps_between, steps_of
 from twin.surface.tools import bull_nose, revolution, tool_from_table
 
 
-def patch(height: np.ndarray, spacing: float = 1e-5) -> Nails:
+def patch(height: np.ndarray, spacing: float = 1e-5) -> HeightRays:
     rows, columns = height.shape
     u, v = np.arange(columns) * spacing, np.arange(rows) * spacing
     point = np.stack([*np.meshgrid(u, v), np.zeros((rows, columns))], axis=-1)
-    nails = grid_nails("patch", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 0.0, 1e-3)
-    return replace(nails, height=height.ravel())
+    rays = grid_rays("patch", point, np.broadcast_to([0.0, 0.0, 1.0], point.shape), u, v, 0.0, 1e-3)
+    return replace(rays, height=height.ravel())
 
 
 def test_areal_parameters_of_a_sine() -> None:
@@ -67,15 +67,15 @@ def test_scallop_height_of_arcs() -> None:
     assert scallop_height(np.zeros(50)) == 0.0
 
 
-def test_tiles_hold_every_nail_once_and_bounds_hold_the_material() -> None:
-    nails = patch(np.random.default_rng(1).uniform(-1e-5, 5e-5, (37, 53)))
+def test_tiles_hold_every_ray_once_and_bounds_hold_the_material() -> None:
+    rays = patch(np.random.default_rng(1).uniform(-1e-5, 5e-5, (37, 53)))
     for side in (4, 16, 100):
-        order, starts = tiles_of(nails, side)
-        assert sorted(order.tolist()) == list(range(len(nails)))
-        bounds = tile_bounds(nails, order, starts)
+        order, starts = tiles_of(rays, side)
+        assert sorted(order.tolist()) == list(range(len(rays)))
+        bounds = tile_bounds(rays, order, starts)
         for tile, (first, last) in enumerate(itertools.pairwise(starts)):
             a, b, radius = bounds[tile, :3], bounds[tile, 3:6], bounds[tile, 6]
-            ends = nails.surface[order[first:last]]
+            ends = rays.surface[order[first:last]]
             part = np.clip((ends - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
             assert np.linalg.norm(ends - a - part[:, None] * (b - a), axis=1).max() <= radius + 1e-15
 

@@ -96,12 +96,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("text", [TOOL + PROFILE, TOOL + PLANE, TOOL + SPHERE, TOOL + MESH, OUTLINE + PLANE])
-def test_each_shape_has_nails_along_unit_normals(folder: Path, text: str) -> None:
+def test_each_shape_has_rays_along_unit_normals(folder: Path, text: str) -> None:
     (folder / "part.toml").write_text(text, encoding="utf-8")
     part = read_part(folder / "part.toml")
-    nails = part.surfaces[0].nails(part, spacing=1e-3)
-    assert len(nails) > 50
-    np.testing.assert_allclose(np.linalg.norm(nails.direction, axis=1), 1.0, atol=1e-9)
+    rays = part.surfaces[0].rays(part, spacing=1e-3)
+    assert len(rays) > 50
+    np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=1), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("fault", FAULTS)

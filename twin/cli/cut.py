@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="F",
         help="velocity+torque | velocity | off, of the simulated run of a program; several are allowed (default: first and last)",
     )
-    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the nails in the zones (default: as the part file says)")
+    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: as the part file says)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
     parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")
 
@@ -93,7 +93,7 @@ def carry_out(args: argparse.Namespace) -> int:
     for one in paths:
         if one.errors:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
-    print(f"{work.tests / 1e6:.1f} million nail-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
+    print(f"{work.tests / 1e6:.1f} million ray-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
     return 0
 
@@ -112,7 +112,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
 
 
 def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[Path]:
-    """Pictures of every cut, all levels together, and meshes, height maps and a recording of the finest nails."""
+    """Pictures of every cut, all levels together, and meshes, height maps and a recording of the finest rays."""
     from twin.surface.export import write_height_map, write_mesh
     from twin.surface.picture import colour_end, draw_cut, draw_levels
 

@@ -1,4 +1,4 @@
-"""Dexels: parallel rays through a solid, each a list of intervals with material; for parts that nails cannot describe.
+"""Dexels: parallel rays through a solid, each a list of intervals with material; for parts that height rays cannot describe.
 
 A swept tool covers one interval [t_in, t_out] of a ray per element and step (the lowest entry, and the lowest entry from the other side);
 it is taken from the ray's list, which can split. So undercuts, through holes and volumes come out right. Lengths in m.

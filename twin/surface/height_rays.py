@@ -1,7 +1,7 @@
-"""Nails: lines along the normals of the nominal surface, each with the height at which material ends (an N-buffer).
+"""Height rays: lines along the normals of the nominal surface, each with the height at which material ends (an N-buffer).
 
-Nail i stands at point (i, 3) with unit direction (i, 3), outwards. Material fills it from -depth up to `height` (nail,); height 0 is
-the nominal surface, so a cut nail's height *is* the deviation. Nails of a surface with two parameters lie on a grid (row, column).
+Ray i stands at point (i, 3) with unit direction (i, 3), outwards. Material fills it from -depth up to `height` (ray,); height 0 is
+the nominal surface, so a cut ray's height *is* the deviation. HeightRays of a surface with two parameters lie on a grid (row, column).
 All lengths in m.
 """
 
@@ -14,15 +14,15 @@ import numpy as np
 from twin.errors import InputError
 
 TILE = 16
-"""Nails along the side of a tile of a grid."""
+"""Rays along the side of a tile of a grid."""
 
 
 @dataclass(frozen=True)
-class Nails:
-    """Nails with what is known about them.
+class HeightRays:
+    """Height rays with what is known about them.
 
-    `shape` is (rows, columns) of the grid (index = row * columns + column), or (count, 1) for scattered nails; `u` (columns,) and
-    `v` (rows,) are its coordinates [m]. `cutter` (nail,) is the sample of the path that made the surface there, -1 where it is
+    `shape` is (rows, columns) of the grid (index = row * columns + column), or (count, 1) for scattered rays; `u` (columns,) and
+    `v` (rows,) are its coordinates [m]. `cutter` (ray,) is the sample of the path that made the surface there, -1 where it is
     still the stock.
     """
 
@@ -42,31 +42,33 @@ class Nails:
 
     @property
     def is_grid(self) -> bool:
-        """Do the nails lie on a grid of two parameters?"""
+        """Do the rays lie on a grid of two parameters?"""
         return self.faces is None
 
     @property
     def surface(self) -> np.ndarray:
-        """Points (nail, 3) where the material ends."""
+        """Points (ray, 3) where the material ends."""
         return self.point + self.height[:, None] * self.direction
 
     def map(self, values: np.ndarray | None = None) -> np.ndarray:
-        """Heights (or other values, one per nail) as (row, column)."""
+        """Heights (or other values, one per ray) as (row, column)."""
         return (self.height if values is None else values).reshape(self.shape)
 
-    def fresh(self, allowance: float) -> Nails:
-        """The same nails with `allowance` [m] of material above the nominal surface, uncut."""
+    def fresh(self, allowance: float) -> HeightRays:
+        """The same rays with `allowance` [m] of material above the nominal surface, uncut."""
         return replace(self, height=np.full(len(self), float(allowance)), cutter=np.full(len(self), -1))
 
 
-def grid_nails(name: str, point: np.ndarray, direction: np.ndarray, u: np.ndarray, v: np.ndarray, allowance: float, depth: float) -> Nails:
-    """Nails on a grid: point and direction (row, column, 3) at v (row,) and u (column,)."""
+def grid_rays(
+    name: str, point: np.ndarray, direction: np.ndarray, u: np.ndarray, v: np.ndarray, allowance: float, depth: float
+) -> HeightRays:
+    """Rays on a grid: point and direction (row, column, 3) at v (row,) and u (column,)."""
     rows, columns = point.shape[:2]
     count = rows * columns
     if count == 0:
-        raise InputError(f"surface '{name}': no nail lies in the zone; enlarge it or make the spacing finer")
+        raise InputError(f"surface '{name}': no ray lies in the zone; enlarge it or make the spacing finer")
     direction = direction.reshape(count, 3)
-    return Nails(
+    return HeightRays(
         name=name,
         point=np.ascontiguousarray(point.reshape(count, 3)),
         direction=direction / np.linalg.norm(direction, axis=1, keepdims=True),
@@ -79,28 +81,28 @@ def grid_nails(name: str, point: np.ndarray, direction: np.ndarray, u: np.ndarra
     )
 
 
-def tiles_of(nails: Nails, side: int = TILE) -> tuple[np.ndarray, np.ndarray]:
-    """Order (nail,) in which nails of one tile lie together, and where each tile starts (tile + 1,)."""
-    if nails.is_grid:
-        row, column = np.divmod(np.arange(len(nails)), nails.shape[1])
-        tile = (row // side) * (-(-nails.shape[1] // side)) + column // side
+def tiles_of(rays: HeightRays, side: int = TILE) -> tuple[np.ndarray, np.ndarray]:
+    """Order (ray,) in which rays of one tile lie together, and where each tile starts (tile + 1,)."""
+    if rays.is_grid:
+        row, column = np.divmod(np.arange(len(rays)), rays.shape[1])
+        tile = (row // side) * (-(-rays.shape[1] // side)) + column // side
     else:
-        # scattered nails: by cells of a lattice with about side^2 nails each
-        size = np.ptp(nails.point, axis=0)
+        # scattered rays: by cells of a lattice with about side^2 rays each
+        size = np.ptp(rays.point, axis=0)
         area = max(float(np.sort(size)[1:].prod()), 1e-12)
-        cell = max(side * np.sqrt(area / len(nails)), 1e-9)
-        lattice = np.floor((nails.point - nails.point.min(axis=0)) / cell).astype(np.int64)
+        cell = max(side * np.sqrt(area / len(rays)), 1e-9)
+        lattice = np.floor((rays.point - rays.point.min(axis=0)) / cell).astype(np.int64)
         _, tile = np.unique(lattice, axis=0, return_inverse=True)
         tile = tile.ravel()
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.concatenate([[True], np.diff(tile[order]) != 0]))
-    return order, np.append(starts, len(nails))
+    return order, np.append(starts, len(rays))
 
 
-def tile_bounds(nails: Nails, order: np.ndarray, starts: np.ndarray) -> np.ndarray:
+def tile_bounds(rays: HeightRays, order: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Capsules (tile, 7) around the material of each tile: lower end, upper end, radius [m]."""
-    low = nails.point - nails.depth * nails.direction
-    high = nails.point + nails.height[:, None] * nails.direction
+    low = rays.point - rays.depth * rays.direction
+    high = rays.point + rays.height[:, None] * rays.direction
     count = np.diff(starts)[:, None]
     ends = [np.add.reduceat(p[order], starts[:-1], axis=0) / count for p in (low, high)]
     tile = np.repeat(np.arange(len(count)), count[:, 0])
@@ -108,7 +110,7 @@ def tile_bounds(nails: Nails, order: np.ndarray, starts: np.ndarray) -> np.ndarr
     square = np.maximum(np.einsum("ij,ij->i", axis, axis), 1e-30)
     radius = np.zeros(len(count))
     for p in (low[order], high[order]):
-        # distance of both ends of every nail from the capsule's axis: the nail lies within the larger
+        # distance of both ends of every ray from the capsule's axis: the ray lies within the larger
         part = np.clip(np.einsum("ij,ij->i", p - ends[0][tile], axis[tile]) / square[tile], 0.0, 1.0)
         gap = np.linalg.norm(p - ends[0][tile] - part[:, None] * axis[tile], axis=1)
         radius = np.maximum(radius, np.maximum.reduceat(gap, starts[:-1]))

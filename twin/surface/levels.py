@@ -23,6 +23,8 @@ from twin.surface.tools import Tool
 
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
 LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
+AS_FILED = "as filed"
+"""The feedforward of the machine file, where its axes differ and no one word says it."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,13 @@ def levels_of_program(
     machine: Machine,
     tool: Tool,
     levels: Sequence[str],
-    feedforward: Sequence[str],
+    feedforward: Sequence[str | None],
     progress: Callable[[float], None] | None = None,
 ) -> list[Level]:
-    """Programmed, commanded and followed paths of a program; the run is simulated once for each feedforward word."""
+    """Programmed, commanded and followed paths of a program; the run is simulated once for each feedforward word.
+
+    The word None, or AS_FILED, is the feedforward of the machine file.
+    """
     from twin.program import interpolate, read_program
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
@@ -107,9 +112,11 @@ def levels_of_program(
     if COMMANDED in levels:
         out.append(Level(COMMANDED, "", commanded, {}))
     for i, word in enumerate(feedforward if FOLLOWED in levels else ()):
-        run = simulate(machine.with_feedforward(word), setpoints_of(setpoints, machine), progress=report(1 + i))
+        run = simulate(
+            machine.with_feedforward(None if word == AS_FILED else word), setpoints_of(setpoints, machine), progress=report(1 + i)
+        )
         followed = axis_path(kinematics, axes_of_trace(run.trace, "position", machine), run.trace.time, tool.reach)
-        out.append(Level(FOLLOWED, word, followed, {**_errors(followed, commanded, machine), **_rotary(run.trace)}))
+        out.append(Level(FOLLOWED, word or AS_FILED, followed, {**_errors(followed, commanded, machine), **_rotary(run.trace)}))
     return out
 
 

@@ -1,6 +1,6 @@
 """Virtual machining of a part: every surface, coarse all over and fine in its zone, cut by every level of the path.
 
-The result keeps, per level, the cut nails and what a metrologist reads from them; deviations from the programmed cut take
+The result keeps, per level, the cut rays and what a metrologist reads from them; deviations from the programmed cut take
 the scallops out and leave what interpolator and drives did.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.height_rays import Nails
+from twin.surface.height_rays import HeightRays
 from twin.surface.levels import PROGRAMMED, Level
 from twin.surface.metrology import Mark, areal, mark, scallop_height
 from twin.surface.part import Part, Surface
@@ -29,17 +29,17 @@ FAST_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class CutSurface:
-    """One surface cut by one level: nails of the whole and of the zone (None without one), feed that made each nail of the finest."""
+    """One surface cut by one level: rays of the whole and of the zone (None without one), feed that made each ray of the finest."""
 
     level: Level
     surface: Surface
-    whole: Nails
-    zone: Nails | None
+    whole: HeightRays
+    zone: HeightRays | None
     feed: np.ndarray
 
     @property
-    def finest(self) -> Nails:
-        """The nails of the zone where there is one, else of the whole."""
+    def finest(self) -> HeightRays:
+        """The rays of the zone where there is one, else of the whole."""
         return self.whole if self.zone is None else self.zone
 
 
@@ -78,8 +78,8 @@ def machine_part(
     statistics, cuts = CutStatistics(0, 0), []
     steps = {id(level): steps_of(level.path, part.tool.reach) for level in levels}
     for surface in part.surfaces:
-        whole = _with_stock(surface.nails(part), part)
-        zone: Nails | None = None
+        whole = _with_stock(surface.rays(part), part)
+        zone: HeightRays | None = None
         for level in levels:
 
             def report(share: float, at: int = done) -> None:
@@ -105,27 +105,27 @@ def machine_part(
 
 def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
     """What a metrologist reads from one cut, in um, mm and degrees, as plain numbers."""
-    nails = one.finest
-    height = nails.height * 1e6
-    touched = nails.cutter >= 0
+    rays = one.finest
+    height = rays.height * 1e6
+    touched = rays.cutter >= 0
     out: dict[str, Any] = {
         "surface": one.surface.name,
         "level": one.level.level,
         "feedforward": one.level.feedforward,
-        "nails": len(nails),
+        "rays": len(rays),
         "untouched": int((~touched).sum()),
         "deviation_um": {"min": float(height.min()), "max": float(height.max()), "mean": float(height.mean())},
         "errors": dict(one.level.errors),
     }
-    if nails.is_grid:
-        numbers = asdict(areal(nails.map(), nails.u, nails.v))
+    if rays.is_grid:
+        numbers = asdict(areal(rays.map(), rays.u, rays.v))
         out["areal_um"] = {k: v * (1e6 if k not in ("ssk", "sku") else 1.0) for k, v in numbers.items()}
         # a section across the passes an eighth of the way along: clear of the border, and of a mark, about whose middle zones are laid
-        flank = nails.map()[:, nails.shape[1] // 8]
+        flank = rays.map()[:, rays.shape[1] // 8]
         out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
     if reference is not None and reference is not one:
-        found: Mark = mark(nails, reference.finest)
+        found: Mark = mark(rays, reference.finest)
         out["mark"] = {
             "depth_um": found.depth * 1e6,
             "left_um": found.height * 1e6,
@@ -135,7 +135,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
             "v_mm": found.v * 1e3,
             "below_nominal_um": found.below_nominal * 1e6,
         }
-        difference = (nails.height - reference.finest.height) * 1e6
+        difference = (rays.height - reference.finest.height) * 1e6
         # fast or slow by the feed at which the place was made
         fast = one.feed > one.surface.zone_feed
         for name, rows in (("slow", ~fast & touched), ("fast", fast & touched)):
@@ -144,17 +144,17 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
     return out
 
 
-def _with_stock(nails: Nails, part: Part) -> Nails:
-    """Uncut nails with the height of the stock: its mesh, or the allowance."""
+def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
+    """Uncut rays with the height of the stock: its mesh, or the allowance."""
     if part.stock is None:
-        return nails
+        return rays
     from twin.surface.mesh import stock_heights
 
-    return replace(nails, height=stock_heights(nails, part.stock, part))
+    return replace(rays, height=stock_heights(rays, part.stock, part.placed))
 
 
-def _zone(surface: Surface, part: Part, after: Nails, level: Level, spacing: float) -> Nails:
-    """Fine nails in the zone of the part file, or where motion above the zone's feed made the surface."""
+def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing: float) -> HeightRays:
+    """Fine rays in the zone of the part file, or where motion above the zone's feed made the surface."""
     along, across = surface.zone_along, surface.zone_across
     if along is None or across is None:
         feed = np.where(after.cutter >= 0, level.path.feed[np.maximum(after.cutter, 0)], 0.0)
@@ -169,15 +169,15 @@ def _zone(surface: Surface, part: Part, after: Nails, level: Level, spacing: flo
             for x, i in ((after.u, columns), (after.v, rows))
         ]
         along, across = along or clipped[0], across or clipped[1]
-    return surface.nails(part, spacing=spacing, along=along, across=across)
+    return surface.rays(part, spacing=spacing, along=along, across=across)
 
 
-def _untouched(level: Level, surface: Surface, nails: Nails, part: Part) -> str:
+def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> str:
     """How far a path passes by a surface that it never touches."""
     from scipy.spatial import cKDTree
 
     centre = level.path.tip + part.tool.radius * level.path.axis
-    gap, _ = cKDTree(nails.surface[:: max(1, len(nails) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
+    gap, _ = cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
     return (
         f"surface '{surface.name}': the {level.label} path never touches it: the tool's centre stays "
         f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm further off than its radius; "

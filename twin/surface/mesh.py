@@ -1,4 +1,4 @@
-"""Meshes as nominal part or stock: read, checked, brought to metres, and turned into nails.
+"""Meshes as nominal part or stock: read, checked, brought to metres, and turned into rays.
 
 STL, OBJ and PLY carry no unit. It is guessed from the size (a part between 5 mm and 2 m) and said; `unit` in the part file
 decides. A mesh with holes has no inside: it is refused as stock, and as a nominal surface it is taken with a warning.
@@ -6,6 +6,7 @@ decides. A mesh with holes has no inside: it is refused as stock, and as a nomin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING, Any
@@ -13,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.height_rays import Nails
+from twin.surface.height_rays import HeightRays
 from twin.units import UNITS
 
 if TYPE_CHECKING:
-    from twin.surface.part import Part, Surface
     from twin.surface.shapes import MeshFile
+
+Placed = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Brings points and directions (n, 3) of a part into the machine's part frame."""
 
 ENDINGS = (".stl", ".obj", ".ply")
 SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
@@ -69,8 +72,8 @@ def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
     return mesh, said
 
 
-def mesh_nails(surface: Surface, file: MeshFile, part: Part, spacing: float) -> Nails:
-    """Nails at the vertices of a mesh, divided until no edge is longer than the spacing."""
+def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowance: float, depth: float) -> HeightRays:
+    """Rays at the vertices of a mesh, divided until no edge is longer than the spacing; lengths in m."""
     import trimesh
 
     mesh, said = read_mesh(file.path, file.unit, closed=False)
@@ -78,34 +81,34 @@ def mesh_nails(surface: Surface, file: MeshFile, part: Part, spacing: float) -> 
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
     _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
     fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)
-    # at sharp edges each side keeps its own nails: a mean normal would read too much
+    # at sharp edges each side keeps its own rays: a mean normal would read too much
     fine = trimesh.graph.smooth_shade(fine, angle=SHARP_EDGE)
     vertices, faces = fine.vertices, fine.faces
     direction = fine.vertex_normals / np.maximum(np.linalg.norm(fine.vertex_normals, axis=1, keepdims=True), 1e-12)
-    point, direction = part.placed(np.asarray(vertices), np.asarray(direction))
+    point, direction = placed(np.asarray(vertices), np.asarray(direction))
     count = len(point)
-    return Nails(
-        surface.name, point, direction, np.full(count, part.allowance), surface.depth, (count, 1), np.zeros(1), np.arange(float(count)),
+    return HeightRays(
+        name, point, direction, np.full(count, allowance), depth, (count, 1), np.zeros(1), np.arange(float(count)),
         np.full(count, -1), faces=np.asarray(faces),
     )  # fmt: skip
 
 
-def stock_heights(nails: Nails, stock: MeshFile, part: Part) -> np.ndarray:
-    """Height (nail,) at which each nail leaves the stock mesh, seen from the nominal surface; -depth where it never is inside.
+def stock_heights(rays: HeightRays, stock: MeshFile, placed: Placed) -> np.ndarray:
+    """Height (ray,) at which each ray leaves the stock mesh, seen from the nominal surface; -depth where it never is inside.
 
-    Material beyond the first air above the nominal surface (the opposite wall of a pocket) belongs to no nail.
+    Material beyond the first air above the nominal surface (the opposite wall of a pocket) belongs to no ray.
     """
     mesh, said = read_mesh(stock.path, stock.unit, closed=True)
     print(f"note: {said}", file=sys.stderr)
-    vertices, _ = part.placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
+    vertices, _ = placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
     mesh.vertices = vertices
     if not mesh.is_volume:
         mesh.fix_normals()  # exported inside out
-    origin = nails.point - nails.depth * nails.direction
-    where, ray, triangle = mesh.ray.intersects_location(origin, nails.direction, multiple_hits=True)
-    height = np.einsum("ij,ij->i", where - origin[ray], nails.direction[ray]) - nails.depth
-    outwards = np.einsum("ij,ij->i", mesh.face_normals[triangle], nails.direction[ray]) > 0.0
-    first_in, first_out, below = (np.full(len(nails), start) for start in (np.inf, np.inf, -nails.depth))
+    origin = rays.point - rays.depth * rays.direction
+    where, ray, triangle = mesh.ray.intersects_location(origin, rays.direction, multiple_hits=True)
+    height = np.einsum("ij,ij->i", where - origin[ray], rays.direction[ray]) - rays.depth
+    outwards = np.einsum("ij,ij->i", mesh.face_normals[triangle], rays.direction[ray]) > 0.0
+    first_in, first_out, below = (np.full(len(rays), start) for start in (np.inf, np.inf, -rays.depth))
     for out, choose, rows in (
         (first_in, np.minimum, (height > 0.0) & ~outwards),
         (first_out, np.minimum, (height > 0.0) & outwards),

@@ -1,6 +1,6 @@
 """What a metrologist reads from a cut surface: deviations, profile sections, the mark, scallops, areal parameters.
 
-Deviations are heights of nails against the nominal surface [m]: above 0 material is left, below 0 the tool went too deep. The
+Deviations are heights of rays against the nominal surface [m]: above 0 material is left, below 0 the tool went too deep. The
 areal parameters follow ISO 25178-2 on the primary surface after form removal (F-operator: least-squares polynomial of u
 and v); no S- or L-filter is applied:
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.errors import InputError
-from twin.surface.height_rays import Nails
+from twin.surface.height_rays import HeightRays
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 
     return height - np.einsum("rt,t,ct->rc", rows, weight, columns, optimize=True)
 
 
-def mark(cut: Nails, reference: Nails) -> Mark:
-    """The mark of a cut against the same nails cut without it (the slow passes alone, or the programmed path)."""
+def mark(cut: HeightRays, reference: HeightRays) -> Mark:
+    """The mark of a cut against the same rays cut without it (the slow passes alone, or the programmed path)."""
     if cut.shape != reference.shape:
-        raise InputError("mark: the two surfaces have different nails; cut the same nails twice")
+        raise InputError("mark: the two surfaces have different rays; cut the same rays twice")
     below = (reference.height - cut.height).reshape(cut.shape)
     if not cut.is_grid:
         i = int(np.argmax(below))
@@ -111,13 +111,13 @@ def scallop_height(profile: np.ndarray) -> float:
     return float(np.mean(profile[peaks]) - np.mean(profile[valleys]))
 
 
-def section(nails: Nails, *, u: float | None = None, v: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+def section(rays: HeightRays, *, u: float | None = None, v: float | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A profile section: at constant u the heights over v, at constant v the heights over u, [m]; the nearest row or column."""
-    if not nails.is_grid or (u is None) == (v is None):
-        raise InputError("section: give either u or v of a surface whose nails lie on a grid")
+    if not rays.is_grid or (u is None) == (v is None):
+        raise InputError("section: give either u or v of a surface whose rays lie on a grid")
     if u is not None:
-        return nails.v, nails.map()[:, int(np.argmin(np.abs(nails.u - u)))]
-    return nails.u, nails.map()[int(np.argmin(np.abs(nails.v - v)))]
+        return rays.v, rays.map()[:, int(np.argmin(np.abs(rays.u - u)))]
+    return rays.u, rays.map()[int(np.argmin(np.abs(rays.v - v)))]
 
 
 def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:

@@ -189,10 +189,14 @@ class Dome:
     tolerance: float = 0.005
     centre: float = 130.0
 
-    def _point(self, azimuth: float, offset: float) -> tuple[str, tuple[float, float, float]]:
-        """Words of the pose at an azimuth [deg], `offset` [mm] further from the pole, and the ball's centre."""
+    def _polar(self, azimuth: float, offset: float) -> float:
+        """Angle from the pole [rad] of the spiral at an azimuth [deg], `offset` [mm] further from the pole."""
         low, high = self.polar_deg
-        polar = math.radians(low + (high - low) * azimuth / self.azimuth_deg) + offset / self.radius
+        return math.radians(low + (high - low) * azimuth / self.azimuth_deg) + offset / self.radius
+
+    def _point(self, azimuth: float, offset: float) -> tuple[str, tuple[float, float, float]]:
+        """Words of the pose at an azimuth [deg], `offset` [mm] further from the pole, and the tip [mm]."""
+        polar = self._polar(azimuth, offset)
         phi, lean = math.radians(azimuth), polar - math.radians(self.lean_deg)
         normal = (math.sin(polar) * math.cos(phi), math.sin(polar) * math.sin(phi), math.cos(polar))
         axis = (math.sin(lean) * math.cos(phi), math.sin(lean) * math.sin(phi), math.cos(lean))
@@ -203,8 +207,19 @@ class Dome:
         )
         return words, (tip[0], tip[1], tip[2])
 
+    def _approach(self, azimuth: float, offset: float) -> str:
+        """Words of A and C for the pose, on the solution with A < 0: only that side of the cradle tilts far enough.
+
+        In the part frame A < 0 leans the axis along (-sin C, -cos C); here it leans along (cos phi, sin phi), so C = -90 degrees - phi.
+        """
+        tilt = math.degrees(self._polar(azimuth, offset)) - self.lean_deg
+        return f"A={-tilt:.6f} C={-90.0 - azimuth:.6f}"
+
     def program(self) -> str:
-        """Sinumerik G-code in chords; the passes from the pole outwards, the fast one in its place and over the whole spiral."""
+        """Sinumerik G-code in chords; the passes from the pole outwards, the fast one in its place and over the whole spiral.
+
+        Each pass is approached in rapid motion with A and C named, so that it cuts on the solution that its whole length can be reached with.
+        """
         lines = [
             "; Paper, part 3: a five-axis path with large rotations, ball-end d10.",
             f"; Chosen: spiral over a dome of radius {self.radius:g} mm, {self.azimuth_deg:g} degrees around, {self.polar_deg[0]:g} to "
@@ -218,7 +233,8 @@ class Dome:
             count = max(4, math.ceil(math.radians(last - first) * self.radius * math.sin(middle) / self.chord))
             poses = [self._point(first + (last - first) * i / count, k * self.pitch) for i in range(count + 1)]
             above = self.centre + self.radius + 40.0
-            lines += [f"G0 {poses[0][0].replace(f'Z{poses[0][1][2]:.6f}', f'Z{above:.6f}')}", f"G0 {poses[0][0]}"]
+            x, y, _ = poses[0][1]
+            lines += [f"G0 X{x:.6f} Y{y:.6f} Z{above:.6f} {self._approach(first, k * self.pitch)}", f"G0 {poses[0][0]}"]
             lines += [f"G1 {words}" + (f" F{feed:g}" if i == 0 else "") for i, (words, _) in enumerate(poses[1:])]
             lines += [f"G0 Z{above:.6f}"]
         return "\n".join([*lines, "M30", ""])

@@ -3,7 +3,7 @@
     [tool]       kind, diameter_mm, ...              (twin.surface.tools)
     [stock]      allowance_mm above the nominal surface, or mesh = "stock.stl"
     [placement]  origin_mm, rotation_deg about z     of the part in the machine's part frame (table centre, table top)
-    [[surface]]  kind = "profile" | "plane" | "sphere" | "mesh", its shape, spacing_mm and a zone with finer nails
+    [[surface]]  kind = "profile" | "plane" | "sphere" | "mesh", its shape, spacing_mm and a zone with finer rays
 
 u runs along the surface as it is first named, v across; the shapes are those of twin.surface.shapes.
 """
@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.surface.height_rays import Nails, grid_nails
+from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
 from twin.surface.tools import Tool, tool_from_table
 from twin.tables import known, limits, listed, number, numbers, positive
 from twin.units import rad_from_deg
 
 COMMON = {"name", "kind", "spacing_mm", "depth_mm", "zone_um", "zone_along_mm", "zone_across_mm", "zone_feed_m_per_min"}
-MOST_NAILS = 4_000_000
-"""A zone with more nails than this is refused: it would not fit into memory in pictures and files."""
+MOST_RAYS = 4_000_000
+"""A zone with more rays than this is refused: it would not fit into memory in pictures and files."""
 
 
 @dataclass(frozen=True)
@@ -48,31 +48,31 @@ class Surface:
     zone_across: tuple[float, float] | None
     zone_feed: float
 
-    def nails(
+    def rays(
         self,
         part: Part,
         *,
         spacing: float | None = None,
         along: tuple[float, float] | None = None,
         across: tuple[float, float] | None = None,
-    ) -> Nails:
-        """Uncut nails of the whole surface or of a range of u and v, in the part frame of the machine."""
+    ) -> HeightRays:
+        """Uncut rays of the whole surface or of a range of u and v, in the part frame of the machine."""
         spacing = spacing or self.spacing
         if isinstance(self.shape, MeshFile):
-            from twin.surface.mesh import mesh_nails
+            from twin.surface.mesh import mesh_rays
 
-            return mesh_nails(self, self.shape, part, spacing)
+            return mesh_rays(self.name, self.shape, spacing, part.placed, part.allowance, self.depth)
         whole_u, whole_v = self.shape.extent
         u, v = _samples(along or whole_u, spacing), _samples(across or whole_v, spacing)
-        if len(u) * len(v) > MOST_NAILS:
+        if len(u) * len(v) > MOST_RAYS:
             raise InputError(
-                f"surface '{self.name}': {len(u) * len(v)} nails at {spacing * 1e6:g} um; "
+                f"surface '{self.name}': {len(u) * len(v)} rays at {spacing * 1e6:g} um; "
                 "enlarge spacing_mm or zone_um, or make the zone smaller"
             )
-        point, direction = self.shape.nails(u, v)
+        point, direction = self.shape.rays(u, v)
         grid = point.shape
         point, direction = part.placed(point.reshape(-1, 3), direction.reshape(-1, 3))
-        return grid_nails(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth)
+        return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth)
 
 
 @dataclass(frozen=True)

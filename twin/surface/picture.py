@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
 from twin.surface.export import COLOUR_MAP
-from twin.surface.height_rays import Nails
+from twin.surface.height_rays import HeightRays
 from twin.surface.machining import CutSurface, Machining
 from twin.surface.metrology import mark
 
@@ -26,17 +26,17 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
     import matplotlib
     from matplotlib.figure import Figure
 
-    nails = one.finest
-    if not nails.is_grid:
+    rays = one.finest
+    if not rays.is_grid:
         _draw_scattered(machining, one, path)
         return
     reference = machining.reference(one)
-    against = nails if reference is None or reference is one else reference.finest
-    place = mark(nails, against)
-    row, column = (int(np.argmin(np.abs(a - b))) for a, b in ((nails.v, place.v), (nails.u, place.u)))
-    if against is nails:
-        row, column = nails.shape[0] // 2, nails.shape[1] // 2
-    height, u, v = nails.map() * 1e6, nails.u * 1e3, nails.v * 1e3
+    against = rays if reference is None or reference is one else reference.finest
+    place = mark(rays, against)
+    row, column = (int(np.argmin(np.abs(a - b))) for a, b in ((rays.v, place.v), (rays.u, place.u)))
+    if against is rays:
+        row, column = rays.shape[0] // 2, rays.shape[1] // 2
+    height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     end = end or colour_end(height)
     with matplotlib.rc_context(FONT):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor="white", layout="constrained")
@@ -44,7 +44,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
         # v is drawn larger than u where the patch is long: the axes say so, and each has its bar
         relief, flat = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
         along, across = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-        _relief(relief, nails, end)
+        _relief(relief, rays, end)
         drawn = flat.imshow(
             height,
             extent=(u[0], u[-1], v[0], v[-1]),
@@ -69,7 +69,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
             (along, u, height[row], against.map()[row] * 1e6, f"section along the mark, v = {v[row]:.3f} mm"),
             (across, v, height[:, column], against.map()[:, column] * 1e6, f"section across the passes, u = {u[column]:.3f} mm"),
         ):
-            if against is not nails:
+            if against is not rays:
                 axes.plot(x, ref, color=hexadecimal(SETPOINT_COLOUR), lw=1.2, label="programmed")
             axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=one.level.label)
             axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
@@ -80,8 +80,8 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
             axes.spines[["top", "right"]].set_visible(False)
             axes.margins(x=0)
         along.legend(frameon=False, fontsize=9, loc="best")
-        subtitle = f"{machining.part.tool.name}, nails every {abs(u[1] - u[0]) * 1e3:.0f} um"
-        if against is not nails:
+        subtitle = f"{machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
+        if against is not rays:
             subtitle += f"; mark {place.depth * 1e6:.2f} um deep against the programmed cut, "
             subtitle += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
         figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", fontsize=14, x=0.012, ha="left", fontweight="bold")
@@ -134,13 +134,13 @@ def colour_end(height: np.ndarray) -> float:
     return float(step * min((f for f in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if f * step >= size), default=10.0))
 
 
-def _relief(axes: Any, nails: Nails, end: float) -> Any:
+def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
     """The surface as seen from above under a low light: colour by deviation, shade by slope."""
     import matplotlib
 
-    step = max(1, -(-max(nails.shape) // (2 * MOST_PIXELS)))
-    height = nails.map()[::step, ::step] * 1e6
-    u, v = nails.u[::step] * 1e3, nails.v[::step] * 1e3
+    step = max(1, -(-max(rays.shape) // (2 * MOST_PIXELS)))
+    height = rays.map()[::step, ::step] * 1e6
+    u, v = rays.u[::step] * 1e3, rays.v[::step] * 1e3
     # heights are stretched until the end of the scale over a tenth of a millimetre is a slope of one; flat is neither lit nor dark
     stretch = 0.1 / end
     dv, du = np.gradient(height * stretch, v, u)
@@ -187,16 +187,16 @@ def _scale_bar(axes: Any, u: np.ndarray, v: np.ndarray) -> None:
 
 
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
-    """Nails on a mesh: points seen along their mean normal."""
+    """Rays on a mesh: points seen along their mean normal."""
     import matplotlib
     from matplotlib.figure import Figure
 
-    nails = one.finest
-    normal = nails.direction.mean(axis=0)
+    rays = one.finest
+    normal = rays.direction.mean(axis=0)
     across = np.linalg.svd(normal[None])[2][1:] if np.linalg.norm(normal) > 1e-6 else np.eye(3)[:2]
-    x, y = (nails.point @ across.T).T * 1e3
-    height = nails.height * 1e6
-    touched = nails.cutter >= 0
+    x, y = (rays.point @ across.T).T * 1e3
+    height = rays.height * 1e6
+    touched = rays.cutter >= 0
     end = colour_end(height[touched])
     with matplotlib.rc_context(FONT):
         figure = Figure(figsize=(11.0, 7.0), dpi=130, facecolor="white", layout="constrained")

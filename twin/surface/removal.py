@@ -1,7 +1,7 @@
-"""Removal of material: all steps of a tool against all nails, tile by tile, compiled, on several threads.
+"""Removal of material: all steps of a tool against all rays, tile by tile, compiled, on several threads.
 
-A tile is a patch of neighbouring nails inside a capsule; a step concerns it if the swept element comes near that capsule. What is
-left are the tests proper, nail against step (`twin.surface.sweep`). A nail keeps the lowest height that any step leaves:
+A tile is a patch of neighbouring rays inside a capsule; a step concerns it if the swept element comes near that capsule. What is
+left are the tests proper, ray against step (`twin.surface.sweep`). A ray keeps the lowest height that any step leaves:
 
     height <- min(height, t)          over all steps and elements, with t >= -depth
 
@@ -20,7 +20,7 @@ import os
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.surface.height_rays import TILE, Nails, tile_bounds, tiles_of
+from twin.surface.height_rays import TILE, HeightRays, tile_bounds, tiles_of
 from twin.surface.steps import Steps
 from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_rim, swept_sphere
 from twin.surface.tools import Tool
@@ -28,18 +28,18 @@ from twin.surface.tools import Tool
 GROUP = 32
 """Consecutive steps that are put aside together."""
 BOUND_MARGIN = 1e-9
-"""The bound of a nail is taken this much lower than computed [m], beyond its rounding."""
+"""The bound of a ray is taken this much lower than computed [m], beyond its rounding."""
 UNDER = 1e-9
 """What a rounded element would take less than this [m] below the plane under it is left to the element that has that plane."""
 REORDERED = {"contract", "nsz", "arcp"}
-"""How the compiler may change sums in the loop that takes four nails at a time."""
+"""How the compiler may change sums in the loop that takes four rays at a time."""
 TILES_AT_ONCE = 64
 """Tiles that a thread takes at a time: bounds the time between two reports of progress."""
 
 
 @dataclass(frozen=True)
 class CutStatistics:
-    """How much work a cut was: all pairs of nail and step there are, and those that were tested after culling."""
+    """How much work a cut was: all pairs of ray and step there are, and those that were tested after culling."""
 
     pairs: int
     tests: int
@@ -49,27 +49,27 @@ class CutStatistics:
 
 
 def cut(
-    nails: Nails,
+    rays: HeightRays,
     steps: Steps,
     tool: Tool,
     *,
     threads: int | None = None,
     tile: int = TILE,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Nails, CutStatistics]:
-    """The nails after the tool has moved through all steps, and how much work it was.
+) -> tuple[HeightRays, CutStatistics]:
+    """The rays after the tool has moved through all steps, and how much work it was.
 
-    `progress` is called with the done fraction. Memory beyond nails and steps is a few numbers per tile.
+    `progress` is called with the done fraction. Memory beyond rays and steps is a few numbers per tile.
     """
-    height, cutter = nails.height.copy(), nails.cutter.copy()
-    pairs = len(nails) * len(steps) * len(tool.elements)
-    if len(steps) == 0 or len(nails) == 0:
-        return nails, CutStatistics(pairs, 0)
-    order, starts = tiles_of(nails, tile)
-    bounds = tile_bounds(nails, order, starts)
+    height, cutter = rays.height.copy(), rays.cutter.copy()
+    pairs = len(rays) * len(steps) * len(tool.elements)
+    if len(steps) == 0 or len(rays) == 0:
+        return rays, CutStatistics(pairs, 0)
+    order, starts = tiles_of(rays, tile)
+    bounds = tile_bounds(rays, order, starts)
     groups = group_bounds(steps, tool)
-    # one row per coordinate, tiles contiguous: so the compiler takes several nails at once
-    lines = np.ascontiguousarray(np.hstack([nails.point, nails.direction])[order].T)
+    # one row per coordinate, tiles contiguous: so the compiler takes several rays at once
+    lines = np.ascontiguousarray(np.hstack([rays.point, rays.direction])[order].T)
     h, c = height[order], cutter[order]
     moves = np.ascontiguousarray(np.hstack([steps.tip, steps.way, steps.axis, steps.turn, steps.angle[:, None], steps.rim]))
     tests = np.zeros(len(bounds), np.int64)
@@ -77,7 +77,7 @@ def cut(
 
     def work(first: int) -> int:
         last = min(first + TILES_AT_ONCE, len(bounds))
-        cut_tiles(first, last, starts, bounds, lines, h, c, -nails.depth, moves, sample, groups, tool.elements, tests)
+        cut_tiles(first, last, starts, bounds, lines, h, c, -rays.depth, moves, sample, groups, tool.elements, tests)
         return last - first
 
     done = 0
@@ -88,7 +88,7 @@ def cut(
             if progress:
                 progress(done / len(bounds))
     height[order], cutter[order] = h, c
-    return replace(nails, height=height, cutter=cutter), CutStatistics(pairs, int(tests.sum()))
+    return replace(rays, height=height, cutter=cutter), CutStatistics(pairs, int(tests.sum()))
 
 
 def group_bounds(steps: Steps, tool: Tool) -> np.ndarray:
@@ -127,7 +127,7 @@ def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-untyped-def]
-    """Lowest t at which nail p + t n lies in an element during the step m (a row of `moves`); nothing is sought above `top`."""
+    """Lowest t at which ray p + t n lies in an element during the step m (a row of `moves`); nothing is sought above `top`."""
     tip, way = (m[0], m[1], m[2]), (m[3], m[4], m[5])
     axis, turn = (m[6], m[7], m[8]), (m[9], m[10], m[11])
     if kind == FRUSTUM:
@@ -137,12 +137,12 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if kind == SPHERE:
         return swept_sphere(y, n, d, dd, r * r)[0]
-    # nothing of a rounded element lies outside the sphere around it: most nails end here
+    # nothing of a rounded element lies outside the sphere around it: most rays end here
     bound, _ = swept_sphere(y, n, d, dd, (r + slope) * (r + slope))
     if bound >= top:
         return math.inf
     if top < math.inf:
-        # nor below the plane under it: height of the nail's part up to `top` over the circle, a parabola in s
+        # nor below the plane under it: height of the ray's part up to `top` over the circle, a parabola in s
         x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
         first = x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]
         bend = d[0] * turn[0] + d[1] * turn[1] + d[2] * turn[2]
@@ -185,7 +185,7 @@ def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True, fastmath=REORDERED)
 def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no-untyped-def]
-    """Lowest t of each nail in the endless way of a sphere: below the one within the step, -inf along the way, NaN where missed.
+    """Lowest t of each ray in the endless way of a sphere: below the one within the step, -inf along the way, NaN where missed.
 
     Written without branches; the same conic as `swept_sphere`, which gives the final number.
     """
@@ -210,7 +210,7 @@ def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no
 
 @compiled(ieee_division=True, allocates=True)
 def cut_tiles(first, last, starts, bounds, lines, height, cutter, floor, moves, sample, groups, elements, tests):  # type: ignore[no-untyped-def]
-    """Cut the nails of the tiles first .. last; see the module's text. Fills height, cutter and tests."""
+    """Cut the rays of the tiles first .. last; see the module's text. Fills height, cutter and tests."""
     most = 0
     for tile in range(first, last):
         most = max(most, starts[tile + 1] - starts[tile])
@@ -244,7 +244,7 @@ def cut_tiles(first, last, starts, bounds, lines, height, cutter, floor, moves, 
                         if not t < height[i]:
                             continue
                         if t < floor:
-                            # lower than the nail goes: does the tool cover it at all?
+                            # lower than the ray goes: does the tool cover it at all?
                             back = (-n[0], -n[1], -n[2])
                             out = -element_entry(kind, p, back, m, z0, z1, r, slope, math.inf)
                             if out < floor:

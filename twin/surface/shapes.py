@@ -31,7 +31,7 @@ KEYS = {
 }
 KINDS = tuple(KEYS)
 EDGE_WIDTH = 0.5e-3
-"""Beside a sharp edge the nails lean over this width, up to the bisector at the edge [m]; there they read up to 1 / cos(turn / 2) more."""
+"""Beside a sharp edge the rays lean over this width, up to the bisector at the edge [m]; there they read up to 1 / cos(turn / 2) more."""
 PLANES = {"xz": (0, 2, 1), "xy": (0, 1, 2), "yz": (1, 2, 0)}
 """Axes of a profile's plane, and the one across."""
 FLATTEST = 1e-6
@@ -63,7 +63,7 @@ class Profile:
         """Ranges of u and v."""
         return (0.0, sum(s.length for s in self.segments)), self.across
 
-    def nails(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals; where two segments meet, u belongs to the second one."""
         pieces, corners = self._pieces()
         starts = np.array([at for at, *_ in pieces])
@@ -74,7 +74,7 @@ class Profile:
             flat[mine] = _along(point, heading, curvature, u[mine] - at)
             angle = heading + curvature * (u[mine] - at)
             for place, turn in corners:
-                # beside an edge the nails lean towards its bisector: along the wall they would leave the part sideways
+                # beside an edge the rays lean towards its bisector: along the wall they would leave the part sideways
                 near = np.clip(1.0 - np.abs(u[mine] - place) / EDGE_WIDTH, 0.0, 1.0)
                 angle = angle + 0.5 * turn * near * np.where(at < place - 1e-12, 1.0, -1.0)
             normal[mine] = np.column_stack([-np.sin(angle), np.cos(angle)])
@@ -110,7 +110,7 @@ class Plane:
     b: np.ndarray
     extent: tuple[Limits, Limits]
 
-    def nails(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals."""
         points = self.origin + u[None, :, None] * self.a + v[:, None, None] * self.b
         return points, np.broadcast_to(np.cross(self.a, self.b), points.shape).copy()
@@ -136,7 +136,7 @@ class Sphere:
         (first, last), (low, high) = self.azimuth, self.polar
         return (first * self._around, last * self._around), (low * self.radius, high * self.radius)
 
-    def nails(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals."""
         azimuth, polar = u[None, :] / self._around, v[:, None] / self.radius
         direction = np.stack(

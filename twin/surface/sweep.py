@@ -1,14 +1,14 @@
-"""Where a nail first meets the volume that a moving tool sweeps: closed forms, compiled.
+"""Where a ray first meets the volume that a moving tool sweeps: closed forms, compiled.
 
-A nail is the line x(t) = p + t n. A tool is a union of convex elements about its axis; within a step each point of it moves
-along a straight line, y(s, t) = x(t) - P(s), s in [0, 1]. The nail is cut at the lowest t of the region that the element covers in
+A ray is the line x(t) = p + t n. A tool is a union of convex elements about its axis; within a step each point of it moves
+along a straight line, y(s, t) = x(t) - P(s), s in [0, 1]. The ray is cut at the lowest t of the region that the element covers in
 the plane (s, t). For an element that only translates with velocity w this region is a conic cut by straight lines,
 
     sphere     |y|^2 <= R^2
     frustum    |y - (y.u) u| <= r0 + k (y.u - a0),   a0 <= y.u <= a1
     rounded    a sphere of radius r about each point of a circle of radius Rm: the lowest over the angle of that point
 
-and its lowest point is known in closed form, also where the nail misses the tool at both ends of the step. A turning axis
+and its lowest point is known in closed form, also where the ray misses the tool at both ends of the step. A turning axis
 u(s) = u0 + s du is treated by the same forms with w the velocity of the touching point, repeated until that point stays:
 the condition that holds then (surface normal across the velocity) is the exact one. Missed: t = inf.
 
@@ -25,24 +25,24 @@ SPHERE, FRUSTUM, ROUNDED = 0, 1, 2
 TINY = 1e-30
 """Squared length of a step [m2] below which the tool stands."""
 PARALLEL = 1e-6
-"""Squared sine between nail and motion below which the ends of the step are looked at too."""
+"""Squared sine between ray and motion below which the ends of the step are looked at too."""
 SETTLED = 1e-8
 """The touching point has settled when t changes by less than this [m]."""
 SLAB_MARGIN = 2e-8
-"""A nail counts as clear of a turning tool's end faces only beyond this [m], plus what they bend within the step."""
+"""A ray counts as clear of a turning tool's end faces only beyond this [m], plus what they bend within the step."""
 MOST_REPEATS = 12
 STANDING_SAMPLES = 17
 RIM_SAMPLES = 12
 """Points of the rim of a rounded element from which the search starts."""
 
 RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
-"""Golden section on the rim ends at these intervals [rad]: once the nail is met, and where it never is."""
+"""Golden section on the rim ends at these intervals [rad]: once the ray is met, and where it never is."""
 GOLDEN = 0.6180339887498949
 
 
 @compiled(ieee_division=True, allocates=True)
 def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
-    """Lowest t in a sphere that moves by d (length2 = d.d), and the s where it happens; y = nail point - first centre."""
+    """Lowest t in a sphere that moves by d (length2 = d.d), and the s where it happens; y = ray point - first centre."""
     e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
     f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - square
     if length2 > TINY:
@@ -135,9 +135,9 @@ def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
-    """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = nail point - tip at s = 0.
+    """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = ray point - tip at s = 0.
 
-    Also says whether the nail passes the endless cone at all (2: hit, 1: passes it beyond the ends, 0: misses it). What lies at or
+    Also says whether the ray passes the endless cone at all (2: hit, 1: passes it beyond the ends, 0: misses it). What lies at or
     above `top` need not be found: inf then stands for it.
     """
     z0 = y[0] * u[0] + y[1] * u[1] + y[2] * u[2]
@@ -218,7 +218,7 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
 
 @compiled(ieee_division=True, allocates=True)
 def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
-    """Does the part of the nail up to `top` surely miss the frustum during the whole step, by its faces or by its cone?"""
+    """Does the part of the ray up to `top` surely miss the frustum during the whole step, by its faces or by its cone?"""
     x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
     first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
     last = (x[0] - d[0]) * (u0[0] + du[0]) + (x[1] - d[1]) * (u0[1] + du[1]) + (x[2] - d[2]) * (u0[2] + du[2])
@@ -254,7 +254,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     if not turning:
         t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
         return t
-    # start: the velocity of the axis beside the nail's own point, at half of the step (never `top`: the result must not hang on it)
+    # start: the velocity of the axis beside the ray's own point, at half of the step (never `top`: the result must not hang on it)
     s, t = 0.5, 0.0
     last, hit = math.inf, False
     for _ in range(MOST_REPEATS):
@@ -278,7 +278,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
                 return found
             s, t, last = at, found, found
         else:
-            # missed with this velocity: look again from the closest approach of nail and axis
+            # missed with this velocity: look again from the closest approach of ray and axis
             zz = back[0] * u[0] + back[1] * u[1] + back[2] * u[2]
             nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
             wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
@@ -316,9 +316,9 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
 
 @compiled(ieee_division=True, allocates=True)
 def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
-    """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the nail lies.
+    """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the ray lies.
 
-    f1, f2 span the circle at the start, g1, g2 at the end; y = nail point - first centre. Returns t, angle, squared distance.
+    f1, f2 span the circle at the start, g1, g2 at the end; y = ray point - first centre. Returns t, angle, squared distance.
     """
     c, s = math.cos(phi), math.sin(phi)
     e0 = (c * f1[0] + s * f2[0], c * f1[1] + s * f2[1], c * f1[2] + s * f2[2])
@@ -329,7 +329,7 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     t, at = swept_sphere(v, n, w, ww, square)
     gap = 0.0
     if t == math.inf:
-        # closest approach of the nail and the way of this point
+        # closest approach of the ray and the way of this point
         nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
         vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
         vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
@@ -354,7 +354,7 @@ def _turn(angle):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
-    """Lowest t on the rim between two angles: golden section, on the distance until the nail is met, then secants to the end."""
+    """Lowest t on the rim between two angles: golden section, on the distance until the ray is met, then secants to the end."""
     x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
     t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
@@ -401,9 +401,9 @@ def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ig
 
 @compiled(ieee_division=True, allocates=True)
 def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untyped-def]
-    """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = nail point - first centre.
+    """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = ray point - first centre.
 
-    From samples of the rim, about each that is lower (or, where the nail misses it, nearer) than both of its neighbours.
+    From samples of the rim, about each that is lower (or, where the ray misses it, nearer) than both of its neighbours.
     """
     square = radius * radius
     step = 2.0 * math.pi / RIM_SAMPLES
