@@ -143,11 +143,11 @@ def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> N
     """The visible shapes, without mass."""
     import trimesh
 
-    from twin.replay.urdf import scene_from_urdf
+    from twin.machine.urdf_visuals import read_visuals
 
-    scene = scene_from_urdf(path)
-    for i, shape in enumerate(scene.shapes):
-        body = bodies[scene.model.body(shape.body).name]
+    visuals = read_visuals(path)
+    for i, shape in enumerate(visuals.shapes):
+        body = bodies[visuals.model.body(shape.body).name]
         more: dict[str, Any] = {}
         if shape.kind == "mesh":
             if shape.vertices is None or shape.faces is None:

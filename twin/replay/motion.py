@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.recordings.trace import read_trace
-from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf
+from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf, scene_from_urdf
 
 SWEEP_SECONDS = 4.0
 """Time that a sweep gives each joint."""
@@ -23,8 +23,6 @@ def read_scene(path: Path) -> Scene:
     if not path.is_file():
         raise InputError(f"{path}: no such model; give an MJCF (.xml) or URDF file")
     if path.suffix.lower() == ".urdf":
-        from twin.replay.urdf import scene_from_urdf
-
         return scene_from_urdf(path)
     return scene_from_mjcf(path)
 

@@ -14,7 +14,9 @@ import mujoco
 import numpy as np
 
 from twin.geometry.body_poses import rotate
+from twin.geometry.shape import Shape
 from twin.machine.machine import Machine
+from twin.machine.urdf_visuals import read_visuals
 from twin.replay.names import entity
 from twin.simulation.plant_spec import compiled_spec, frames_of_model, load_spec
 
@@ -22,24 +24,6 @@ ROOT = "machine"
 LAST_SEEN_GROUP = 2
 """Geoms of groups above are for collision or marks; MuJoCo's own viewer hides them too."""
 _UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
-
-
-@dataclass(frozen=True)
-class Shape:
-    """One thing to draw: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
-
-    `size` (3,) [m]: half edges of a box, radii of an ellipsoid, (radius, half length, -) along z of cylinder and capsule.
-    """
-
-    body: int
-    name: str
-    kind: str
-    position: np.ndarray
-    quaternion: np.ndarray
-    colour: tuple[int, int, int, int]
-    size: np.ndarray
-    vertices: np.ndarray | None = None
-    faces: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +75,12 @@ def scene_of(machine: Machine) -> Scene:
 def scene_from_mjcf(path: Path) -> Scene:
     """The scene of any MJCF file."""
     return _scene(compiled_spec(load_spec(path), str(path)), path.stem)
+
+
+def scene_from_urdf(path: Path) -> Scene:
+    """The scene of any URDF file."""
+    visuals = read_visuals(path)
+    return Scene(visuals.name, visuals.model, body_paths(visuals.model), visuals.shapes, -1, -1, visuals.mimics)
 
 
 def _scene(model: mujoco.MjModel, name: str) -> Scene:

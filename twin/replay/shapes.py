@@ -11,8 +11,9 @@ import numpy as np
 import rerun as rr
 
 from twin.geometry.body_poses import Pose
+from twin.geometry.shape import Shape
 from twin.replay.names import TIMELINE, entity
-from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
+from twin.replay.scene import Scene, scene_bounds, shape_path
 
 CREASE = np.cos(np.radians(35.0))
 """Faces that meet at a flatter angle share a normal and look round."""

@@ -1,4 +1,4 @@
-"""Any robot or machine described by a URDF, as a scene: its tree brought to the engine's form, its meshes read.
+"""What is seen of any robot or machine described by a URDF: its tree brought to the engine's form, its meshes read.
 
 Links become bodies, revolute and continuous joints hinges, prismatic ones slides, the others are rigid. Only what is seen is
 read: masses and collision shapes are not needed to replay a motion.
@@ -6,6 +6,7 @@ read: masses and collision shapes are not needed to replay a motion.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import logging
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
-from twin.replay.scene import Scene, Shape, body_paths
+from twin.geometry.shape import Shape
 
 _GREY = (160, 164, 170, 255)
 _KINDS = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
@@ -22,8 +23,21 @@ _MASS = 1.0
 """Every body needs a mass to compile; nothing here is simulated."""
 
 
-def scene_from_urdf(path: Path) -> Scene:
-    """The scene of a URDF file; a file that cannot be read or lacks a mesh is an InputError."""
+@dataclass(frozen=True)
+class Visuals:
+    """The tree of a URDF as a model without masses of its own, the shapes on its bodies, and joints that follow others.
+
+    `mimics`: joint -> (other, factor, offset).
+    """
+
+    name: str
+    model: mujoco.MjModel
+    shapes: tuple[Shape, ...]
+    mimics: dict[str, tuple[str, float, float]]
+
+
+def read_visuals(path: Path) -> Visuals:
+    """Read a URDF file; one that cannot be read or lacks a mesh is an InputError."""
     from yourdfpy import URDF  # type: ignore[import-untyped]
 
     if not path.is_file():
@@ -68,7 +82,7 @@ def scene_from_urdf(path: Path) -> Scene:
         for j in robot.joint_map.values()
         if j.mimic
     }
-    return Scene(robot.robot.name or path.stem, model, body_paths(model), tuple(shapes), -1, -1, mimics)
+    return Visuals(robot.robot.name or path.stem, model, tuple(shapes), mimics)
 
 
 def _add_body(parent: Any, name: str, parent_from_child: np.ndarray) -> Any:
