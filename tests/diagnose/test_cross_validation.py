@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnose.cross_validation import EVIDENCE, EVIDENCE_IN_SAMPLE, held_out_loss, leave_out
+from twin.diagnose.cross_validation import held_out_loss, leave_out
 from twin.diagnose.diagnosis import folds_of
-from twin.diagnose.tuning import PRIOR_WEIGHT
+from twin.diagnose.settings import DEFAULT
 
 RUNS, SAMPLES, EFFECTS, NUISANCES = 3, 40, 2, 3
-PRIOR = np.diag([1e-6] * EFFECTS + [PRIOR_WEIGHT] * NUISANCES)
+PRIOR = np.diag([1e-6] * EFFECTS + [DEFAULT.prior_weight] * NUISANCES)
 
 
 def linear(told_in: range = range(RUNS)):
@@ -24,13 +24,13 @@ def linear(told_in: range = range(RUNS)):
     channels = [SimpleNamespace(run=k, rows=slice(k * SAMPLES, (k + 1) * SAMPLES)) for k in range(RUNS)]
     fit = SimpleNamespace(
         columns=x[:, :EFFECTS],
-        about=SimpleNamespace(jacobian=x[:, EFFECTS:]),
+        about=SimpleNamespace(jacobian=x[:, EFFECTS:], prior_weight=DEFAULT.prior_weight),
         tuning=best[EFFECTS:],
         free=[None] * EFFECTS,
         left=lambda group: y - x @ best,
     )
-    group = SimpleNamespace(channels=channels, credit=np.ones(len(x)))
-    return SimpleNamespace(group=group, fit=fit), fit, x, y, best
+    group = SimpleNamespace(channels=channels, credit=np.ones(len(x)), thresholds=DEFAULT)
+    return SimpleNamespace(group=group, fit=fit, thresholds=DEFAULT), fit, x, y, best
 
 
 def test_each_run_is_predicted_as_by_a_fit_of_the_others():
@@ -54,7 +54,9 @@ def test_a_run_that_alone_tells_a_parameter_cannot_be_left_out():
     assert not tuning.any()
     own = 0.5 * np.sum(fit.left(None)[:SAMPLES] ** 2)
     others = held_out_loss(found, fit, [[1], [2]])
-    assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(own + others + EVIDENCE_IN_SAMPLE - EVIDENCE, rel=1e-9)
+    assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(
+        own + others + DEFAULT.evidence_in_sample - DEFAULT.evidence, rel=1e-9
+    )
 
 
 def test_folds():

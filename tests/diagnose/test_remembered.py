@@ -1,5 +1,6 @@
 """Answers that a search simulates once, and weighs as the group weighs when they are asked for again."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,9 +24,7 @@ def test_an_answer_is_simulated_once_and_follows_weights_and_tuning():
         return column
 
     for tuning, weights in ((tunings[0], None), (tunings[1], None), (tunings[1], doubt), (tunings[0], doubt)):
-        found.tuning = tuning
-        if weights is not None:
-            found.group = SimpleNamespace(weights=weights)
+        found = replace(found, tuning=tuning, group=found.group if weights is None else SimpleNamespace(weights=weights))
         remembered, projected = found.remembered("a start", simulate)
         np.testing.assert_allclose(remembered, column * found.group.weights, rtol=1e-6)
         np.testing.assert_allclose(projected, tuning.project(remembered), rtol=1e-6)

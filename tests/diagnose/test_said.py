@@ -10,9 +10,10 @@ from twin.diagnose import verdict
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import Group
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import Candidate, Found
 from twin.diagnose.tuning import tuning_from
-from twin.diagnose.verdict import CONFIDENCE, probabilities_of
+from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
 from twin.effects import EFFECTS, Setting
 from twin.exam.score import is_failed, wilson
@@ -23,13 +24,13 @@ def candidate(effect: str, evidence: float, needed: float, plausible: bool = Tru
 
 
 def holding(*candidates: Candidate) -> SimpleNamespace:
-    return SimpleNamespace(keys={c.key for c in candidates})
+    return SimpleNamespace(keys={c.key for c in candidates}, thresholds=DEFAULT)
 
 
 def test_an_effect_that_was_found_is_probable():
     best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 150.0, 30.0)
     p = probabilities_of([best, rival], holding(best))
-    assert p[0] == pytest.approx(CONFIDENCE)
+    assert p[0] == pytest.approx(DEFAULT.confidence)
     assert p[1] < 1e-6
 
 
@@ -38,7 +39,7 @@ def test_an_effect_without_the_evidence_it_needs_is_not():
     p = probabilities_of([candidate("position_gain", 100.0, 130.0)], holding())
     assert p[0] < 1e-3
     p = probabilities_of([candidate("position_gain", 130.0, 130.0)], holding(candidate("position_gain", 130.0, 130.0)))
-    assert p[0] == pytest.approx(0.5 * CONFIDENCE)
+    assert p[0] == pytest.approx(0.5 * DEFAULT.confidence)
 
 
 def test_of_a_round_whose_best_was_refused_nothing_is_left():
@@ -49,14 +50,14 @@ def test_of_a_round_whose_best_was_refused_nothing_is_left():
 def test_a_size_that_no_machine_has_is_not_probable():
     implausible, best = candidate("backlash", 300.0, 20.0, plausible=False), candidate("presliding", 200.0, 20.0)
     p = probabilities_of([implausible, best], holding(best))
-    assert p == [0.0, pytest.approx(CONFIDENCE)]
+    assert p == [0.0, pytest.approx(DEFAULT.confidence)]
     assert probabilities_of([implausible], holding()) == [0.0]
 
 
 def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: pytest.MonkeyPatch):
     """An effect that, sized, has no plausible size is taken out: the verdict may not be that nothing is there."""
-    before, after = (SimpleNamespace(fit=SimpleNamespace(settings=s), unknown=False) for s in (("an effect",), ()))
-    monkeypatch.setattr(verdict, "drop_implausible", lambda *_: None)
+    before, after = (Found(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
+    monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
     monkeypatch.setattr(verdict, "sized", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
     assert verdict.judged(before, None, map).unknown

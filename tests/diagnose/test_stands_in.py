@@ -1,5 +1,6 @@
 """What a fit leaves: one size in one run and another in the next, too much in most runs, or more than noise on an axis."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free, no_effect
 from twin.diagnose.search import loud_near_tolerance
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import is_systematic, loud_axes
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import tuning_from
@@ -19,17 +21,26 @@ TOLERANCE = 0.01
 SETTING = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
 
 
+def settled_as(channel, mask):
+    """Make a channel say that these samples (sample,) no longer show how the axis was stuck."""
+    channel.__dict__["settled"] = lambda view: mask
+
+
 def found_with(left, slope):
     """A search's result of which the rows of each run are given: what is left and the slope over the factor (run, sample)."""
-    channels = [Channel(k, "X", "velocity", np.asarray(rows), np.ones(SAMPLES), 1.0) for k, rows in enumerate(left)]
-    for k, channel in enumerate(channels):
-        channel.rows = slice(k * SAMPLES, (k + 1) * SAMPLES)
-        channel.settled = lambda view: np.ones(SAMPLES, bool)
+    channels = [
+        Channel(k, "X", "velocity", np.asarray(rows), np.ones(SAMPLES), 1.0, slice(k * SAMPLES, (k + 1) * SAMPLES))
+        for k, rows in enumerate(left)
+    ]
+    for channel in channels:
+        settled_as(channel, np.ones(SAMPLES, bool))
     rows = np.concatenate(left)
     parameter = SETTING.effect.parameter("factor")
     return SimpleNamespace(
+        thresholds=DEFAULT,
         group=SimpleNamespace(
             channels=channels,
+            thresholds=DEFAULT,
             size=rows.size,
             expected_loss=0.5 * rows.size,
             views=[None] * RUNS,
@@ -62,7 +73,7 @@ def test_a_size_that_differs_where_an_axis_was_stuck_is_one_size():
     found = found_with(noise(1) + np.array((40.0, 0.0, -40.0))[:, None] * slope * stuck, slope)
     assert differs_between_runs(found)
     for channel in found.group.channels:
-        channel.settled = lambda view: ~stuck
+        settled_as(channel, ~stuck)
     assert not differs_between_runs(found)
 
 
@@ -88,8 +99,7 @@ def test_what_is_left_in_most_runs_is_another_law(levels, systematic):
 
 def test_only_axes_above_their_noise_are_loud():
     found = found_with(noise(4) * np.array((1.0, 1.5, 1.0))[:, None], np.ones((RUNS, SAMPLES)))
-    for channel, axis in zip(found.group.channels, "XYZ"):
-        channel.axis = axis
+    found.group.channels = [replace(channel, axis=axis) for channel, axis in zip(found.group.channels, "XYZ")]
     found.group.credit = np.ones(found.group.size)
     assert loud_axes(found.group, found.group.residual) == {"Y"}
     found.group.credit[found.group.channels[1].rows] = 0.03  # the axis was stuck

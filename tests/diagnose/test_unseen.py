@@ -8,7 +8,7 @@ import pytest
 
 from twin.diagnose import unseen
 from twin.diagnose.candidates import Start
-from twin.diagnose.cross_validation import EVIDENCE
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
@@ -23,7 +23,9 @@ ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
 def sizes_of(columns, monkeypatch, credit=1.0):
     """Usual sizes from which effects would show that change these rows; a nuisance takes up what lies along it."""
     tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
-    found = SimpleNamespace(tuning=tuning, group=SimpleNamespace(credit=np.full(ROWS, credit), expected_loss=0.0, channels=[]))
+    found = SimpleNamespace(
+        tuning=tuning, thresholds=DEFAULT, group=SimpleNamespace(credit=np.full(ROWS, credit), expected_loss=0.0, channels=[])
+    )
     axes = dict(zip("XYZ", columns))
 
     def answer(found, setting):
@@ -44,7 +46,7 @@ def of_evidence(evidence):
 
 
 def test_a_quarter_of_the_evidence_is_half_the_size(monkeypatch):
-    sizes = sizes_of([of_evidence(EVIDENCE / 4.0), of_evidence(1.1 * EVIDENCE), None], monkeypatch)
+    sizes = sizes_of([of_evidence(DEFAULT.evidence / 4.0), of_evidence(1.1 * DEFAULT.evidence), None], monkeypatch)
     assert sizes == {"X": pytest.approx(2.0, rel=1e-6)}  # what shows, and what no machine runs with, is not listed
 
 
@@ -54,7 +56,7 @@ def test_what_changes_nothing_or_only_what_is_re_tuned_never_shows(monkeypatch):
 
 
 def test_what_shows_only_where_an_axis_was_stuck_hardly_counts(monkeypatch):
-    sizes = sizes_of([of_evidence(EVIDENCE)], monkeypatch, credit=0.04)
+    sizes = sizes_of([of_evidence(DEFAULT.evidence)], monkeypatch, credit=0.04)
     assert sizes == {"X": pytest.approx(5.0, rel=1e-6)}
 
 

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from twin.cli import main
-from twin.diagnose.cross_validation import EVIDENCE
-from twin.diagnose.tuning import PRIOR_WEIGHT
+from twin.diagnose.settings import DEFAULT
 from twin.errors import InputError
 from twin.exam.detectability import Answers, outlooks
 from twin.exam.mark import NOT_DIAGNOSED, mark_answer
@@ -359,11 +358,11 @@ def outlook_of(products: np.ndarray, nuisances: int) -> dict[str, Any]:
 
 
 def test_what_could_be_found_by_closed_forms() -> None:
-    """Two answers of length a and b under the angle phi: found from sqrt(2 EVIDENCE) / a, told apart from that over sin(phi)."""
+    """Two answers of length a and b under the angle phi: found from sqrt(2 DEFAULT.evidence) / a, told apart from that over sin(phi)."""
     a, b, phi = 10.0, 20.0, 0.3
     cross = a * b * math.cos(phi)
     one = outlook_of(np.array([[a * a, cross], [cross, b * b]]), 0)["one"]
-    assert one.found == pytest.approx(math.sqrt(2.0 * EVIDENCE) / a)
+    assert one.found == pytest.approx(math.sqrt(2.0 * DEFAULT.evidence) / a)
     assert one.apart == pytest.approx(one.found / math.sin(phi))
     assert one.rival == "other X"
     alike = outlook_of(np.array([[a * a, a * b], [a * b, b * b]]), 0)["one"]
@@ -374,6 +373,6 @@ def test_what_re_tuning_does_alike_cannot_be_found() -> None:
     """A nuisance whose answer is the effect's leaves of it what its prior forbids."""
     c = 100.0
     one = outlook_of(np.array([[c * c, c * c, 0.0], [c * c, c * c, 0.0], [0.0, 0.0, 1.0]]), 1)["one"]
-    left = c * c - c**4 / (c * c + PRIOR_WEIGHT)
-    assert one.found == pytest.approx(math.sqrt(2.0 * EVIDENCE / left))
-    assert one.found > 0.9 * math.sqrt(2.0 * EVIDENCE / PRIOR_WEIGHT)
+    left = c * c - c**4 / (c * c + DEFAULT.prior_weight)
+    assert one.found == pytest.approx(math.sqrt(2.0 * DEFAULT.evidence / left))
+    assert one.found > 0.9 * math.sqrt(2.0 * DEFAULT.evidence / DEFAULT.prior_weight)

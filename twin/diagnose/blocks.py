@@ -31,12 +31,6 @@ from twin.simulation.setpoints import command_of
 MOTION = ("velocity", "motor_position", "position")
 """Signals any of which tells the motion of an axis."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
-REVERSAL_S = 0.06
-"""Time [s] after a change of direction that counts as reversal."""
-SMOOTH_S = 0.025
-"""Window [s] over which a recorded motion is smoothed before it is differentiated."""
-DRIFT_S = 0.2
-"""Window [s] of the moving mean that is taken out of the predicted current: what an integrator over recorded, noisy inputs drifts by."""
 
 
 @dataclass
@@ -99,7 +93,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
                 continue
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
-            if len(measured) > 50:
+            if len(measured) > view.thresholds.enough_samples:
                 found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
     return found
 
@@ -127,7 +121,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         predicted,
     )
     error = current - predicted
-    error = error - _moving_mean(error, round(DRIFT_S / trace.period))
+    error = error - _moving_mean(error, round(view.thresholds.drift_s / trace.period))
     moving = np.flatnonzero(view.reference(axis.name)[2])
     return error[moving], moving
 
@@ -161,7 +155,7 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
     from scipy.signal import savgol_filter
 
     count = len(trace.time)
-    window = max(7, round(SMOOTH_S / trace.period) | 1)
+    window = max(7, round(view.thresholds.smooth_s / trace.period) | 1)
     if count < 2 * window:
         return np.zeros(0), np.zeros(0, int)
     if view.trace.has(axis.name, "velocity"):
@@ -175,7 +169,7 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
     inertia, bias = _inertia_and_bias(view, axis, count)
     force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
     slow = _moving_minimum(np.abs(v), window)
-    sliding = np.flatnonzero(slow > 3e-4 * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
+    sliding = np.flatnonzero(slow > view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
     return force[sliding], sliding
 
 
@@ -210,8 +204,8 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
     turns = nonzero[1:][np.diff(signs[nonzero]) != 0]
     starts = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     for i in [*turns, *starts]:
-        turned[max(i - round(0.01 / period), 0) : i + round(REVERSAL_S / period)] = True
-    accelerating = np.abs(a) > 0.03 * axis.max_acceleration
+        turned[max(i - round(0.01 / period), 0) : i + round(view.thresholds.reversal_s / period)] = True
+    accelerating = np.abs(a) > view.thresholds.accelerating * axis.max_acceleration
     return {
         "reversal": turned,
         "acceleration": ~turned & moving & accelerating,

@@ -8,25 +8,8 @@ import functools
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.view import RunView, rests
-
-SETTLED_S = 0.2
-"""Time after break-away from which nothing shows any more how long and where an axis was stuck."""
-
-SHAPES = 60.0
-"""Independent shapes that a fault of the model may take over one channel: no number of samples makes it better known."""
-
-DOUBT = 0.01
-"""Share of what an effect changes to which its law and its place in the twin are trusted."""
-
-LAG_S = 0.01
-"""Time by which what an effect changes may come earlier or later than the twin says."""
-
-EVENT_S = 0.1
-"""Length of a break-away: what is left within it is a fault of one law at one moment."""
-
-BY_CHANCE = 1.5
-"""Mean square over noise of so short a stretch that noise alone makes."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +21,7 @@ class Scatter:
     jitter: np.ndarray
 
 
-@dataclass
+@dataclass(frozen=True)
 class Channel:
     """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
 
@@ -56,27 +39,31 @@ class Channel:
     rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
     scatter: Scatter | None = field(default=None, repr=False)
+    thresholds: Thresholds = field(default=DEFAULT, repr=False)
 
     @functools.cached_property
     def is_clean(self) -> bool:
         """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
         u = self.residual / self.sigma
-        n = len(u)
+        n, t = len(u), self.thresholds
         if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
             means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
-            return bool(float(np.mean(u**2)) < 1.5 and np.abs(means).max() < 2.0)
-        if float(np.mean(u**2)) > 1.15 + 6.0 * np.sqrt(2.0 / n):
+            return bool(float(np.mean(u**2)) < t.clean_law_square and np.abs(means).max() < t.clean_law_mean)
+        if float(np.mean(u**2)) > t.clean_square + t.clean_spread * np.sqrt(2.0 / n):
             return False
         for width in (25, 400):
             if n > 4 * width:
                 means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
-                if float(np.mean(means**2)) > 1.5 + 6.0 * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > 6.5:
+                if (
+                    float(np.mean(means**2)) > t.clean_mean_square + t.clean_spread * np.sqrt(2.0 / len(means))
+                    or float(np.abs(means).max()) > t.clean_mean
+                ):
                     return False
         return True
 
     def settled(self, view: RunView) -> np.ndarray:
         """True for the samples that no longer show how the axis was stuck before (sample,)."""
-        free = ~rests(view, self.axis, SETTLED_S)
+        free = ~rests(view, self.axis, self.thresholds.settled_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)
         return free[view.reference(self.axis)[2]] if self.name in ("windup", "current") else free
@@ -93,8 +80,8 @@ class Channel:
 
     @property
     def weight(self) -> np.ndarray:
-        """1 / sqrt(sigma^2 correlation + doubt^2 n / SHAPES), (sample,): n samples of doubt count as SHAPES."""
-        many = max(len(self.sigma) / SHAPES, 1.0)
+        """1 / sqrt(sigma^2 correlation + doubt^2 n / shapes), (sample,): n samples of doubt count as so many shapes."""
+        many = max(len(self.sigma) / self.thresholds.shapes, 1.0)
         return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
 
     def doubted(self, change: np.ndarray, left: np.ndarray, period: float) -> Channel:
@@ -102,6 +89,7 @@ class Channel:
 
         `left` (sample,) is what they do not explain: as far as it stands out of noise around a sample, the twin is wrong there.
         """
-        doubt = DOUBT * maximum_filter1d(np.abs(change), 2 * round(LAG_S / period) + 1)
-        around = uniform_filter1d(np.square(left), 2 * round(0.5 * EVENT_S / period) + 1)
-        return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - BY_CHANCE * (self.sigma**2 + doubt**2), 0.0)))
+        t = self.thresholds
+        doubt = t.doubt * maximum_filter1d(np.abs(change), 2 * round(t.lag_s / period) + 1)
+        around = uniform_filter1d(np.square(left), 2 * round(0.5 * t.event_s / period) + 1)
+        return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - t.by_chance * (self.sigma**2 + doubt**2), 0.0)))

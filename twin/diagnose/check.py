@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
 
-BEYOND = 0.2
-"""A position gap above this share of the motion belongs to another machine."""
 
-
-def check_campaign(campaign: Campaign, machine: Machine) -> None:
+def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> None:
     """Refuse what another machine recorded: set points outside the travel, motion that does not follow them; and what holds no signal
     or no motion."""
     if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
@@ -30,9 +28,9 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
             setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)
             loops = machine.axis(axis).loops
             lag = loops.position_delay_s + 1.0 / loops.position_gain_per_s
-            allowed = 3.0 * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
+            allowed = thresholds.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
             largest = float(np.abs(setpoint - position).max())
-            if largest > max(allowed, BEYOND * float(np.ptp(setpoint))):
+            if largest > max(allowed, thresholds.off_set_point * float(np.ptp(setpoint))):
                 raise InputError(
                     f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
                     f"off its set point, beyond any effect on machine {machine.name}; check the machine file, signs and units of the record"

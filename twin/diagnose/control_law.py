@@ -21,12 +21,6 @@ from twin.recordings.trace import Trace
 from twin.simulation.gap import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
-FLOOR = 0.01
-"""What the controller channel cannot tell anyway, as a fraction of the noise of the speed."""
-
-AT_LIMIT = 0.999
-"""Share of its limit from which a command counts as clipped."""
-
 
 def closed_on(trace: Trace, axis: Axis) -> str:
     """The recorded signal that closes the position loop."""
@@ -55,7 +49,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.
     u = trace.get(name, axis.effort)
     told = axis.told_torque_constant
     error = u * told * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - _differentiated(position, view, axis))
-    error[np.abs(u) > AT_LIMIT * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
+    error[np.abs(u) > view.thresholds.clipped * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
     error[: axis.loops.speed_mean_cycles + 1] = 0.0  # and the first ones not where the axis was before
     return error
 
@@ -63,7 +57,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.
 def law_sigma(view: RunView, axis: Axis) -> float:
     """What rounding of the record leaves of e (standard deviation)."""
     noise = view.machine.noise(axis)
-    least = FLOOR * noise.speed or 1e-9
+    least = view.thresholds.law_floor * noise.speed or 1e-9
     if view.trace.has(axis.name, "velocity_setpoint"):
         return max(_rounding(view.trace, axis) / np.sqrt(12.0), least)
     # the controller may have seen one count of its encoder more or less than the record holds

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.state import Found
-from twin.diagnose.tolerance import LEAST_IMPERFECTION, LEAST_SLIP, NORMAL, SPRINGS, WIDEST, tuned, with_added
+from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import SimulationError
 from twin.machine.machine import Machine
@@ -50,11 +50,12 @@ def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setti
 
 def within(f: Found, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
+    t = f.thresholds
     deviations = f.fit.tuning * f.tuning.spread
-    if np.any(np.abs(deviations) > WIDEST * tolerance):
-        deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, WIDEST * tolerance) * f.tuning.spread
+    if np.any(np.abs(deviations) > t.widest * tolerance):
+        deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, t.widest * tolerance) * f.tuning.spread
     deviations = f.tuning.base + deviations
-    too_stiff = [n.quantity == "slip" and d < LEAST_SLIP * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
 
 
@@ -118,6 +119,7 @@ def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
     for f in found:
+        t = f.thresholds
         shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
         moved = f.fit.settings
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
@@ -125,7 +127,7 @@ def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int
         settings += moved
         deviations = within(f, tolerance)
         # what all runs together say is not there does not appear because the one that says so is left out
-        absent = [n.quantity in SPRINGS and d < LEAST_IMPERFECTION * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
-        variant = tuned(f.tuning.nuisances, np.clip(deviations, -WIDEST * tolerance, WIDEST * tolerance))(variant)
+        variant = tuned(f.tuning.nuisances, np.clip(deviations, -t.widest * tolerance, t.widest * tolerance))(variant)
     return with_added(variant, settings)

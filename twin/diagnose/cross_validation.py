@@ -11,33 +11,15 @@ import scipy.linalg
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.state import Found, is_cut
-from twin.diagnose.tolerance import NORMAL, UNIFORM, WIDEST
-from twin.diagnose.tuning import PRIOR_WEIGHT, Tuning, beside
+from twin.diagnose.tolerance import NORMAL, UNIFORM
+from twin.diagnose.tuning import Tuning, beside
 from twin.effects import Setting
 
 FOLDS = 3
 """Parts into which the runs are divided; each is predicted by a fit of the others."""
 
-EVIDENCE = 14.0
-"""Log likelihood on runs left out, over re-tuning alone, that an effect must bring to be there."""
-
-EVIDENCE_IN_SAMPLE = 60.0
-"""The same where no run could be left out."""
-
-IMPERFECT = 1.2e-3
-"""Share of what noise makes that faults of the twin, and imperfections without a law here, may imitate: `devtools/measure_imitation.py`."""
-
-IMPERFECT_UNCUT = 4e-3
-"""The same for a block that the recorded signals do not cut out of the loop."""
-
-ALONE = 0.99
-"""Share of what is known of a parameter that one fold holds and from which the others cannot predict it."""
-
 DESCENTS = 200
 """Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
-
-OUTLIER = 5.0
-"""Squares grow linearly beyond this many standard deviations: the moment of break-away is chance."""
 
 
 def retuned_within(found: Found, tolerance: float) -> Fit:
@@ -49,13 +31,13 @@ def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: 
     """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
-    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), PRIOR_WEIGHT)
+    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), tuning.prior_weight)
 
 
 def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
     """The same inside +-bound (nuisance,) spreads."""
     slope = tuning.jacobian.T @ residual
-    normal = tuning.normal + (weight - PRIOR_WEIGHT) * np.eye(len(start))
+    normal = tuning.normal + (weight - tuning.prior_weight) * np.eye(len(start))
     theta = np.clip(start, -bound, bound)
     for _ in range(DESCENTS):
         for i in range(len(theta)):
@@ -87,7 +69,9 @@ def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -
 def beyond_tolerance(found: Found) -> float:
     """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind."""
     tolerance = found.fit.about.spread / float(UNIFORM)
-    return loss_within(found, found.fit, WIDEST * tolerance, normal=False) - 0.5 * float(found.group.credit @ found.group.expected)
+    return loss_within(found, found.fit, found.thresholds.widest * tolerance, normal=False) - 0.5 * float(
+        found.group.credit @ found.group.expected
+    )
 
 
 def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
@@ -95,8 +79,9 @@ def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
 
     Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
     """
-    least = EVIDENCE if folds > 1 else EVIDENCE_IN_SAMPLE
-    return least + (IMPERFECT if is_cut(found.group, setting) else IMPERFECT_UNCUT) * found.group.expected_loss
+    t = found.thresholds
+    least = t.evidence if folds > 1 else t.evidence_in_sample
+    return least + (t.imperfect if is_cut(found.group, setting) else t.imperfect_uncut) * found.group.expected_loss
 
 
 def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
@@ -105,7 +90,7 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
     -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
-    group = found.group
+    group, t = found.group, found.thresholds
     x, normal, r = _linear(group, fit)
     loss = 0.0
     for fold in folds:
@@ -115,11 +100,11 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
         xf, rf = x[rows], r[rows]
         information = xf.T @ xf
         if len(folds) > 1:
-            if _knows_alone(information, normal, fit):
-                loss += EVIDENCE_IN_SAMPLE - EVIDENCE
+            if _knows_alone(information, normal, fit, t.known_alone):
+                loss += t.evidence_in_sample - t.evidence
             else:
                 rf = rf + xf @ np.linalg.lstsq(normal - information, xf.T @ rf, rcond=None)[0]
-        loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, OUTLIER * np.maximum(1.0, rf**2) ** 0.5))
+        loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, t.outlier * np.maximum(1.0, rf**2) ** 0.5))
     return loss
 
 
@@ -130,7 +115,7 @@ def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray
     rows = _rows_of(group, fold)
     information = x[rows].T @ x[rows]
     shift = np.zeros(len(normal))
-    if not _knows_alone(information, normal, fit):
+    if not _knows_alone(information, normal, fit, group.thresholds.known_alone):
         shift = -np.linalg.lstsq(normal - information, x[rows].T @ r[rows], rcond=None)[0]
     return shift[: fit.columns.shape[1]], shift[fit.columns.shape[1] :]
 
@@ -138,7 +123,7 @@ def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray
 def _linear(group: Group, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A fit about its optimum: X = [columns, jacobian], N = X'X + prior, and the residual r."""
     x = beside(fit.columns, fit.about.jacobian)
-    prior = np.diag([1e-6] * fit.columns.shape[1] + [PRIOR_WEIGHT] * len(fit.tuning))
+    prior = np.diag([1e-6] * fit.columns.shape[1] + [fit.about.prior_weight] * len(fit.tuning))
     return x, x.T @ x + prior, fit.left(group)
 
 
@@ -146,7 +131,7 @@ def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
     return np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
 
 
-def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit) -> bool:
+def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit, alone: float) -> bool:
     """Do the other runs leave a direction of the effects' parameters untold? Then leaving these out would leave it to chance.
 
     Told of the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
@@ -155,7 +140,7 @@ def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit) -> bool:
     if not p:
         return False
     of_all, of_others = (_told(n, p) for n in (normal, normal - information))
-    return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - ALONE
+    return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
 
 
 def _told(normal: np.ndarray, p: int) -> np.ndarray:

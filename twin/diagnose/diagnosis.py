@@ -22,8 +22,8 @@ from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.state import Found
-from twin.diagnose.tuning import PRIOR_WEIGHT
 from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.waterfall import retuning_share, waterfall
@@ -33,12 +33,6 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction, SignalGap
-
-AMBIGUOUS = 10.0
-"""Evidence by which a rival may lie behind and still be named as possible."""
-
-MODEL_ERROR = 0.007
-"""Relative standard deviation of a size that no amount of samples takes away: what else differs within the tolerance."""
 
 
 @dataclass
@@ -56,6 +50,7 @@ class Diagnosis:
     held_out: list[str]
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
+    thresholds: Thresholds = DEFAULT
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
 
     def document(self) -> dict[str, Any]:
@@ -157,7 +152,7 @@ class Diagnosis:
         index = of.settings.index(setting) if of is not None else None
         out = {}
         # the same weight that keeps the tolerance from being pulled by many samples keeps the interval from shrinking with them
-        covariance = of.covariance(PRIOR_WEIGHT * found.inflation) if of is not None else np.zeros((0, 0))
+        covariance = of.covariance(of.about.prior_weight * found.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
@@ -169,7 +164,7 @@ class Diagnosis:
                 free = free_of[i]
                 step = free.unit * (abs(value) if free.logarithmic else 1.0)
                 fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
-                law = MODEL_ERROR * (abs(value) if free.logarithmic else deviation_of(parameter, value))
+                law = self.thresholds.model_error * (abs(value) if free.logarithmic else deviation_of(parameter, value))
                 half = 1.96 * max(math.hypot(fitted, law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)
@@ -240,7 +235,7 @@ class Diagnosis:
                 if best is None or (best.setting.effect.name, best.setting.axis) != (setting.effect.name, setting.axis):
                     continue
                 for rival in candidates[1:]:
-                    if rival.plausible and best.evidence - rival.evidence < AMBIGUOUS:
+                    if rival.plausible and best.evidence - rival.evidence < self.thresholds.ambiguous:
                         out.append(
                             {
                                 "effect": rival.setting.effect.name,
@@ -263,6 +258,7 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
+    thresholds: Thresholds = DEFAULT,
 ) -> Diagnosis:
     """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core unless told otherwise.
 
@@ -272,7 +268,7 @@ def diagnose(
     machine_without = with_effects(machine, [])
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
-    check_campaign(campaign, machine)
+    check_campaign(campaign, machine, thresholds)
     folds = folds_of(len(campaign.runs))
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
     threads = threads or os.cpu_count() or 1
@@ -284,12 +280,12 @@ def diagnose(
 
         def search_group(axes: tuple[str, ...]) -> Found | None:
             say(f"{'+'.join(axes)}: what noise makes")
-            group = observe(views, axes, seed)
+            group = observe(views, axes, seed, thresholds)
             if not group.size:
                 return None
             return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
 
-        views = mapper(lambda run: view_of(machine_without, run), campaign.runs)
+        views = mapper(lambda run: view_of(machine_without, run, thresholds), campaign.runs)
         groups = axis_groups(machine_without, measured)
         longest_first = sorted(groups, key=len, reverse=True)
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
@@ -318,6 +314,7 @@ def diagnose(
         held_out=held_out.runs,
         proposal=propose(machine, found, verdict),
         notes=notes,
+        thresholds=thresholds,
         predictions=held_out.predictions,
     )
     if verdict != "none":

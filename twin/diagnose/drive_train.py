@@ -12,13 +12,10 @@ import math
 import numpy as np
 
 from twin.diagnose.observe import Group, Mapper
-from twin.diagnose.tolerance import NORMAL_MODE_HZ, UNIFORM, Nuisance
+from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
 from twin.errors import TwinError
 from twin.machine.machine import Machine
-
-EARNED = 14.0
-"""Log likelihood that a normal imperfection must bring to be looked at."""
 
 AROUND = (0.72, 0.8, 0.87, 0.94, 1.0, 1.06, 1.12, 1.19, 1.27, 1.38)
 """Frequencies tried, as multiples of what a linear answer says; the neighbours are within the width of a mode."""
@@ -29,12 +26,6 @@ MEETING = (0.82, 0.88, 0.94, 1.0, 1.06)
 DAMPED = (-0.9, -0.45, 0.45, 0.9)
 """Damping tried beside what is assumed, as shares of what is normal (`NORMAL_DAMPING` to that power)."""
 
-ENOUGH_SHOWN = 0.6
-"""Share of what a drive train changes that the runs must hold on which it is looked for."""
-
-FINER = 0.03
-"""Step of the frequency in the last look (relative)."""
-
 
 class _Tried:
     """Losses of a drive train on the runs of a group in which it shows most, each simulated once."""
@@ -43,8 +34,8 @@ class _Tried:
         runs = _telling(group, axis, shows)
         channels = [c for c in group.channels if c.axis == axis and c.run in runs]
         rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
-        self.group = replace(group, channels=[replace(c) for c in channels])
-        self.tuning = tuning_from(tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread)
+        self.group = replace(group, channels=channels)
+        self.tuning = tuning_from(tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight)
         self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
         self.losses: dict[tuple[float, float], float] = {}
 
@@ -60,19 +51,19 @@ class _Tried:
 
 
 def _telling(group: Group, axis: str, shows: np.ndarray) -> set[int]:
-    """The runs that hold `ENOUGH_SHOWN` of the squares that a drive train makes, `shows` (row,)."""
+    """The runs that hold `train_shown` of the squares that a drive train makes, `shows` (row,)."""
     squares: dict[int, float] = {}
     for c in group.channels:
         if c.axis == axis:
             squares[c.run] = squares.get(c.run, 0.0) + float(shows[c.rows] @ shows[c.rows])
     order = sorted(squares, key=lambda run: -squares[run])
     parts = np.cumsum([squares[run] for run in order]) / max(sum(squares.values()), 1e-30)
-    return set(order[: int(np.searchsorted(parts, ENOUGH_SHOWN)) + 1])
+    return set(order[: int(np.searchsorted(parts, group.thresholds.train_shown)) + 1])
 
 
 def answer_of(group: Group, axis: str, at: tuple[float, float], tolerance: float) -> np.ndarray:
     """What a drive train of this share of the normal elasticity, damped so, changes (row,)."""
-    elasticity, damping = Nuisance(axis, "elasticity"), Nuisance(axis, "damping")
+    elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
     return group.response(lambda m: damping.apply(elasticity.apply(m, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance), axes=(axis,))
 
 
@@ -89,23 +80,23 @@ def with_drive_train(
 
     `linear` is where an answer in proportion puts it. As it is where nothing about that explains `residual` (row,).
     """
-    tolerance = machine.parameter_tolerance
+    tolerance, t = machine.parameter_tolerance, group.thresholds
     tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
 
     def best_of(points: list[tuple[float, float]]) -> tuple[float, float]:
         return min(zip(mapper(tried.loss, points), points))[1]
 
     def at(mode_hz: float) -> tuple[float, float]:
-        return (NORMAL_MODE_HZ / mode_hz) ** 2, 0.0
+        return (t.normal_mode_hz / mode_hz) ** 2, 0.0
 
-    linear_hz = NORMAL_MODE_HZ / math.sqrt(linear.size)
+    linear_hz = t.normal_mode_hz / math.sqrt(linear.size)
     near_cycle = [r / machine.position_cycle for r in MEETING]
-    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > FINER for r in AROUND)]
+    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.loss(found) < EARNED:
+    if tried.tuning.loss(tried.residual) - tried.loss(found) < t.imperfection_earned:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
-    for step in (FINER, 0.5 * FINER):
+    for step in (t.train_finer, 0.5 * t.train_finer):
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
     share, damped = found
@@ -114,8 +105,8 @@ def with_drive_train(
     worth = tried.loss((share, 0.0)) - tried.loss(found)
     try:
         plain = answer_of(group, axis, (share, 0.0), tolerance)
-        whole = answer_of(group, axis, found, tolerance) if damped and worth >= EARNED else None
+        whole = answer_of(group, axis, found, tolerance) if damped and worth >= t.imperfection_earned else None
     except TwinError:  # unstable in a run in which it does not show
         return tuning
-    tuning = tuning.with_column(Nuisance(axis, "elasticity"), plain * (UNIFORM / share))
-    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping"), (whole - plain) * (UNIFORM / damped))
+    tuning = tuning.with_column(Nuisance(axis, "elasticity", t), plain * (UNIFORM / share))
+    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damped))

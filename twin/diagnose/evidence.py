@@ -12,7 +12,6 @@ from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import within
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.where import STRETCH_S
 from twin.simulation.gap import COMPARED
 
 BLOCKS_NEED = {
@@ -94,6 +93,7 @@ def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
 
 def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list[Stretch]:
     """The half second in which the position of one of the axes differs most from the nominal twin."""
+    stretch_s = diagnosis.thresholds.stretch_s
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
         prediction = diagnosis.predictions["before"][run.name].trace
@@ -105,7 +105,7 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
             if signal is None or gap is None or gap.noise <= 0.0:
                 continue
             square = (run.trace.get(axis, signal) - prediction.get(axis, signal)) ** 2
-            width = min(len(square), max(2, round(STRETCH_S / run.trace.period)))
+            width = min(len(square), max(2, round(stretch_s / run.trace.period)))
             energy = np.convolve(square, np.ones(width), mode="valid")
             at = int(np.argmax(energy))
             level = gap.rms / gap.noise

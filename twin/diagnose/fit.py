@@ -19,36 +19,13 @@ import numpy as np
 
 from twin.diagnose.candidates import size_parameter
 from twin.diagnose.observe import Group, Mapper, in_turn
-from twin.diagnose.tolerance import LEAST_IMPERFECTION, NORMAL
-from twin.diagnose.tuning import NEARBY, Tuning, beside, tuning_from
+from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tuning import Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
-
-STEPS = 8
-"""Gauss-Newton steps at most."""
-
-RUN_S = 15.0
-"""Length of a run for which a frequency is known to a part of a wave."""
-
-IN_STEP = 0.1
-"""A step of 1 shifts the far end of a wave by this many waves at most."""
-
-WITHIN_MODE = 0.06
-"""Share of its elasticity by which a drive train is changed to see what that does: 3 % of its frequency."""
-
-SLOPE = 1.0
-"""Step over which slopes are taken: wide enough that a break-away shifted by one sample changes little in comparison."""
-
-NARROW = 0.1
-"""The same where a wider one leads no further, and much is left."""
-
-ABOVE_NOISE = 1.05
-"""Loss over that of noise up to which little is left."""
-
-CONVERGED = 0.02
-"""A step that lowers the loss by less than this (in units of a likelihood) is the last."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +53,7 @@ class Free:
         return tuple(changed if i == self.setting else other for i, other in enumerate(settings))
 
 
-def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]:
+def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: Thresholds = DEFAULT) -> list[Free]:
     """What a fit may move: everything that the settings give a number, shapes included."""
     free = []
     for i, setting in enumerate(settings):
@@ -89,7 +66,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]
             low, high = p.usual_range(machine, axis)
             by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.name == "factor")
             if by_ratio:
-                free.append(Free(i, p, True, min(0.15, IN_STEP / _waves(setting, p, axis))))
+                free.append(Free(i, p, True, min(0.15, thresholds.wave_step / _waves(setting, p, axis, thresholds.wave_run_s))))
             elif p.periodic:
                 free.append(Free(i, p, False, 0.3))
             else:
@@ -98,20 +75,20 @@ def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]
     return free
 
 
-def _waves(setting: Setting, parameter: Parameter, axis: Axis) -> float:
+def _waves(setting: Setting, parameter: Parameter, axis: Axis, run_s: float) -> float:
     """How often a wave repeats over a run: a step that shifts its far end by more than part of a wave has no slope."""
     value = setting.parameters[parameter.name]
     low, high = axis.travel
     reach = min(high - low, 2.0 * math.pi if axis.kind == "rotary" else math.inf)
     repeats = {
-        ("periodic_disturbance", "frequency_hz"): value * RUN_S,
+        ("periodic_disturbance", "frequency_hz"): value * run_s,
         ("torque_ripple", "periods_per_rev"): value * reach / (2.0 * math.pi * axis.ratio),
         ("position_dependent_friction", "wavelength"): reach / max(value, 1e-9),
     }
     return max(repeats.get((setting.effect.name, parameter.name), 0.0), 1e-9)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Fit:
     """Effects fitted to a group: settings, tuning, loss, and what is needed for intervals and for leaving runs out."""
 
@@ -159,14 +136,16 @@ def fit_effects(
     tuning: Tuning,
     settings: Sequence[Setting],
     mapper: Mapper,
-    steps: int = STEPS,
-    narrowest: float = NARROW,
+    steps: int | None = None,
+    narrowest: float | None = None,
 ) -> Fit | None:
     """Gauss-Newton from these settings; None where they cannot be simulated. `mapper` maps over threads.
 
-    Slopes are taken over `SLOPE` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
+    Slopes are taken over `slope` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
+    `steps` and `narrowest` left out are those of the thresholds.
     """
-    settings = tuple(settings)
+    settings, t = tuple(settings), group.thresholds
+    narrowest = t.narrow_slope if narrowest is None else narrowest
     if not settings:
         return no_effect(group, tuning)
     try:
@@ -174,9 +153,9 @@ def fit_effects(
     except TwinError:
         return None
     best = tuning.loss(group.residual - response)
-    free = free_parameters(settings, machine)
-    columns, reach = np.zeros((group.size, len(free))), np.full(len(free), SLOPE)
-    for step in range(steps):
+    free = free_parameters(settings, machine, t)
+    columns, reach = np.zeros((group.size, len(free))), np.full(len(free), t.slope)
+    for step in range(t.fit_steps if steps is None else steps):
         try:
             slopes = beside(*(_slope(group, settings, response, f, r, mapper)[:, None] for f, r in zip(free, reach)))
         except TwinError:
@@ -184,15 +163,15 @@ def fit_effects(
         columns = slopes if step == 0 else columns
         information = tuning.inner(slopes, slopes) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(slopes, (group.residual - response)[:, None])[:, 0]
-        move = np.clip(np.linalg.solve(information, gradient), -6.0, 6.0)
+        move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, tuning, settings, free, move, best, mapper)
         if lower is not None:
             gain = best - lower.loss
             best, settings, response, columns = lower.loss, lower.settings, lower.response, slopes
-            reach = np.clip(np.abs(lower.move), narrowest, SLOPE)
-            if gain < CONVERGED * max(1.0, 0.002 * best):
+            reach = np.clip(np.abs(lower.move), narrowest, t.slope)
+            if gain < t.converged * max(1.0, 0.002 * best):
                 break
-        elif best < ABOVE_NOISE * group.expected_loss or np.all(reach <= narrowest):
+        elif best < t.above_noise * group.expected_loss or np.all(reach <= narrowest):
             break
         else:
             reach = np.full(len(free), narrowest)
@@ -249,6 +228,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
     """
     if not fit.about.nuisances:
         return fit.about
+    t = group.thresholds
     tuning, own = fit.about, _moved_by(fit.settings, group)
     also = [s.from_axis for s in fit.settings if s.from_axis]
 
@@ -256,17 +236,22 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
         nuisance = tuning.nuisances[i]
         if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # what creeps shows in shaken simulations alone
             return tuning.jacobian[:, i]
-        step = max(NEARBY, tuning.spread)
+        step = max(t.nearby, tuning.spread)
         if nuisance.quantity == "damping":
-            step = NEARBY * machine.parameter_tolerance
+            step = t.nearby * machine.parameter_tolerance
         elif nuisance.quantity in NORMAL:  # a mode is as wide as its damping, and what is smaller than the least stays out of a machine
-            step = max(WITHIN_MODE * abs(float(tuning.base[i])), 1.05 * LEAST_IMPERFECTION * machine.parameter_tolerance)
+            step = max(t.within_mode * abs(float(tuning.base[i])), 1.05 * t.least_imperfection * machine.parameter_tolerance)
         axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
         changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes, also)
         return (changed - fit.response) * (tuning.spread / step)
 
     return replace(
-        tuning_from(tuning.nuisances, beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances))))), tuning.spread),
+        tuning_from(
+            tuning.nuisances,
+            beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances))))),
+            tuning.spread,
+            tuning.prior_weight,
+        ),
         base=tuning.base,
     )
 

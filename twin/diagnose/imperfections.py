@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
-from twin.diagnose.drive_train import EARNED, with_drive_train
+from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Mapper, rebased
+from twin.diagnose.settings import Thresholds
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of, tuning_from
 from twin.errors import TwinError
@@ -22,12 +23,6 @@ SHARES = (0.05, 0.2, 0.8)
 KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
 """What normal imperfections belong to: those of one kind on an axis are left out together."""
 
-WORSE = 0.02
-"""Share by which a machine with all imperfections may leave more than their linear answers promise."""
-
-UNCHANGED = 0.15
-"""A size that a fit moves by less than this (relative) needs no new simulation."""
-
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
     """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
@@ -37,37 +32,38 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     """
     if not tuning.nuisances:
         return tuning
+    t = group.thresholds
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread)
+    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread, tuning.prior_weight)
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
     cut = {c.axis for c in group.channels if c.name == "windup"}
     giving = [a for a in group.axes if dirty & ({(a, "windup")} if a in cut else {(a, "position"), (a, "current")})]
-    wanted = [Nuisance(a, "elasticity") for a in giving] + [Nuisance(a, "slip") for a in group.axes if (a, "position") in dirty]
+    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if (a, "position") in dirty]
     current = plain
     for nuisance in wanted:
         trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)
-        best = max((t for share in SHARES if (t := trial(share)) is not None), key=lambda t: t.gain, default=None)
-        if best is None or not 0.0 < best.size < 1.0 or best.gain < EARNED:
+        best = max((tried for share in SHARES if (tried := trial(share)) is not None), key=lambda tried: tried.gain, default=None)
+        if best is None or not 0.0 < best.size < 1.0 or best.gain < t.imperfection_earned:
             continue
         if nuisance.quantity == "elasticity":
             current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper)
         else:
-            current = _with_slip(current, nuisance, best, trial)
+            current = _with_slip(current, nuisance, best, trial, t)
     return current
 
 
-def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[float], Trial | None]) -> Tuning:
+def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[float], Trial | None], t: Thresholds) -> Tuning:
     """The tuning with slip as it answers at its own size."""
     for _ in range(2):
         better = trial(best.size)
         if better is None or better.gain < best.gain:
             break
-        near = abs(better.size / best.size - 1.0) < UNCHANGED
+        near = abs(better.size / best.size - 1.0) < t.slip_unchanged
         best = better
         if near:
             break
-        if not 0.0 < best.size < 1.0 or best.gain < EARNED:
+        if not 0.0 < best.size < 1.0 or best.gain < t.imperfection_earned:
             return tuning
     return tuning.with_column(slip, best.column)
 
@@ -85,7 +81,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
-        part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread)
+        part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread, tuning.prior_weight)
         try:
             there, about = moved_to(group, part, theta[kept], mapper)
         except TwinError:
@@ -93,7 +89,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
         return about.loss(there.residual - explained), there, about
 
     best = moved(())
-    if best[0] > (1.0 + WORSE) * tuning.loss(residual):
+    if best[0] > (1.0 + group.thresholds.imperfect_worse) * tuning.loss(residual):
         normal = sorted({kind for kind in kinds if kind[1]})
         some = [[kind] for kind in normal] + [[k for k in normal if k[1] == name] for name in sorted({k[1] for k in normal})] + [normal]
         best = min([best, *(moved(left_out) for left_out in some)], key=lambda m: m[0])

@@ -25,7 +25,8 @@ import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.tolerance import NORMAL_SLIP, RESTING, with_added
+from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.tolerance import normal_slip, with_added
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
 from twin.machine.machine import Axis, Machine
@@ -41,44 +42,50 @@ Variant = Callable[[Machine], Machine]
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""
 
-ENOUGH = 50
-"""Moving samples from which a channel is worth looking at."""
-
-UNSETTLED = 0.03
-"""Weight as evidence of samples that still show how an axis was stuck."""
-
-LONGEST_CORRELATION = 150
-"""Samples over which the noise of a channel may be correlated (the loop's own memory)."""
-
-NOISIER = 5.0
-"""A record this much rougher than expected is no longer taken for sensor noise."""
-
 
 def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
     """Map on the calling thread."""
     return [function(item) for item in items]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Group:
     """Axes that belong together, their channels over all runs, and the nominal simulation beside them."""
 
     axes: tuple[str, ...]
     views: Sequence[RunView]
-    channels: list[Channel]
+    channels: Sequence[Channel]
     nominal: list[dict[tuple[str, str], np.ndarray]]  # per run: (axis, channel) -> values without noise
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of noise in the loop
     seed: int
+    thresholds: Thresholds = DEFAULT
 
     def __post_init__(self) -> None:
-        at = 0
+        placed, at = [], 0
         for channel in self.channels:
-            channel.rows = slice(at, at + len(channel.residual))
+            placed.append(replace(channel, rows=slice(at, at + len(channel.residual))))
             at += len(channel.residual)
-        self.size = at
-        self.weights = np.concatenate([c.weight for c in self.channels]) if self.channels else np.zeros(0)
-        self.residual = np.concatenate([c.residual for c in self.channels]) * self.weights if self.channels else np.zeros(0)
-        self.expected = np.concatenate([c.spread**2 for c in self.channels]) * self.weights**2 if self.channels else np.zeros(0)
+        object.__setattr__(self, "channels", tuple(placed))
+
+    @property
+    def size(self) -> int:
+        """Rows of all channels."""
+        return self.channels[-1].rows.stop if self.channels else 0
+
+    @functools.cached_property
+    def weights(self) -> np.ndarray:
+        """Weight of each row (row,)."""
+        return np.concatenate([c.weight for c in self.channels] or [np.zeros(0)])
+
+    @functools.cached_property
+    def residual(self) -> np.ndarray:
+        """Residual of all channels (row,), weighted."""
+        return np.concatenate([c.residual for c in self.channels] or [np.zeros(0)]) * self.weights
+
+    @functools.cached_property
+    def expected(self) -> np.ndarray:
+        """Squares that noise and doubt make of each row (row,), weighted."""
+        return np.concatenate([c.spread**2 for c in self.channels] or [np.zeros(0)]) * self.weights**2
 
     def response(
         self,
@@ -120,7 +127,7 @@ class Group:
         they leave it with more than noise, `left` (row,); both weighted."""
         plain, remaining = change / self.weights, left / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
-        return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed)
+        return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
 
     @functools.cached_property
     def expected_loss(self) -> float:
@@ -136,7 +143,7 @@ class Group:
         """What a row counts as evidence (row,): where an axis was stuck is one draw of chance that many samples repeat."""
         out = np.ones(self.size)
         for channel in self.channels:
-            out[channel.rows][~channel.settled(self.views[channel.run])] = UNSETTLED
+            out[channel.rows][~channel.settled(self.views[channel.run])] = self.thresholds.unsettled_weight
         return out
 
     def run_rows(self, run: int) -> np.ndarray:
@@ -200,7 +207,7 @@ def channels_of(
         if error is not None:
             out[name, "controller"] = error
         moving = view.reference(name)[2]
-        if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > ENOUGH:
+        if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > view.thresholds.enough_samples:
             out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
         for signal in ("position", "motor_position"):
             if measured.has(name, signal):
@@ -208,7 +215,7 @@ def channels_of(
                 break
         if measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
-        if measured.has(name, axis.effort) and moving.sum() > ENOUGH:
+        if measured.has(name, axis.effort) and moving.sum() > view.thresholds.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]
     return out
 
@@ -239,7 +246,7 @@ def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ..
     return [g for g in sorted(names, key=lambda g: machine.axis_names.index(g[0])) if any(a in measured for a in g)]
 
 
-def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
+def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thresholds: Thresholds = DEFAULT) -> Group:
     """Residuals of the nominal twin and their noise for one group of axes over all runs."""
     channels: list[Channel] = []
     nominal: list[dict[tuple[str, str], np.ndarray]] = []
@@ -265,11 +272,13 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             if key[1] == "controller":
                 axis = view.machine.axis(key[0])
                 sigma = np.full(len(values), law_sigma(view, axis))
-                channels.append(Channel(r, *key, residual, sigma, 1.0))
+                channels.append(Channel(r, *key, residual, sigma, 1.0, thresholds=thresholds))
                 continue
             seen_as = Scatter(deviations, np.var([c[key] for c in clean], axis=0, ddof=1))
-            channels.append(_with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0), seen_as, residual, view))
-    return Group(axes, views, channels, nominal, shaken, seed)
+            channels.append(
+                _with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0, thresholds=thresholds), seen_as, residual, view)
+            )
+    return Group(axes, views, channels, nominal, shaken, seed, thresholds)
 
 
 def _least(machine: Machine, axis: Axis, channel: str) -> float:
@@ -303,7 +312,7 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
         else:
             shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
         channels.append(replace(c, residual=c.residual - shift))
-    return Group(group.axes, views, channels, nominal, shaken, group.seed)
+    return Group(group.axes, views, channels, nominal, shaken, group.seed, group.thresholds)
 
 
 def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Group, Group]:
@@ -331,14 +340,14 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
 
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with the noise that realisations tell, and `rough` (sample,), its own record beside a twin."""
-    axis = view.machine.axis(channel.axis)
-    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough), _least(view.machine, axis, channel.name))
+    axis, t = view.machine.axis(channel.axis), channel.thresholds
+    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, t.noisier), _least(view.machine, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
-        sigma = np.hypot(sigma, np.where(rests(view, channel.axis), RESTING * NORMAL_SLIP[axis.kind], 0.0))
-    return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma), scatter=scatter)
+        sigma = np.hypot(sigma, np.where(rests(view, channel.axis, t.break_away_s), t.resting * normal_slip(axis, t), 0.0))
+    return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)
 
 
-def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float) -> np.ndarray:
     """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
 
     The motion that noise in the loop makes, variance `jitter`, is too small by 1 / K in deviations from a mean of K and comes
@@ -351,15 +360,15 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray) -> 
     level = float(np.mean(square))
     measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
     expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
-    if expected > 0.0 and 1.0 < measured / expected < NOISIER**2:
+    if expected > 0.0 and 1.0 < measured / expected < noisier**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
 
 
-def _correlation(normed: np.ndarray) -> float:
+def _correlation(normed: np.ndarray, longest: int) -> float:
     """Integrated correlation (>= 1) of noise: how many samples carry the information of one."""
     n = normed.shape[1]
-    lags = min(LONGEST_CORRELATION, n // 4)
+    lags = min(longest, n // 4)
     if lags < 2:
         return 1.0
     size = 1 << (2 * n - 1).bit_length()

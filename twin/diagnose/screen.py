@@ -10,19 +10,13 @@ from twin.diagnose.state import Found
 from twin.effects import Setting
 from twin.errors import TwinError
 
-LEAST_DELAY = 1e-5
-"""Share of what a lag delays at its start to which screening may go down."""
-
-SOFTENED = (0.05, 2.0)
-"""How much less or more than its start a spring may give in screening."""
-
 
 def screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -> tuple[float, Setting] | None:
     """Gain of a start (half the drop of the squares) with its size scaled linearly, and the setting it stands for.
 
     `target` is what is left, remembered by the tuning; None where the start changes nothing or cannot be simulated.
     """
-    tuning = found.tuning
+    tuning, t = found.tuning, found.thresholds
     try:
         columns = [remembered_answer(found, s) for s in start.settings]
     except TwinError:
@@ -34,7 +28,7 @@ def screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) ->
     if not np.all(np.isfinite(inner)) or not np.all(np.diag(inner) > 1e-9):
         return None
     if is_spring(start.effect):
-        share = float(np.clip(with_target[0] / inner[0, 0], *SOFTENED))
+        share = float(np.clip(with_target[0] / inner[0, 0], t.stiffest_spring, t.softest_spring))
         return share * float(with_target[0] - 0.5 * share * inner[0, 0]), softened(start, found.group.views[0].machine, share)
     if not is_scaled(size):
         return float(with_target[0] - 0.5 * inner[0, 0]), setting
@@ -43,9 +37,9 @@ def screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) ->
         neutral = size.neutral or 0.0
         deviation = setting.parameters[size.name] - neutral
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
-        sizes = np.clip(sizes, max(min(low, high), -4.0), min(max(low, high), 4.0))
+        sizes = np.clip(sizes, max(min(low, high), -t.screened_largest), min(max(low, high), t.screened_largest))
         if size.low >= neutral and size.name != "factor":
-            sizes = np.maximum(sizes, LEAST_DELAY if is_lag(start.effect) else 0.02)
+            sizes = np.maximum(sizes, t.screened_delay if is_lag(start.effect) else t.screened_least)
     scaled = combine(start, sizes.tolist(), found.group.views[0].machine)
     return float(sizes @ with_target - 0.5 * sizes @ inner @ sizes), scaled
 

@@ -15,60 +15,50 @@ import math
 import numpy as np
 
 from twin.diagnose.candidates import deviation_of, size_parameter
-from twin.diagnose.fit import SLOPE, fit_effects, tuning_beside
+from twin.diagnose.fit import fit_effects, tuning_beside
 from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible
-from twin.diagnose.state import Found, inflation
-from twin.diagnose.tuning import PRIOR_WEIGHT
+from twin.diagnose.state import Found
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
-ROUNDS, STEPS = 2, 3
-"""Times that what is left is looked at, and steps of each fit."""
-
-UNTOLD = 5.0
-"""Half a 95 % interval over the size from which an effect has none: what may as well be nothing is not said to be there."""
-
 
 def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """What was found with its effects fitted where the twin is right; itself where there is none."""
+    """The state with its effects fitted where the twin is right; itself where there is none."""
     if not found.fit.settings:
         return found
-    found = replace(found, answers={})
+    found, t = replace(found, memory={}), found.thresholds
     with contextlib.suppress(TwinError):  # next to unstable: the tuning as it acts without the effects
-        found.tuning = tuning_beside(found.group, found.fit, machine, mapper)
+        found = replace(found, tuning=tuning_beside(found.group, found.fit, machine, mapper))
     change = found.fit.response / found.group.weights
-    for _ in range(ROUNDS):
-        weights = found.group.weights
-        found.doubt(change * weights, found.fit.left(found.group))
-        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, mapper, STEPS, narrowest=SLOPE)
+    for _ in range(t.size_rounds):
+        found = found.doubted(change * found.group.weights, found.fit.left(found.group))
+        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, mapper, t.size_steps, narrowest=t.slope)
         if fit is None:
             break
-        found.fit = fit
-        found.accepted[-1] = fit
-    found.inflation = inflation(found.group, found.fit)
-    drop_implausible(found, machine, mapper)
-    return found
+        found = found.with_fit(fit)
+    return without_implausible(found.inflated(), machine, mapper)
 
 
-def drop_implausible(found: Found, machine: Machine, mapper: Mapper) -> None:
-    """Take out effects that, seen better than when they were accepted, have no size that is found on machines, or none at all."""
+def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found:
+    """The state without effects that, seen better than when they were accepted, have a size that no machine has, or no certain size."""
     rest = [s for s in found.fit.settings if is_plausible(s, machine) and _has_size(found, s)]
-    if len(rest) < len(found.fit.settings):
-        fit = fit_effects(found.group, machine, found.tuning, rest, mapper, STEPS)
-        if fit is not None:
-            found.fit = fit
-            found.accepted = [*found.accepted[: len(rest)][:-1], fit] if rest else []
-            found.inflation = inflation(found.group, fit)
+    if len(rest) == len(found.fit.settings):
+        return found
+    fit = fit_effects(found.group, machine, found.tuning, rest, mapper, found.thresholds.size_steps)
+    if fit is None:
+        return found
+    accepted = (*found.accepted[: len(rest)][:-1], fit) if rest else ()
+    return replace(found, fit=fit, accepted=accepted).inflated()
 
 
 def _has_size(found: Found, setting: Setting) -> bool:
-    """Is the size of an effect told, if what shapes it is known?"""
+    """Is the size of an effect certain enough, with its shape taken as known?"""
     fit, size = found.fit, size_parameter(setting.effect)
-    told = np.diag(fit.information()) / (PRIOR_WEIGHT * found.inflation)
-    for free, known in zip(fit.free, told):
+    precision = np.diag(fit.information()) / (fit.about.prior_weight * found.inflation)
+    for free, known in zip(fit.free, precision):
         if free.parameter is size and fit.settings[free.setting] == setting:
             relative = free.unit if free.logarithmic else free.unit / max(deviation_of(size, free.value(fit.settings)), 1e-30)
-            return 1.96 * relative < UNTOLD * math.sqrt(float(known))
+            return 1.96 * relative < found.thresholds.no_size * math.sqrt(float(known))
     return True

@@ -1,8 +1,8 @@
-"""What a search has found of a group of axes, and what it leaves above noise."""
+"""The state of a diagnosis of one group of axes, and what its fit leaves above noise."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -10,19 +10,13 @@ import numpy as np
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, no_effect
-from twin.diagnose.observe import ENOUGH, Group
+from twin.diagnose.observe import Group
+from twin.diagnose.settings import Thresholds
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
 
-NEAR_NOISE = 0.02
-"""Excess over noise up to which a residual counts as noise, and evidence alone decides."""
-
-STANDS_OUT = 1.3
-"""Mean square over noise from which a single channel counts as not explained."""
-
-SYSTEMATIC = 5.0
-"""Mean square over noise and doubt from which what is left in most runs is of another law. A true law keeps up to 3.3 (a current limit
-clips noise too, which the twin's expectation has none of), next of kin that no other rule tells keep 60 and more."""
+Key = tuple[str, str, str | None]
+"""Effect, axis, and the axis that it comes from."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
 """The cut channel in which every effect of a block shows."""
@@ -30,63 +24,80 @@ SHOWS_IN = {"position controller": "controller", "transmission": "windup", "meas
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
 
-QUIET = 0.25
-"""Mean square above noise up to which a quick look leaves a channel alone."""
 
-
-@dataclass
+@dataclass(frozen=True)
 class Candidate:
-    """One effect on one axis, fitted together with what was accepted before; `evidence` is on runs left out, `needed` to be there."""
+    """One effect on one axis, fitted together with the effects accepted before it.
+
+    `evidence` is its log likelihood on runs left out, `needed` what it must reach, `closes` the share of what was left above noise that the
+    fit closes.
+    """
 
     fit: Fit
     evidence: float
     needed: float
     plausible: bool
-    closes: float  # share of what was left above noise that the fit closes
+    closes: float
 
     @property
     def setting(self) -> Setting:
         return self.fit.settings[-1]
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
+    def key(self) -> Key:
         return self.setting.key
 
 
 class Answer(NamedTuple):
-    """What a start changes, remembered by a tuning, and the weights of its rows."""
+    """Simulated change that a start makes, with its projection on a tuning, and the weights of its rows."""
 
     remembered: tuple[np.ndarray, np.ndarray]
     weights: np.ndarray
     tuning: Tuning
 
 
-@dataclass
+class Screened(NamedTuple):
+    """A start as it was screened: effect and axis, gain, the setting it stands for, the share that it would close."""
+
+    key: Key
+    gain: float
+    setting: Setting
+    closes: float
+
+
+@dataclass(frozen=True)
 class Found:
-    """Result for one group: the final fit, the candidates of each round, and what is left."""
+    """State of the diagnosis of one group of axes. A step takes one and returns the next; none is ever changed.
+
+    `memory` holds simulated answers of starts. It saves time and changes no result.
+    """
 
     group: Group  # about the machine with its normal imperfections
     rigid: Group  # about the machine as its file says
     tuning: Tuning
     fit: Fit
-    retuned: Fit
-    inflation: float
+    retuned: Fit  # re-tuning alone
+    inflation: float  # power of the residual over that of noise, at least 1
+    accepted: tuple[Fit, ...] = ()  # with one effect, with two, ...
+    rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
+    screened: tuple[Screened, ...] = ()  # of the first round
+    unseen: Mapping[Key, float] | None = None  # effects that would not show, with the multiple of their usual size from which they would
     unknown: bool = False  # is something left that no effect explains?
-    accepted: list[Fit] = field(default_factory=list)  # with one effect, with two, ...
-    rounds: list[list[Candidate]] = field(default_factory=list)
-    screened: list[tuple[tuple[str, str, str | None], float, Setting, float]] = field(default_factory=list)  # in the first round
-    # effects that would not show, with the usual sizes from which they would; None: not asked
-    unseen: dict[tuple[str, str, str | None], float] | None = None
-    answers: dict[str, Answer] = field(default_factory=dict, repr=False)  # of starts, for later rounds
+    memory: dict[str, Answer] = field(default_factory=dict, repr=False, compare=False)
 
     @property
-    def keys(self) -> set[tuple[str, str, str | None]]:
+    def thresholds(self) -> Thresholds:
+        """The thresholds of this diagnosis."""
+        return self.group.thresholds
+
+    @property
+    def keys(self) -> set[Key]:
         """Effects of the final fit, each with its axis."""
         return {s.key for s in self.fit.settings}
 
     def remembered(self, key: str, simulate: Callable[[], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """What a start changes (row,), simulated once, weighted as now and with its projection on the tuning."""
-        known = self.answers.get(key)
+        """What a start changes (row,) and its projection on the tuning, simulated once and weighted as the group is now."""
+        known = self.memory.get(key)
         if known is None or known.weights is not self.group.weights or known.tuning is not self.tuning:
             if known is None:
                 column = simulate().astype(np.float32)
@@ -94,21 +105,29 @@ class Found:
                 column = known.remembered[0]
             else:
                 column = (known.remembered[0] * (self.group.weights / known.weights)).astype(np.float32)
-            known = self.answers[key] = Answer(self.tuning.remembered(column), self.group.weights, self.tuning)
+            known = self.memory[key] = Answer(self.tuning.remembered(column), self.group.weights, self.tuning)
         return known.remembered
 
-    def doubt(self, change: np.ndarray, left: np.ndarray | None = None) -> None:
-        """Doubt what effects change by `change` (row,), and where they leave `left` (row,), both weighted; fits weigh accordingly."""
+    def with_fit(self, fit: Fit) -> Found:
+        """The state with this fit as its last one, which replaces the last accepted one."""
+        return replace(self, fit=fit, accepted=(*self.accepted[:-1], fit) if self.accepted else ())
+
+    def inflated(self) -> Found:
+        """The state with the inflation of its own fit."""
+        return replace(self, inflation=inflation(self.group, self.fit))
+
+    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> Found:
+        """The state where effects that change the rows by `change` (row,) are trusted to a share of that, and the twin less where they
+        leave `left` (row,); both weighted. All fits are weighed anew."""
         old = self.group.weights
         left = np.zeros(self.group.size) if left is None else left
-        self.rigid, self.group = self.rigid.doubted(change, left), self.group.doubted(change, left)
-        scale = self.group.weights / old
-        fits = (self.fit, *self.accepted)
-        shared = {id(t): t for t in (self.tuning, *(f.about for f in fits))}
+        rigid, group = self.rigid.doubted(change, left), self.group.doubted(change, left)
+        scale = group.weights / old
+        shared = {id(t): t for t in (self.tuning, self.fit.about, *(f.about for f in self.accepted))}
         tunings = {key: tuning.reweighed(scale) for key, tuning in shared.items()}
-        self.fit, *self.accepted = (f.reweighed(scale, tunings[id(f.about)], self.group.residual) for f in fits)
-        self.tuning = tunings[id(self.tuning)]
-        self.retuned = no_effect(self.group, self.tuning)
+        fit, *accepted = (f.reweighed(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
+        tuning = tunings[id(self.tuning)]
+        return replace(self, rigid=rigid, group=group, tuning=tuning, fit=fit, accepted=tuple(accepted), retuned=no_effect(group, tuning))
 
 
 def excess_of(group: Group, fit: Fit) -> dict[str, float]:
@@ -132,7 +151,7 @@ def closed(found: Found) -> float:
 def closed_share(found: Found, gain: float) -> float:
     """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
     noise = found.group.expected_loss
-    return float(np.clip(gain / max(found.fit.loss - noise, NEAR_NOISE * noise), 0.0, 1.0))
+    return float(np.clip(gain / max(found.fit.loss - noise, found.thresholds.near_noise * noise), 0.0, 1.0))
 
 
 def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
@@ -145,11 +164,11 @@ def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
 
 def localised_on(found: Found) -> set[str]:
     """Axes of which something is left in one channel of one run, although the whole looks like noise."""
-    axes = set()
+    axes, t = set(), found.thresholds
     for channel, u in settled_channels(found):
-        if channel.name != "controller" and len(u) > 1000 and float(np.mean(u**2)) > 1.6:
+        if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.local_square:
             axes.add(channel.axis)
-        if channel.name == "controller" and float(np.mean(u**2)) > 4.0:
+        if channel.name == "controller" and float(np.mean(u**2)) > t.local_law_square:
             axes.add(channel.axis)
     return axes
 
@@ -159,11 +178,12 @@ def is_systematic(found: Found) -> bool:
 
     Chance (which flank, when it broke away) leaves much in one run; a wrong law in all.
     """
+    t = found.thresholds
     levels: dict[tuple[str, str], list[float]] = {}
     for c, u in settled_channels(found):
-        if len(u) > ENOUGH:
+        if len(u) > t.enough_samples:
             levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
-    return any(len(runs) > 1 and float(np.median(runs)) > SYSTEMATIC for runs in levels.values())
+    return any(len(runs) > 1 and float(np.median(runs)) > t.systematic for runs in levels.values())
 
 
 def is_cut(group: Group, setting: Setting) -> bool:
@@ -176,7 +196,7 @@ def unexplained(found: Found) -> float:
     """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
     standing_out = 0.0
     for c, u in settled_channels(found):
-        if len(u) and float(np.mean(u**2)) > STANDS_OUT:
+        if len(u) and float(np.mean(u**2)) > found.thresholds.stands_out:
             weight = (c.spread * c.weight)[c.settled(found.group.views[c.run])]
             standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
     return max(sum(excess_of(found.group, found.fit).values()), standing_out)
@@ -191,7 +211,7 @@ def loud_axes(group: Group, left: np.ndarray) -> set[str]:
         if c.name == "controller":
             if not replace(c, residual=left[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.spread) - 1.0))) > QUIET:
+        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
             loud.add(c.axis)
     return loud
 

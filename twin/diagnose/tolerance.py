@@ -7,11 +7,12 @@ a little before it slides; softer than the limits below they are effects.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
 
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia
 from twin.machine.machine import Axis, Machine
@@ -19,26 +20,11 @@ from twin.machine.machine import Axis, Machine
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
 
-NORMAL_MODE_HZ = 180.0
-"""First mode of a drive train from which its elasticity counts as normal: every screw and gear gives a little."""
-
-NORMAL_SLIP = {"linear": 0.8e-6, "rotary": math.radians(0.8 / 3600.0)}
-"""Travel before break-away up to which a contact counts as one that sticks [m, rad]."""
-
-RESTING = 0.3
-"""Share of that travel by which the place of a resting axis is chance."""
-
 NORMAL = {"elasticity": "transmission_compliance", "damping": "transmission_compliance", "slip": "presliding"}
 """Normal imperfections, and the effects they are when they are large. Springs: 1 / stiffness says how much; and what damps the first."""
 
 SPRINGS = ("elasticity", "slip")
 """Those that cannot be less than none."""
-
-NORMAL_DAMPING = 2.0
-"""Factor by which the damping of a drive train may differ from what is assumed: a mode that meets the cycle of the control shows it."""
-
-WIDEST = 2.0
-"""Multiple of what is normal that no re-tuned parameter of a machine leaves."""
 
 _AXIS_FIELDS = {
     "torque_constant": "torque_constant_nm_per_a",
@@ -73,6 +59,7 @@ class Nuisance:
 
     owner: str
     quantity: str
+    thresholds: Thresholds = field(default=DEFAULT, repr=False, compare=False)
 
     def apply(self, machine: Machine, factor: float) -> Machine:
         """The machine with this parameter multiplied."""
@@ -88,10 +75,12 @@ class Nuisance:
         if self.quantity in NORMAL:
             share = (factor - 1.0) / machine.parameter_tolerance
             if self.quantity == "damping":
-                return _damped(machine, self.owner, NORMAL_DAMPING ** min(max(share, -WIDEST), WIDEST))
-            if share < LEAST_IMPERFECTION:
+                return _damped(
+                    machine, self.owner, self.thresholds.normal_damping ** min(max(share, -self.thresholds.widest), self.thresholds.widest)
+                )
+            if share < self.thresholds.least_imperfection:
                 return machine
-            stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis))
+            stiffness = min(_softest(machine, axis, self.quantity, self.thresholds) / share, _stiffest(machine, axis))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
         name = _AXIS_FIELDS[self.quantity]
         return machine.with_axis(self.owner, **{name: factor * getattr(axis.motor if hasattr(axis.motor, name) else axis, name)})
@@ -114,13 +103,6 @@ class Nuisance:
         return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
 
 
-LEAST_IMPERFECTION = 0.01
-"""An imperfection smaller than this share of what is normal is none."""
-
-LEAST_SLIP = 0.04
-"""Slip below this share stays out of a machine: its spring would be near the stiffest that a tick still follows."""
-
-
 def _damped(machine: Machine, owner: str, factor: float) -> Machine:
     """The machine whose drive train, where it gives, has its damping multiplied."""
     changed = []
@@ -133,11 +115,16 @@ def _damped(machine: Machine, owner: str, factor: float) -> Machine:
     return with_effects(machine, changed)
 
 
-def _softest(machine: Machine, axis: Axis, quantity: str) -> float:
+def normal_slip(axis: Axis, thresholds: Thresholds) -> float:
+    """Travel before break-away up to which a contact counts as one that sticks [m, rad]."""
+    return thresholds.normal_slip_linear_m if axis.kind == "linear" else math.radians(thresholds.normal_slip_rotary_arcsec / 3600.0)
+
+
+def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds) -> float:
     """Stiffness at the edge of what is normal."""
     if quantity == "elasticity":
-        return float((2.0 * math.pi * NORMAL_MODE_HZ) ** 2 * load_inertia(machine, axis))
-    return axis.coulomb_friction / NORMAL_SLIP[axis.kind]
+        return float((2.0 * math.pi * thresholds.normal_mode_hz) ** 2 * load_inertia(machine, axis))
+    return axis.coulomb_friction / normal_slip(axis, thresholds)
 
 
 def _stiffest(machine: Machine, axis: Axis) -> float:
@@ -150,16 +137,16 @@ def _scaled(inertia: tuple[float, float, float], factor: float) -> tuple[float, 
     return factor * x, factor * y, factor * z
 
 
-def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
+def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
     """All toleranced parameters of a group of axes; bodies belong to the rotary axes that carry them."""
     found = []
     for name in axes:
         axis = machine.axis(name)
         for quantity in _AXIS_FIELDS:
             if _has(axis, quantity):
-                found.append(Nuisance(name, quantity))
+                found.append(Nuisance(name, quantity, thresholds))
     if any(machine.axis(name).kind == "rotary" for name in axes):
-        found += [Nuisance(body.name, "body") for body in machine.bodies]
+        found += [Nuisance(body.name, "body", thresholds) for body in machine.bodies]
     return tuple(found)
 
 

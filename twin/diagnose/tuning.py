@@ -9,17 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.machine.machine import Machine
 
-PRIOR_WEIGHT = 50.0
-"""Weight w of the tolerance against the samples: a parameter at the edge of its tolerance costs 75 of log likelihood."""
 
-NEARBY = 0.03
-"""Share by which a parameter is changed to see what its spread does: beside that, a break-away a sample earlier or later is small."""
-
-
-@dataclass
+@dataclass(frozen=True)
 class Tuning:
     """The nuisances of a group with their simulated effect on all channels."""
 
@@ -29,6 +24,7 @@ class Tuning:
     normal: np.ndarray  # J'J + w
     inverse: np.ndarray
     base: np.ndarray  # (nuisance,) deviations that the group's own machine has already, as fractions
+    prior_weight: float = DEFAULT.prior_weight
 
     def project(self, columns: np.ndarray) -> np.ndarray:
         """J' columns, for eliminating the tuning."""
@@ -56,22 +52,24 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, which changes `column` (row,) at its spread."""
-        return tuning_from([*self.nuisances, nuisance], beside(self.jacobian, column[:, None]), self.spread)
+        return tuning_from([*self.nuisances, nuisance], beside(self.jacobian, column[:, None]), self.spread, self.prior_weight)
 
     def reweighed(self, scale: np.ndarray) -> Tuning:
         """The same tuning where every row weighs `scale` (row,) times as much."""
-        return replace(tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread), base=self.base)
+        return replace(
+            tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread, self.prior_weight), base=self.base
+        )
 
 
 def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
     """Simulate each toleranced parameter at its spread; `mapper` maps over threads."""
-    nuisances = nuisances_of(machine, group.axes)
+    nuisances = nuisances_of(machine, group.axes, group.thresholds)
     spread = machine.parameter_tolerance * UNIFORM
     if spread <= 0.0 or not nuisances:
-        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
-    step = max(NEARBY, spread)
+        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), group.thresholds.prior_weight)
+    step = max(group.thresholds.nearby, spread)
     columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + step), axes=n.axes(group.axes)), nuisances))
-    return tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread)
+    return tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
 
 
 class Trial(NamedTuple):
@@ -86,7 +84,7 @@ class Trial(NamedTuple):
 def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     """What a nuisance that changes `column` (row,) at its spread would explain of a residual (row,) beside the tuning."""
     new = tuning.remembered(column)
-    slope, curvature = tuning.product(new, tuning.remembered(residual)), tuning.product(new, new) + PRIOR_WEIGHT
+    slope, curvature = tuning.product(new, tuning.remembered(residual)), tuning.product(new, new) + tuning.prior_weight
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
 
 
@@ -100,7 +98,7 @@ def beside(*blocks: np.ndarray) -> np.ndarray:
     return out
 
 
-def tuning_from(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float) -> Tuning:
+def tuning_from(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float, prior_weight: float = DEFAULT.prior_weight) -> Tuning:
     """The tuning of these nuisances; `jacobian` (row, nuisance) is what each changes at its spread, weighted."""
-    normal = jacobian.T @ jacobian + PRIOR_WEIGHT * np.eye(len(nuisances))
-    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)))
+    normal = jacobian.T @ jacobian + prior_weight * np.eye(len(nuisances))
+    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)), prior_weight)

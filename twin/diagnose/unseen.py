@@ -23,9 +23,6 @@ from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
-NOTHING = 1e-9
-"""Share of the evidence needed below which an effect changes nothing at all."""
-
 
 def unseen_effects(
     found: Found,
@@ -43,7 +40,7 @@ def unseen_effects(
         by_key.setdefault(start.key, []).append(start)
     middle = [_usual(same[len(same) // 2], machine) for same in by_key.values()]
     shares = mapper(lambda settings: _share(found, settings, folds), middle)
-    return {key: math.inf if share < NOTHING else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    return {key: math.inf if share < found.thresholds.shows_nothing else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:

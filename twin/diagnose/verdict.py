@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -11,31 +12,10 @@ import numpy as np
 from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.observe import Mapper
-from twin.diagnose.sizes import drop_implausible, sized
+from twin.diagnose.sizes import sized, without_implausible
 from twin.diagnose.state import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting
 from twin.machine.machine import Machine
-
-TEMPERATURE = 3.0
-"""Divides the evidence before it becomes a probability: models are never quite right."""
-
-CONFIDENCE = 0.98
-"""No probability is larger: what is not in the library cannot be ruled out."""
-
-STANDS_IN = 0.3
-"""Factor on the probability of an effect that leaves something unknown: it may stand in for a law that is not in the library."""
-
-REMAINING = 0.1
-"""Share of the excess over noise that, left after all found effects, makes the verdict 'unknown'."""
-
-BEYOND_CHANCE = 4.0
-"""Standard deviations from which a run alone asks for another size."""
-
-ONE_SIZE = 0.12
-"""Share of its size by which an effect may seem to differ between runs."""
-
-NOTICED_EXCESS = 0.12
-"""Mean square of the residual above noise from which something is there at all."""
 
 
 def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[float]:
@@ -43,21 +23,23 @@ def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[floa
 
     Of a round whose best was refused for another reason than its evidence, or taken out again, nothing is left.
     """
+    t = found.thresholds
     best = next((c for c in candidates if c.plausible), None)
     if best is None or (best.evidence >= best.needed and best.key not in found.keys):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
-    odds = np.exp((evidence - evidence.max()) / TEMPERATURE)
-    return (CONFIDENCE * odds / odds.sum())[:-1].tolist()
+    odds = np.exp((evidence - evidence.max()) / t.temperature)
+    return (t.confidence * odds / odds.sum())[:-1].tolist()
 
 
 def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
-        trust = STANDS_IN if f.unknown else 1.0
+        t = f.thresholds
+        trust = t.stands_in if f.unknown else 1.0
         for setting in f.fit.settings:
-            probability = CONFIDENCE
+            probability = t.confidence
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
@@ -68,15 +50,15 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
 
 
 def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) -> Found:
-    """What a search found, without effects of sizes that no machine has, told whether it leaves something unknown; and sized, unless `quick`."""
-    drop_implausible(found, machine, mapper)
-    found.unknown = is_unknown(found)
+    """The last state: without effects of sizes that no machine has, sized (unless `quick`), and with whether something is unexplained."""
+    found = without_implausible(found, machine, mapper)
+    unknown = is_unknown(found)
     if quick:
-        return found
+        return replace(found, unknown=unknown)
     final = sized(found, machine, mapper)
     if len(final.fit.settings) < len(found.fit.settings):  # what was explained by one that is gone is left again
-        final.unknown = final.unknown or is_unknown(final)
-    return final
+        unknown = unknown or is_unknown(final)
+    return replace(final, unknown=unknown)
 
 
 def is_unknown(f: Found) -> bool:
@@ -85,14 +67,14 @@ def is_unknown(f: Found) -> bool:
     Or is what was found one thing in one run and another in the next, or explained by parameters that no machine near the tolerance has?
     Asked of each axis: the next one, quieter than was expected, hides nothing.
     """
-    group = f.group
+    group, t = f.group, f.thresholds
     before, after = excess_of(group, f.retuned), excess_of(group, f.fit)
     localised = localised_on(f)
-    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else NOTICED_EXCESS * expected_of(group, axis))]
-    if sum(above) > REMAINING * sum(max(e, 0.0) for e in before.values()):
+    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else t.noticed_excess * expected_of(group, axis))]
+    if sum(above) > t.remaining * sum(max(e, 0.0) for e in before.values()):
         return True
     beyond = beyond_tolerance(f) - max(sum(after.values()), 0.0)
-    return is_systematic(f) or differs_between_runs(f) or beyond > NOTICED_EXCESS * group.expected_loss
+    return is_systematic(f) or differs_between_runs(f) or beyond > t.noticed_excess * group.expected_loss
 
 
 def differs_between_runs(found: Found) -> bool:
@@ -103,7 +85,7 @@ def differs_between_runs(found: Found) -> bool:
     evidence that an effect has to. Not asked where the block was not cut: there all that is imperfect in the loop bends the size. Nor where
     an axis was stuck: a break-away is another one in each run.
     """
-    group = found.group
+    group, t = found.group, found.thresholds
     left = found.fit.left(group)
     settled = np.zeros(group.size, bool)
     for c in group.channels:
@@ -119,12 +101,12 @@ def differs_between_runs(found: Found) -> bool:
             known = float(slope @ slope)
             if known > 0.0:
                 step = float(slope @ left[rows]) / known
-                if abs(step) * math.sqrt(known) > BEYOND_CHANCE:
+                if abs(step) * math.sqrt(known) > t.beyond_chance:
                     steps.append(step)
                     gain += 0.5 * step**2 * known
         relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
         earned = len(steps) > 1 and gain > evidence_needed(found, setting, len(group.views))
-        if earned and (max(steps) - min(steps)) * relative > ONE_SIZE:
+        if earned and (max(steps) - min(steps)) * relative > t.one_size:
             return True
     return False
 

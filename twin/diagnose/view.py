@@ -7,6 +7,7 @@ import functools
 
 import numpy as np
 
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
@@ -15,9 +16,6 @@ from twin.simulation.decoupled_plant import Motion, ReducedPlant
 from twin.simulation.gap import SAME_PERIOD, at_times, is_moving, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
-
-BREAK_AWAY_S = 0.06
-"""Time after break-away in which a position still shows where it was stuck."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +28,7 @@ class RunView:
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
     started_at: float
+    thresholds: Thresholds = field(default=DEFAULT, repr=False)
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,7 +55,7 @@ class RunView:
         return self.trace.moves(name)
 
 
-def view_of(machine: Machine, run: MeasuredRun) -> RunView:
+def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
     """A run with the nominal twin's own motion, along which the reduced plant is taken.
 
     Inertia and gravity depend on where rotary axes are: theirs is what the reduced plant itself makes along a first guess of it.
@@ -80,7 +79,7 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
         )
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = _motion(position, setpoints.period)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, thresholds)
 
 
 def _motion(position: np.ndarray, period: float) -> Motion:
@@ -103,7 +102,7 @@ def _delayed(view: RunView, axis: Axis) -> np.ndarray:
     return view.setpoints.at(times - axis.loops.position_delay_s)[:, view.machine.axis_names.index(axis.name)]
 
 
-def rests(view: RunView, name: str, after_s: float = BREAK_AWAY_S) -> np.ndarray:
+def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
     """True where an axis is at rest or has broken away less than `after_s` ago (sample,)."""
     moving = view.reference(name)[2]
     started = np.flatnonzero(np.diff(moving.astype(int)) == 1)

@@ -16,21 +16,6 @@ from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
-NOTICED = 1.6
-"""Mean square of a block's residual over noise from which a block is a place of the gap."""
-
-NEXT_TO_NONE = 0.01
-"""Share of the largest squared gap of an axis up to which the gap of others is next to none."""
-
-STRETCH_S = 0.5
-"""Length of the most telling stretch [s]."""
-
-OWN = 0.05
-"""Share that a block without an effect keeps of what it shows beside one with an effect."""
-
-MOST_RUNS = 0.8
-"""The runs named are those that together hold this share of a place's excess."""
-
 
 def places(
     found: Sequence[Found], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
@@ -43,7 +28,7 @@ def places(
     A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place.
     """
     listed: list[dict[str, Any]] = []
-    least = NEXT_TO_NONE * max(weights.values(), default=0.0)
+    least = max((f.thresholds.next_to_none for f in found), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
         for f in found:
             group = f.group
@@ -55,11 +40,11 @@ def places(
                 parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
                 excess = sum(b.excess for b in parts)
                 level = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
-                if level > NOTICED:
+                if level > f.thresholds.noticed_square:
                     listed.append(_place(group, axis, block, parts, excess, level))
     for setting in settings:
         _lead(listed, setting, machine)
-    _gather(listed)
+    _gather(listed, found[0].thresholds.echo if found else 0.0)
     # an axis weighs what its gap weighs; its blocks share that by their excess
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -110,15 +95,15 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
     )
 
 
-def _gather(listed: list[dict[str, Any]]) -> None:
+def _gather(listed: list[dict[str, Any]], echo: float) -> None:
     """What the other blocks of an axis show beside those with an effect is mostly its echo there: it goes to the largest of these."""
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
             largest = max(leading, key=lambda p: p["_excess"])
             for other in (p for p in mine if "effect" not in p):
-                largest["_excess"] += (1.0 - OWN) * other["_excess"]
-                other["_excess"] *= OWN
+                largest["_excess"] += (1.0 - echo) * other["_excess"]
+                other["_excess"] *= echo
 
 
 def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], excess: float, level: float) -> dict[str, Any]:
@@ -127,11 +112,11 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], exce
     for part in runs:
         named.append(group.views[part.run].name)
         reached += part.excess
-        if reached >= MOST_RUNS * excess:
+        if reached >= group.thresholds.most_of_runs * excess:
             break
     top = runs[0]
     view = group.views[top.run]
-    start, stop = _stretch(top, view.trace.period)
+    start, stop = _stretch(top, view.trace.period, group.thresholds.stretch_s)
     return {
         "axis": axis,
         "block": block,
@@ -154,11 +139,13 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
             inside = masks[regime][part.index]
             energy[regime] += float(np.sum(part.normed[inside] ** 2 - 1.0)) if inside.any() else 0.0
             count[regime] += int(inside.sum())
-    total = sum(max(e, 0.0) for e in energy.values()) or 1.0
+    t, total = group.thresholds, sum(max(e, 0.0) for e in energy.values()) or 1.0
     best = max(REGIMES, key=lambda regime: energy[regime])
-    densities = {r: energy[r] / count[r] for r in REGIMES if count[r] > 50}
+    densities = {r: energy[r] / count[r] for r in REGIMES if count[r] > t.enough_samples}
     others = [d for r, d in densities.items() if r != best and r != "rest"]
-    if energy[best] / total > 0.6 or (densities.get(best, 0.0) > 3.0 * max(others, default=0.0) and energy[best] / total > 0.4):
+    if energy[best] / total > t.regime_share or (
+        densities.get(best, 0.0) > t.regime_dense * max(others, default=0.0) and energy[best] / total > t.regime_dense_share
+    ):
         return best
     return "all"
 
@@ -166,7 +153,7 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     """The regressor that explains most of a block's residual; '-' where none explains a tenth."""
     names = group.views[0].machine.axis_names
-    best, best_share = "-", 0.1
+    best, best_share = "-", group.thresholds.scales_share
     shares: dict[str, list[float]] = {}
     total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
     sums: dict[str, tuple[float, float]] = {}
@@ -184,11 +171,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     return best
 
 
-def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:
+def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int, int]:
     """Samples of the most telling stretch: the 0.5 s (at most a third of the run) with the most excess."""
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
-    width = max(10, min(n // 3, round(STRETCH_S / step)))
+    width = max(10, min(n // 3, round(stretch_s / step)))
     # what changes tells more than what is merely off by a constant
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width

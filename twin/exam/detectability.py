@@ -4,8 +4,8 @@ The twin simulates what each effect of usual size would change in this campaign.
 answer d of an effect stands against noise by s = |d|^2 / 2 (a log likelihood); against the nearest rival, whose size is free, by
 what remains of d when the rival's answer is projected out too. To first order s grows with the square of the size, so that
 
-    smallest size found           = usual size * sqrt(EVIDENCE / s)
-    smallest size told apart      = usual size * sqrt(EVIDENCE / s_rival)
+    smallest size found           = usual size * sqrt(evidence / s)
+    smallest size told apart      = usual size * sqrt(evidence / s_rival)
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
-from twin.diagnose.cross_validation import EVIDENCE
 from twin.diagnose.fit import answer
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, Mapper, axis_groups, observe
-from twin.diagnose.tuning import PRIOR_WEIGHT, tuning_of
+from twin.diagnose.settings import DEFAULT
+from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError
 from twin.files import write_json
@@ -121,7 +121,7 @@ def _columns(group: Group, start: Start) -> np.ndarray | None:
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
     """Every effect on every axis from summed products (column, column), re-tuning taken out of them first."""
     k = like.nuisances
-    normal = products[:k, :k] + PRIOR_WEIGHT * np.eye(k)
+    normal = products[:k, :k] + DEFAULT.prior_weight * np.eye(k)
     free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
     out = []
     for key, mine in like.places.items():
@@ -145,7 +145,7 @@ def _title(key: Key) -> str:
 
 
 def _smallest(square: float) -> float:
-    return math.sqrt(EVIDENCE / square) if square > 1e-9 else math.inf
+    return math.sqrt(DEFAULT.evidence / square) if square > 1e-9 else math.inf
 
 
 def without_scale(campaign: Campaign) -> Campaign:
