@@ -8,6 +8,8 @@ import pytest
 from twin.diagnose import sizes
 from twin.diagnose.fit import Fit, free_parameters
 from twin.diagnose.plausible import is_plausible
+from twin.diagnose.settings import DEFAULT
+from twin.diagnose.state import Found
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
@@ -42,8 +44,9 @@ def test_an_effect_that_has_no_size_is_not_there(monkeypatch, slope, kept):
     settings = (Setting(EFFECTS["backlash"], "Z", {"clearance": 4e-6}),)
     tuning = tuning_from((), np.zeros((rows, 0)), 0.01)
     fit = Fit(settings, free_parameters(settings, MACHINE), 1.0, np.zeros(0), np.zeros(rows), np.full((rows, 1), slope), tuning)
-    found = SimpleNamespace(fit=fit, group=SimpleNamespace(size=rows), tuning=tuning, accepted=[fit], inflation=1.0)
+    group = SimpleNamespace(size=rows, thresholds=DEFAULT)
+    found = Found(group, group, tuning, fit, fit, 1.0, accepted=(fit,))
     monkeypatch.setattr(sizes, "fit_effects", lambda group, machine, tuning, rest, *_: SimpleNamespace(settings=tuple(rest)))
-    monkeypatch.setattr(sizes, "inflation", lambda *_: 1.0)
-    sizes.drop_implausible(found, MACHINE, map)
-    assert (found.fit.settings == settings) == kept
+    monkeypatch.setattr(Found, "inflated", lambda self: self)
+    rest = sizes.without_implausible(found, MACHINE, map)
+    assert (rest.fit.settings == settings) == kept

@@ -7,6 +7,7 @@ import pytest
 
 from twin.diagnose.cross_validation import beyond_tolerance
 from twin.diagnose.fit import no_effect
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import excess_of
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import trial_of, tuning_from
@@ -48,6 +49,6 @@ def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
         rows = tuning.jacobian @ np.array(deviations)
         channel = SimpleNamespace(axis="X", rows=slice(0, ROWS))
         group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS, axes=("X",), channels=[channel])
-        found = SimpleNamespace(group=group, fit=no_effect(group, tuning))
+        found = SimpleNamespace(group=group, fit=no_effect(group, tuning), thresholds=DEFAULT)
         assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
         assert (beyond_tolerance(found) < 0.0) is explained

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 JUDGEMENT = "engineering judgement"
 IMITATION = "devtools/measure_imitation.py"
-EFFECTS = "devtools/measure_diagnosis.py"
+PILOT = "pilot on one axis with 24 effects: about 60 independent samples a signal"
 
 
 def _of(value: float, unit: str, meaning: str, provenance: str = JUDGEMENT) -> Any:
@@ -64,7 +64,7 @@ class Thresholds:
     outlier: float = _of(5.0, "1", "standard deviations beyond which squares grow linearly")
 
     # tolerance and normal imperfections
-    prior_weight: float = _of(50.0, "1", "weight of the tolerance against the samples", EFFECTS)
+    prior_weight: float = _of(50.0, "1", "weight of the tolerance against the samples: its edge costs 75 nat")
     widest: float = _of(2.0, "tolerances", "largest deviation of a re-tuned parameter")
     nearby: float = _of(0.03, "share", "change of a parameter that shows what its spread does")
     normal_mode_hz: float = _of(180.0, "Hz", "first mode of a drive train from which its elasticity is normal")
@@ -104,7 +104,7 @@ class Thresholds:
     bent_within: float = _of(0.08, "share of the best gain", "the same of effects not in proportion to their size")
 
     # when an effect is believed
-    evidence: float = _of(14.0, "nat", "evidence on runs left out that an effect must bring", "pilot, docs/diagnosis.md")
+    evidence: float = _of(14.0, "nat", "evidence on runs left out that an effect must bring")
     evidence_in_sample: float = _of(60.0, "nat", "the same where no run can be left out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that faults of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same of a block that the signals do not cut out of the loop", IMITATION)
@@ -123,7 +123,7 @@ class Thresholds:
     plainly_seen: float = _of(5e-3, "share of the signal", "gap of position and current below which no block is blamed")
 
     # verdict
-    temperature: float = _of(3.0, "nat", "divides evidence before it becomes a probability", "pilot, docs/diagnosis.md")
+    temperature: float = _of(3.0, "nat", "divides evidence before it becomes a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     stands_in: float = _of(0.3, "1", "factor on probabilities where something is unexplained")
     remaining: float = _of(0.1, "share", "share of the excess over noise that, left, makes the verdict 'unknown'")
