@@ -54,9 +54,7 @@ class Thresholds:
     clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of a control law that holds")
 
     # how far the twin is trusted
-    shapes: float = _of(
-        60.0, "1", "independent shapes that a model error takes over one channel; more samples know no more", "pilot, docs/diagnosis.md"
-    )
+    shapes: float = _of(60.0, "1", "independent shapes that a model error takes over one channel; more samples know no more", PILOT)
     doubt: float = _of(0.01, "share", "share of what an effect changes to which its law is trusted")
     lag_s: float = _of(0.01, "s", "time by which what an effect changes may come early or late")
     event_s: float = _of(0.1, "s", "length of a break-away; what is left within it is one fault at one moment")
