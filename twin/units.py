@@ -23,6 +23,8 @@ UNITS: dict[str, tuple[str, float]] = {
     **{u: ("angle", f) for u, f in _ANGLE.items()},
     **{f"{u}/{p}": ("speed", f * g) for u, f in _LENGTH.items() for p, g in _PER.items()},
     **{f"{u}/{p}": ("angular speed", f * g) for u, f in _ANGLE.items() for p, g in _PER.items()},
+    **{f"{u}/s2": ("acceleration", f) for u, f in _LENGTH.items()},
+    **{f"{u}/s2": ("angular acceleration", f) for u, f in _ANGLE.items()},
 }
 
 ARCSEC = math.pi / 180.0 / 3600.0
@@ -57,6 +59,7 @@ class AxisUnits:
     def __init__(self, position: str, speed: str, error: str, error_per_si: float):
         self.position = (position, 1.0 / UNITS[position][1])
         self.speed = (speed, 1.0 / UNITS[speed][1])
+        self.acceleration = (f"{speed}2", 1.0 / UNITS[f"{speed}2"][1])
         self.error = (error, error_per_si)
 
 

@@ -15,14 +15,19 @@ from twin.recordings.formats.by_ending import READERS, read_recording
 from twin.recordings.mapping import Map, RunMap, read_map, runs_of
 from twin.recordings.signals import Clock, How, Recording
 
+MOST_PICTURES = 6
+"""Pictures of the traces of one recording that are drawn: a recording may hold a hundred strokes."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("files", nargs="+", metavar="FILES", help=f"recorded files ({' '.join(READERS)})")
     parser.add_argument(
-        "--map", metavar="MAP", help="map (.toml) of columns to axes and signals; without it the files are listed, and a map begun"
+        "--map",
+        metavar="MAP",
+        help="map (.toml) of columns to axes and signals; default: proposed from names, written to CAMPAIGN/map.toml",
     )
-    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign")
+    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign; without it and without a map the files are listed")
     parser.add_argument("--machine", metavar="FILE", help="machine file to check against (default: the one that the map names)")
     parser.add_argument("--no-picture", action="store_true", help="do not draw the runs")
 
@@ -30,13 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def carry_out(args: argparse.Namespace) -> int:
     """Read, understand, write; say what was understood."""
     files = [Path(f) for f in args.files]
-    if args.map is None:
+    if args.map is None and args.out is None:
         return _list(files)
     if args.out is None:
         raise InputError("--out is missing; name the folder for the campaign")
-    mapping = read_map(args.map, args.machine)
+    map_file = args.map or _proposed(files, Path(args.out))
+    mapping = read_map(map_file, args.machine)
     traces = import_campaign(mapping, files, Path(args.out), picture=not args.no_picture, say=print)
-    pictures = "" if args.no_picture else ", a picture (.png) of each"
+    drawn = "of each" if traces <= MOST_PICTURES else f"of the first {MOST_PICTURES} of a recording"
+    pictures = "" if args.no_picture else f", a picture (.png) {drawn}"
     print(f"written to {args.out}: campaign.toml, {traces} trace{'s' * (traces > 1)}{pictures}, import.json")
     return 0
 
@@ -62,12 +69,13 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
                 known = understand(mapping, run, recordings)
                 traces = write_run(known, begun(run, known.started), out, names)
                 if picture:
-                    for trace in traces:
+                    for trace in traces[:MOST_PICTURES]:
                         draw_run(known, trace, out / f"{trace.name}.png")
                 done.append((known, traces))
                 tell(
                     f"\n{run.name}, feedforward {run.feedforward or 'not said'}: "
-                    + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces)
+                    + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
+                    + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
                     + f" every {traces[0].piece.period * 1e3:g} ms"
                 )
                 tell(understood_table(known, traces))
@@ -79,7 +87,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 
 
 def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
-    wanted = frozenset(c.name for c in mapping.columns)
+    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
     return [read_recording(path, How(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
 
 
@@ -99,16 +107,48 @@ def _beginnings() -> Callable[[RunMap, datetime | None], float]:
     return begun
 
 
-def _list(files: Sequence[Path]) -> int:
-    """What the files hold, and the beginning of a map."""
-    from twin.recordings.overview import listing, stub_of
+def _read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
+    """All columns of all files, without a map."""
+    return [read_recording(path, How(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
 
-    recordings = []
+
+def _list(files: Sequence[Path]) -> int:
+    """What the files hold, and the map that is proposed for them."""
+    from twin.recordings.overview import listing
+    from twin.recordings.propose import map_text, propose
+
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        for i, path in enumerate(files):
-            recording = read_recording(path, How(Clock(), None, Path(scratch) / str(i)))
-            recordings.append(recording)
-            print(f"{path}: {'; '.join(recording.notes) or recording.format}")
+        recordings = _read_all(files, scratch)
+        for recording in recordings:
+            print(f"{recording.path}: {'; '.join(recording.notes) or recording.format}")
             print(listing(recording) + "\n")
-        print(stub_of(recordings))
+        print(map_text(propose(recordings), [f.name for f in files]))
     return 0
+
+
+def _proposed(files: Sequence[Path], out: Path) -> Path:
+    """The map proposed for the files, written into the campaign's folder."""
+    from twin.recordings.propose import map_text, propose
+
+    path = out / "map.toml"
+    if (out / "campaign.toml").exists() and not (out / "import.json").exists():
+        raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
+    with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
+        proposal = propose(_read_all(files, scratch))
+    text = map_text(proposal, [f.name for f in files])
+    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
+        raise InputError(f"{path}: holds a map already that is not the one proposed now; use it with --map {path}, or remove it")
+    output_folder(out)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another --out") from None
+    if not proposal.axes:
+        reason = proposal.left_out[0] if proposal.left_out else "no name of a column is known"
+        raise InputError(
+            f"{path}: no axis can be proposed ({reason}); say there which column is the set point of which axis, and use it with --map"
+        )
+    print(f"map proposed from the names of the columns: {path}")
+    for line in [*(f"in doubt, not used: {c.name} ({c.doubt})" for c in proposal.columns if c.doubt), *proposal.left_out]:
+        print(f"  - {line}")
+    return path

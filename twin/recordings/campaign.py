@@ -1,8 +1,31 @@
-"""Campaigns: a folder of measured runs with a `campaign.toml` that says how each was recorded."""
+"""Campaigns: a folder of measured runs with a `campaign.toml` that says how each was recorded.
+
+    machine = "my_machine"
+    [[run]]
+    file = "stroke.parquet"
+    feedforward = "velocity"           # off | velocity | velocity+torque
+    started_at_s = 0.0
+    [[run.channel]]                    # what the import found of a channel before anything was fitted; each key may be missing
+    axis = "1"
+    signal = "position"
+    latency_s = 0.003                  # recorded this much later than the first encoder of the axis ...
+    latency_deviation_s = 2e-5
+    taken_back_s = 0.003               # ... of which this was taken back in the trace
+    offset_m = 1.2e-4                  # constant difference to the motor encoder (offset_rad on a rotary axis) ...
+    offset_taken_out = true            # ... which the trace no longer has
+    sign = -1                          # turned round at the import
+    against = true                     # pushes against the motion, and was not turned round
+    unsigned = true                    # a force of which only the size is recorded
+    [run.labels]                       # columns that held still: load, trial
+    load = 20.0
+
+Block events of a control stand beside the traces in `events.parquet`: time [s] in the trace of `run`, channel, block, text, run.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 import tomllib
 
@@ -11,17 +34,69 @@ from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import is_number, known_keys
 
-_RUN_KEYS = ("file", "feedforward", "started_at_s")
+_RUN_KEYS = ("file", "feedforward", "started_at_s", "channel", "labels")
+_CHANNEL_NUMBERS = ("latency_s", "latency_deviation_s", "taken_back_s", "offset_m", "offset_rad")
+_CHANNEL_FLAGS = ("offset_taken_out", "against", "unsigned")
+EVENTS = "events.parquet"
+
+
+@dataclass(frozen=True)
+class ChannelFact:
+    """What the import found of one channel of a run: latency [s], constant offset [m or rad], sign; see the module's head."""
+
+    latency: float = 0.0
+    latency_deviation: float = 0.0
+    taken_back: float = 0.0
+    offset: float = 0.0
+    offset_taken_out: bool = False
+    sign: int = 1
+    against: bool = False
+    unsigned: bool = False
+
+    @property
+    def latency_left(self) -> float:
+        """Latency [s] that the trace still has."""
+        return self.latency - self.taken_back
+
+    @property
+    def offset_left(self) -> float:
+        """Offset [m or rad] that the trace still has."""
+        return 0.0 if self.offset_taken_out else self.offset
+
+
+@dataclass(frozen=True)
+class BlockEvent:
+    """A block of the program that became active: time [s] in the run's trace (below 0: before it), channel of the control, block, text."""
+
+    time: float
+    channel: int
+    block: str
+    text: str
 
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run of a campaign: its name (file name without ending), trace, feedforward that was on, start time [s]."""
+    """One run of a campaign: its name (file name without ending), trace, feedforward that was on, start time [s].
+
+    `facts` are what the import found of channels, by (axis, signal); `labels` what a column said of the whole run; `events` in order of time.
+    """
 
     name: str
     trace: Trace
     feedforward: str | None
     started_at: float
+    facts: Mapping[tuple[str, str], ChannelFact] = field(default_factory=dict)
+    labels: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[BlockEvent, ...] = ()
+
+    def fact(self, axis: str, signal: str) -> ChannelFact:
+        """What is known of a channel; the default where nothing was found."""
+        return self.facts.get((axis, signal), ChannelFact())
+
+    def block_at(self, time: float, channel: int | None = None) -> BlockEvent | None:
+        """The block that was active at a time [s] of the trace, or None where none is recorded."""
+        past = [e for e in self.events if e.time <= time and channel in (None, e.channel)]
+        return past[-1] if past else None
 
 
 @dataclass(frozen=True)
@@ -49,14 +124,65 @@ def read_campaign(path: str | Path, machine: Machine) -> Campaign:
     tables = document.get("run", [])
     if not isinstance(tables, list) or not tables:
         raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
-    runs = tuple(_read_run(path, table, f"{file}: run {i + 1}", machine) for i, table in enumerate(tables))
+    events = _read_events(path / EVENTS)
+    runs = tuple(_read_run(path, table, f"{file}: run {i + 1}", machine, events) for i, table in enumerate(tables))
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise InputError(f"{file}: two runs are named {next(n for n in names if names.count(n) > 1)}; rename one of the files")
     return Campaign(path, str(document.get("machine", "")), runs)
 
 
-def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> MeasuredRun:
+def _read_events(path: Path) -> dict[str, list[BlockEvent]]:
+    """Events by run; none where the file is absent."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    if not path.is_file():
+        return {}
+    try:
+        rows = pyarrow.parquet.ParquetFile(path).read().to_pylist()
+        named = [(str(r["run"]), BlockEvent(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: no table of events with time, channel, block, text, run ({reason}); remove it or import again") from None
+    out: dict[str, list[BlockEvent]] = {}
+    for run, event in sorted(named, key=lambda one: one[1].time):
+        out.setdefault(run, []).append(event)
+    return out
+
+
+def _facts(tables: object, where: str) -> dict[tuple[str, str], ChannelFact]:
+    """[[run.channel]]."""
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise InputError(f"{where}: channel is a list of tables; write [[run.channel]]")
+    out = {}
+    for table in tables:
+        known_keys(table, ("axis", "signal", "sign", *_CHANNEL_NUMBERS, *_CHANNEL_FLAGS), f"{where}: channel")
+        for key in ("axis", "signal"):
+            if not isinstance(table.get(key), str):
+                raise InputError(f"{where}: channel: '{key}' is missing; name the {key} in quotes")
+        for key in _CHANNEL_NUMBERS:
+            if not is_number(table.get(key, 0.0)):
+                raise InputError(f"{where}: channel: {key} = {table[key]!r}: expected a number")
+        for key in _CHANNEL_FLAGS:
+            if not isinstance(table.get(key, False), bool):
+                raise InputError(f"{where}: channel: {key} = {table[key]!r}; use true or false")
+        if table.get("sign", 1) not in (1, -1):
+            raise InputError(f"{where}: channel: sign = {table['sign']!r}; use 1 or -1")
+        latency, deviation, back, metres, radians = (float(table.get(key, 0.0)) for key in _CHANNEL_NUMBERS)
+        flags = {key: table.get(key, False) for key in _CHANNEL_FLAGS}
+        out[table["axis"], table["signal"]] = ChannelFact(latency, deviation, back, metres or radians, sign=table.get("sign", 1), **flags)
+    return out
+
+
+def _labels(table: object, where: str) -> dict[str, float]:
+    """[run.labels]."""
+    if not isinstance(table, dict) or not all(is_number(value) for value in table.values()):
+        raise InputError(f"{where}: labels is a table of numbers; write [run.labels] and load = 20.0 below it")
+    return {name: float(value) for name, value in table.items()}
+
+
+def _read_run(folder: Path, table: dict, where: str, machine: Machine, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
     if not isinstance(table, dict):
         raise InputError(f'{where}: {table!r} is no run; write each as [[run]] with file = "circle.parquet"')
     known_keys(table, _RUN_KEYS, where)
@@ -72,4 +198,6 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine) -> Measur
     if not is_number(started_at):
         raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number of seconds")
     trace = read_trace(file, axes=machine.kinds, need=("setpoint",))
-    return MeasuredRun(Path(table["file"]).stem, trace, feedforward, float(started_at))
+    name = Path(table["file"]).stem
+    facts, labels = _facts(table.get("channel", []), where), _labels(table.get("labels", {}), where)
+    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())))

@@ -11,11 +11,15 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.signals import Signal
-from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
+from twin.recordings.trace import ACCELERATIONS, DISTURBANCE, OTHER_UNITS, POSITIONS, SPEEDS
 from twin.units import RECORDED_UNITS, UNITS, dimension_recorded
 
 _POSITIONS = (*POSITIONS, FOLLOWING_ERROR)
-_KIND = {"length": "linear", "speed": "linear", "angle": "rotary", "angular speed": "rotary"}
+_KIND = {
+    "length": "linear", "speed": "linear", "acceleration": "linear",
+    "angle": "rotary", "angular speed": "rotary", "angular acceleration": "rotary",
+}  # fmt: skip
+_MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angular speed": "velocity"}
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class Conversion:
     offset: float
     unit: str
     kind: str | None
+    si: str = ""  # unit of the result where the signal leaves it open (a disturbance): V, A, Nm, N
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         return values * self.factor + self.offset if self.offset else values * self.factor
@@ -45,6 +50,13 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
         )
         raise InputError(f"{where}: the file says [{signal.unit}], the map says [{column.unit}]; leave unit out of the map, or {remedy}")
     quantity, factor = dimension_recorded(unit), RECORDED_UNITS[unit][1]
+    if column.signal == DISTURBANCE:
+        si = {"voltage": "V", "current": "A", "torque": "Nm", "force": "N"}.get(quantity, "")
+        if not si:
+            raise InputError(
+                f"{where}: [{unit}] is no unit of a disturbance; use V, A (added to the drive's command), Nm (motor) or N (carriage)"
+            )
+        return Conversion(column.factor * factor, column.offset * factor, unit, None, si)
     wanted = _wanted(column.signal)
     kind = _KIND.get(quantity)
     if quantity in ("turns", "turning speed"):
@@ -55,7 +67,7 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
         factor *= column.per_turn / (2.0 * math.pi)
         quantity, kind = ("position" if quantity == "turns" else "velocity"), column.kind
     elif quantity in _KIND:
-        quantity = "position" if quantity in ("length", "angle") else "velocity"
+        quantity = _MOTION.get(quantity, "acceleration")
     if quantity == "force" and wanted == "torque":
         if column.per_turn is None and column.kind is None:
             raise InputError(f"{where}: a force becomes the motor's torque by the travel of a turn; say mm_per_rev in the map")
@@ -90,9 +102,13 @@ def _wanted(signal: str) -> str:
         return "position"
     if signal in SPEEDS:
         return "velocity"
+    if signal in ACCELERATIONS:
+        return "acceleration"
     return {"A": "current", "Nm": "torque", "V": "voltage"}.get(OTHER_UNITS[signal], UNITS[OTHER_UNITS[signal]][0])
 
 
 def _example(signal: str) -> str:
+    if signal == DISTURBANCE:
+        return "N"
     wanted = _wanted(signal)
-    return {"position": "mm", "velocity": "mm/s"}.get(wanted) or OTHER_UNITS[signal]
+    return {"position": "mm", "velocity": "mm/s", "acceleration": "mm/s2"}.get(wanted) or OTHER_UNITS[signal]

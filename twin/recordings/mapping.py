@@ -4,7 +4,9 @@ machine = "my_machine.toml"        # machine file beside the map, or the name fo
 feedforward = "velocity"           # what the control had on: off | velocity | velocity+torque; a run may say its own
 period_ms = 1.0                    # period of the traces; default: that of the set points
 gaps = "split"                     # lost samples: split (default; a run becomes several) | fill | refuse
-skew = "say"                       # channels late against the position: say (default) | correct
+skew = "say"                       # channels late against the position: say (default) | correct | encoders (correct encoders only)
+offsets = "say"                    # a constant difference between two encoders: say (default) | correct
+labels = ["load", "trial"]         # columns that hold still within a run and say what it was; they go into campaign.toml
 units = "refuse"                   # units that cannot be right: refuse (default) | say
 
 [time]                             # formats without times of their own; found by name where left out
@@ -21,7 +23,8 @@ encoding = "latin-1"
 [[column]]
 name = "Lagesollwert X"            # as in the file
 axis = "X"
-signal = "setpoint"                # setpoint, position, motor_position, velocity, velocity_setpoint, current, torque, voltage, following_error ...
+signal = "setpoint"                # setpoint, position, motor_position, velocity, velocity_setpoint, velocity_feedforward, acceleration,
+                                   # current, torque, torque_setpoint, torque_feedforward, voltage, following_error, disturbance
 unit = "mm"                        # default: what the file says
 scale = 1.0                        # value = sign * scale * recorded + offset, in that unit
 sign = 1
@@ -52,17 +55,22 @@ from typing import Any
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path, load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
-from twin.recordings.trace import SIGNALS
+from twin.recordings.trace import DISTURBANCE, DISTURBANCES, SIGNALS
 from twin.tables import is_number, known_keys
 from twin.units import RECORDED_UNITS
 
 FOLLOWING_ERROR = "following_error"
-MAPPED = (*SIGNALS, FOLLOWING_ERROR)
-_TOP = ("machine", "feedforward", "period_ms", "gaps", "skew", "units", "time", "csv", "column", "run")
+MAPPED = (*(s for s in SIGNALS if s not in DISTURBANCES.values()), FOLLOWING_ERROR, DISTURBANCE)
+_TOP = ("machine", "feedforward", "period_ms", "gaps", "skew", "offsets", "labels", "units", "time", "csv", "column", "run")
 _TIME = ("column", "unit", "interval_ms")
 _COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms", "mm_per_rev", "deg_per_rev", "optional")
 _RUN = ("file", "files", "name", "feedforward", "started_at_s", "from_s", "to_s")
-_CHOICES = {"gaps": ("split", "fill", "refuse"), "skew": ("say", "correct"), "units": ("refuse", "say")}
+_CHOICES = {
+    "gaps": ("split", "fill", "refuse"),
+    "skew": ("say", "correct", "encoders"),
+    "offsets": ("say", "correct"),
+    "units": ("refuse", "say"),
+}
 
 
 @dataclass(frozen=True)
@@ -109,6 +117,8 @@ class Map:
     period_s: float | None
     gaps: str
     skew: str
+    offsets: str
+    labels: tuple[str, ...]
     units: str
     clock: Clock
     dialect: Mapping[str, Any]
@@ -122,7 +132,7 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{path}: no such map; 'twin import FILES' without --map prints one to start from") from None
+        raise InputError(f"{path}: no such map; 'twin import FILES --out CAMPAIGN' without --map writes one to start from") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: not a valid TOML file: {error}") from None
     where = str(path)
@@ -147,7 +157,7 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
         )
     return Map(
         path, machine, name, _feedforward(document, where), None if period is None else period * 1e-3,
-        document.get("gaps", "split"), document.get("skew", "say"), document.get("units", "refuse"),
+        document.get("gaps", "split"), document.get("skew", "say"), document.get("offsets", "say"), _labels(document, where), document.get("units", "refuse"),
         Clock(_text(time, "column", f"{where}: [time]"), _text(time, "unit", f"{where}: [time]"), None if interval is None else interval * 1e-3),
         _table(document, "csv", where), columns,
         tuple(_run(table, f"{where}: run {i + 1}") for i, table in enumerate(_tables(document, "run", where))),
@@ -282,6 +292,13 @@ def _number(table: Mapping[str, Any], key: str, default: float | None, where: st
     if not is_number(value) or (above_zero and value <= 0.0):
         raise InputError(f"{where}: {key} = {value!r}; give a {'number above 0' if above_zero else 'number'}")
     return float(value)
+
+
+def _labels(document: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    value = document.get("labels", [])
+    if not isinstance(value, list) or not all(isinstance(one, str) and one.strip() for one in value):
+        raise InputError(f'{where}: labels = {value!r}; give the names of columns, like ["load"]')
+    return tuple(dict.fromkeys(value))
 
 
 def _feedforward(table: Mapping[str, Any], where: str) -> str | None:

@@ -89,13 +89,13 @@ def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float,
     for signal in SPEEDS:
         if signal in own:
             base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
-            base = "setpoint" if signal == "velocity_setpoint" and "setpoint" in own else base
+            base = "setpoint" if signal != "velocity" and "setpoint" in own else base
             # compared as travel within short windows: noise of the slope averages out
             step = max(1, min(round(0.02 / period), len(own[signal]) // 4))
             moved = own[base][step:] - own[base][:-step]
             summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
             ratio = _ratio(summed[step:] - summed[:-step], moved)
-            if ratio is not None and (text := _mistake(*ratio, kind, loose=False)):
+            if ratio is not None and (text := _mistake(*ratio, kind, loose=signal == "velocity_feedforward")):
                 out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(ratio[0])} times the slope of {axis}.{base}: {text}"))
     return out
 

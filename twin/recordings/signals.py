@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 import re
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -63,14 +63,29 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A block of the program that became active: time [s] on the clock of the signals, channel of the control, block, its text."""
+
+    time: float
+    channel: int
+    block: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Recording:
-    """One file as read: its signals by name, when it was started if the file says so, and what the reader noticed."""
+    """One file as read: its signals by name, when it was started if the file says so, what the reader noticed, events of the program.
+
+    `restarts` counts the rows where the time of the file begins anew (strokes one below the other); the parts lie a gap apart here.
+    """
 
     path: Path
     format: str
     signals: Mapping[str, Signal]
     started: datetime | None = None
     notes: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
+    restarts: int = 0
 
 
 @dataclass(frozen=True)
@@ -118,7 +133,7 @@ def known_unit(text: str) -> str:
 def split_heading(text: str) -> tuple[str, str]:
     """('Pos X', 'mm') from 'Pos X [mm]' or 'Pos X (mm)'; the heading itself and '' where the brackets hold no unit."""
     match = _IN_BRACKETS.match(text.strip())
-    unit = known_unit(match[2] or match[3] or "") if match else ""
+    unit = known_unit(match[2] or match[3] or "") if match and not (match[3] or "").strip().isdigit() else ""  # name(1) is an index
     return (match[1].strip(), unit) if match and unit and match[1].strip() else (text.strip(), "")
 
 
@@ -132,12 +147,24 @@ def find_time_column(names: Sequence[str], units: Sequence[str], clock: Clock, w
             if clock.column in (name, plain[i]):
                 return i
         raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
-    for i, name in enumerate(names):
-        if split_heading(name)[0].lower() in _TIME_NAMES and (units[i] == "" or dimension_recorded(units[i]) == "time"):
-            return i
+    if found := time_candidates(names, units):
+        return found[0]
     raise InputError(
         f'{where}: no column looks like a time; say [time] column = "..." or interval_ms = ... in the map ({", ".join(names[:8])})'
     )
+
+
+def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
+    """Numbers of the columns that are named like a time, the likeliest first: 'time', 'rec.time', 'rec.time_cont'."""
+    ranked = []
+    for i, name in enumerate(names):
+        if units[i] == "" or dimension_recorded(units[i]) == "time":
+            plain = split_heading(name)[0].lower()
+            last = re.split(r"[./]", plain)[-1]
+            kinds = (plain in _TIME_NAMES, last in _TIME_NAMES, last.startswith(("time_", "zeit_")))
+            if any(kinds):
+                ranked.append((kinds.index(True), i))
+    return [i for _, i in sorted(ranked)]
 
 
 def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
@@ -151,7 +178,11 @@ def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
 def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> dict[str, Signal]:
     """Signals from columns (values, unit) of one length each, all on the time column or interval; what is not as long is left without a time."""
     names = list(columns)
-    at = find_time_column(names, [unit for _, unit in columns.values()], clock, where)
+    units = [unit for _, unit in columns.values()]
+    at = find_time_column(names, units, clock, where)
+    if at is not None and clock.column is None:
+        # of several times one that runs: a counter that stands still or a list of other times is none
+        at = next((i for i in time_candidates(names, units) if _runs(columns[names[i]][0])), at)
     if at is None:
         rows = max((len(values) for values, _ in columns.values()), default=0)
         time = np.arange(rows) * float(clock.interval_s or 0.0)
@@ -163,6 +194,24 @@ def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, wher
         for i, (name, (values, unit)) in enumerate(columns.items())
         if i != at
     }
+
+
+def date_of(text: object) -> datetime | None:
+    """A date and time as files print it (2024-05-14T08:21:07.250Z), or None."""
+    try:
+        return datetime.fromisoformat(text.replace("Z", "+00:00")) if isinstance(text, str) else None
+    except ValueError:
+        return None
+
+
+def is_count(value: object) -> TypeGuard[float]:
+    """A finite number of a JSON file; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < NO_MEASUREMENT
+
+
+def _runs(time: np.ndarray) -> bool:
+    """Does it only go forward?"""
+    return len(time) > 1 and bool(np.all(np.diff(np.asarray(time, float)) > 0.0))
 
 
 def no_file(path: Path) -> InputError | None:

@@ -7,8 +7,8 @@ d is found on a coarse scale first, then by Gauss-Newton, with the interval of t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -40,6 +40,7 @@ class Late:
     signal: str
     seconds: float
     deviation: float
+    reference: str = "position"
     against: bool = False  # a current that pushes against the motion: its sign is wrong
 
     @property
@@ -64,9 +65,23 @@ def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, 
                 base = motor if signal == "velocity" else reference
                 found = _of_channel(own[signal], own[base], signal, period, kinds[axis])
                 if found is not None:
-                    late = Late(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], found[2])
+                    late = Late(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
                     behind = late.seconds if signal == "motor_position" and late.clear else behind
                     out.append(late)
+    return out
+
+
+def later_ones(late: Sequence[Late]) -> list[Late]:
+    """The same skews against the encoder that came first: motion reaches the motor before the load, so of two encoders the later one is late."""
+    out: list[Late] = []
+    for axis in dict.fromkeys(item.axis for item in late):
+        own = [item for item in late if item.axis == axis]
+        motor = next((item for item in own if item.signal == "motor_position" and item.clear and item.seconds < 0.0), None)
+        if motor is None:
+            out += own
+            continue
+        out.append(replace(motor, signal="position", seconds=-motor.seconds, reference="motor_position"))
+        out += [replace(i, seconds=i.seconds - motor.seconds, reference="motor_position") for i in own if i is not motor]
     return out
 
 

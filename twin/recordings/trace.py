@@ -18,18 +18,27 @@ from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
 
 # what a signal is, so that a wrong unit is noticed and the right one is written
 POSITIONS = ("setpoint", "position", "motor_position")
-SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint")
+SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
+ACCELERATIONS = ("acceleration",)
+DISTURBANCES = {"V": "disturbance_voltage", "A": "disturbance_current", "Nm": "disturbance_torque", "N": "disturbance_force"}
+"""What a test rig adds to the drive's command (V, A), to the motor's torque (Nm) or to the carriage (N). In a file the signal is `disturbance`; its unit says which."""
+DISTURBANCE = "disturbance"
 OTHER_UNITS = {
     "current": "A",
     "current_setpoint": "A",
     "torque": "Nm",
+    "torque_setpoint": "Nm",
     "torque_feedforward": "Nm",
     "torque_friction": "Nm",
     "torque_gravity": "Nm",
     "voltage": "V",
+    **{signal: unit for unit, signal in DISTURBANCES.items()},
 }
-SIGNALS = (*POSITIONS, *SPEEDS, *OTHER_UNITS)
+SIGNALS = (*POSITIONS, *SPEEDS, *ACCELERATIONS, *OTHER_UNITS)
 PROGRAM = "program"
+
+_DIMENSIONS = {"linear": ("length", "speed", "acceleration"), "rotary": ("angle", "angular speed", "angular acceleration")}
+_MOTION = {signal: order for order, own in enumerate((POSITIONS, SPEEDS, ACCELERATIONS)) for signal in own}
 
 _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
@@ -76,6 +85,10 @@ class Trace:
             have = [s for a, s in self.signals if a == axis]
             raise InputError(f"trace has no {axis}.{signal}; axis {axis} has: {', '.join(have) or 'nothing'}") from None
 
+    def disturbances(self, axis: str) -> dict[str, np.ndarray]:
+        """What a rig adds to an axis, by its SI unit: V, A (drive's command), Nm (motor), N (carriage); empty where nothing is recorded."""
+        return {unit: self.signals[axis, signal] for unit, signal in DISTURBANCES.items() if (axis, signal) in self.signals}
+
     def matrix(self, signal: str, axes: Sequence[str] | None = None) -> np.ndarray:
         """One signal of several axes as (sample, axis), SI."""
         return np.column_stack([self.get(axis, signal) for axis in (axes or self.axes)])
@@ -96,7 +109,14 @@ def unit_of(signal: str, kind: str) -> str:
         return AXIS_UNITS[kind].position[0]
     if signal in SPEEDS:
         return AXIS_UNITS[kind].speed[0]
+    if signal in ACCELERATIONS:
+        return AXIS_UNITS[kind].acceleration[0]
     return OTHER_UNITS.get(signal, "1")
+
+
+def heading_of(axis: str, signal: str, unit: str) -> str:
+    """Heading of a column: 'X.position [mm]'; every disturbance is written as 'X.disturbance [unit]'."""
+    return f"{axis}.{DISTURBANCE if signal in DISTURBANCES.values() else signal} [{unit}]"
 
 
 def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
@@ -121,6 +141,10 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     kinds: dict[str, str] = {}
     for name in names[1:]:
         axis, signal, unit = _parse_heading(name, path)
+        if signal == DISTURBANCE:
+            signal = DISTURBANCES.get(unit, "")
+            if not signal:
+                raise InputError(f"{path}: column '{name}': [{unit}] is no unit of a disturbance; use one of {', '.join(DISTURBANCES)}")
         if axis != PROGRAM:
             if axes is not None and axis not in axes:
                 raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}")
@@ -151,7 +175,7 @@ def write_trace(trace: Trace, path: str | Path) -> None:
     columns = {"time [s]": trace.time}
     for (axis, signal), values in trace.signals.items():
         unit = "1" if axis == PROGRAM else unit_of(signal, trace.kinds[axis])
-        columns[f"{axis}.{signal} [{unit}]"] = values / UNITS[unit][1]
+        columns[heading_of(axis, signal, unit)] = values / UNITS[unit][1]
     table = pa.table(columns)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".csv":
@@ -210,11 +234,10 @@ def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
 def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:
     """Kind of the axis as its unit tells, checked against the machine's and against the signal."""
     factor_to_si(unit, where)
-    is_axis_quantity = signal in POSITIONS or signal in SPEEDS
-    told = {"length": "linear", "speed": "linear", "angle": "rotary", "angular speed": "rotary"}.get(dimension(unit))
-    if is_axis_quantity:
-        is_speed = dimension(unit) in ("speed", "angular speed")
-        if told is None or is_speed != (signal in SPEEDS):
+    wanted = _MOTION.get(signal)
+    told = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)
+    if wanted is not None:
+        if told is None or _DIMENSIONS[told].index(dimension(unit)) != wanted:
             raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
         if kind and told != kind:
             raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {told} axis; use [{unit_of(signal, kind)}]")

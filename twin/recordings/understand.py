@@ -6,23 +6,28 @@ What is returned still reads from the recordings block by block: nothing as long
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.recordings.convert import Conversion, conversion_of, kinds_of
+from twin.recordings.force_sign import force_sign
 from twin.recordings.grid import Piece, Source, liveliest, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
-from twin.recordings.signals import NO_MEASUREMENT, Recording, Signal
-from twin.recordings.skew import Late, late_channels
+from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Event, Recording, Signal
+from twin.recordings.skew import FORCES, Late, late_channels, later_ones
 from twin.recordings.timing import Timing, timing_of
+from twin.recordings.trace import DISTURBANCE, DISTURBANCES, POSITIONS
+from twin.units import AXIS_UNITS
 
 SHORTEST_S = 0.2
 """A piece between two gaps shorter than this is left out."""
 SAME_INTERVAL = 1e-3
+SMALL_OFFSET = 2e-6
+"""A constant difference between two encoders is said from here on [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,13 @@ class Understood:
     late: tuple[Late, ...]
     started: datetime | None
     begin: float  # of the recordings [s]
+    events: tuple[Event, ...] = ()
+    labels: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
+    """What columns that hold still say of a piece."""
+    unsigned: frozenset[tuple[str, str]] = frozenset()
+    offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
+    """Position minus motor position [m or rad] by piece and axis, where both are recorded."""
+    centred: bool = False  # offsets are taken out of the positions
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
@@ -60,6 +72,8 @@ class Understood:
             if (axis, FOLLOWING_ERROR) in out:
                 error = out.pop((axis, FOLLOWING_ERROR))
                 out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
+            if self.centred and (piece, axis) in self.offsets:
+                out[axis, "position"] = out[axis, "position"] - self.offsets[piece, axis]
         return out
 
 
@@ -76,7 +90,10 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         where = f"{recording.path}: column '{signal.name}'"
         if signal.time is None:
             raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
-        channels.append((column, recording, signal, conversion_of(column, signal, str(recording.path))))
+        conversion = conversion_of(column, signal, str(recording.path))
+        if column.signal == DISTURBANCE:
+            column = replace(column, signal=DISTURBANCES[conversion.si])
+        channels.append((column, recording, signal, conversion))
     keys = [c.key for c, *_ in channels]
     if twice := next((k for k in keys if keys.count(k) > 1), None):
         raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
@@ -102,6 +119,8 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     notes += _interval_notes(made, period)
     begin = min(s.begin for c in made for s in c.source.timing.stretches)
     fill = mapping.gaps == "fill"
+    if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
+        raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} begins anew in each part; use gaps = "split"')
     notes += _gap_notes(made, mapping, run)
 
     def cut(channels: Sequence[Channel]) -> list[Piece]:
@@ -124,19 +143,79 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
         raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "say" in the map imports it nevertheless')
     notes += [d.text for d in doubts]
-    late = late_channels(window, period, kinds)
+    late = later_ones(late_channels(window, period, kinds))
     notes += _still(window)
     notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
-    correct = {(item.axis, item.signal): item.seconds for item in late if item.clear and mapping.skew == "correct"}
+    unsigned = _unsigned(window, period, kinds)
+    notes += [f"{axis}.{signal}: only its size is recorded, without a sign" for axis, signal in sorted(unsigned)]
+    correct = {
+        (item.axis, item.signal): item.seconds
+        for item in late
+        if item.clear and (mapping.skew == "correct" or (mapping.skew == "encoders" and item.signal in (*POSITIONS, "velocity")))
+    }
     for item in late:
         if item.clear:
-            told = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the position (+-{1.96e3 * item.deviation:.3f} ms)"
+            told = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
             remedy = "left as it is: skew = 'correct' or skew_ms in the map takes it back"
-            notes.append(f"{told}; {'taken back' if correct else remedy}")
+            notes.append(f"{told}; {'taken back' if (item.axis, item.signal) in correct else remedy}")
     if correct:
         made = [replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in made]
         pieces = cut(made)
-    return replace(known, channels=tuple(made), pieces=tuple(pieces), notes=tuple(notes), late=tuple(late))
+    known = replace(known, channels=tuple(made), pieces=tuple(pieces), late=tuple(late), unsigned=unsigned)
+    offsets = _offsets(known)
+    notes += _offset_notes(offsets, kinds, mapping.offsets == "correct")
+    events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
+    labels = {}
+    for name in mapping.labels:
+        labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
+        for piece in pieces:
+            if labelled is not None and (value := _label(labelled, piece)) is not None:
+                labels[piece, name] = value
+    return replace(known, notes=tuple(notes), offsets=offsets, centred=mapping.offsets == "correct", events=events, labels=labels)
+
+
+def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> frozenset[tuple[str, str]]:
+    """Forces of which only the size is recorded."""
+    out = set()
+    for (axis, signal), values in window.items():
+        position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
+        if signal in FORCES and position is not None and force_sign(values, position, period, kinds[axis]).unsigned:
+            out.add((axis, signal))
+    return frozenset(out)
+
+
+def _label(signal: Signal, piece: Piece) -> float | None:
+    """Value of a column that holds still in a piece; None where it changes."""
+    if signal.time is None:
+        return None
+    time = np.asarray(signal.time[0 : len(signal.time)], float)
+    own = np.asarray(signal.values[0 : len(signal.values)], float)[(time >= piece.begin - 1e-9) & (time <= piece.end + 1e-9)]
+    return float(own[0]) if len(own) and not np.ptp(own) > 0.0 else None
+
+
+def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
+    """Median of position minus motor position of each piece."""
+    out = {}
+    for piece in known.pieces:
+        block = known.block(piece, 0, min(piece.count, BLOCK))
+        for axis in known.kinds:
+            if (axis, "position") in block and (axis, "motor_position") in block:
+                out[piece, axis] = float(np.median(block[axis, "position"] - block[axis, "motor_position"]))
+    return out
+
+
+def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
+    """Offsets that can be seen, one line an axis."""
+    notes = []
+    for axis, kind in kinds.items():
+        own = [value for (_, a), value in offsets.items() if a == axis]
+        unit, factor = AXIS_UNITS[kind].error
+        if own and max(map(abs, own)) > SMALL_OFFSET:
+            shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
+            notes.append(
+                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'taken out' if centred else 'left as it is'}"
+            )
+    return notes
 
 
 def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:

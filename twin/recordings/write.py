@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.recordings.campaign import EVENTS
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.signals import BLOCK
-from twin.recordings.trace import unit_of
+from twin.recordings.trace import heading_of, unit_of
 from twin.recordings.understand import Understood
 from twin.units import UNITS
 
@@ -62,7 +63,7 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
     order = {axis: i for i, axis in enumerate(dict.fromkeys(c.column.axis for c in known.channels))}
     keys = sorted(known.block(piece, 0, 2), key=lambda k: order[k[0]])
     units = {(axis, signal): unit_of(signal, known.kinds[axis]) for axis, signal in keys}
-    headings = {key: f"{key[0]}.{key[1]} [{unit}]" for key, unit in units.items()}
+    headings = {key: heading_of(*key, unit) for key, unit in units.items()}
     schema = pa.schema([("time [s]", pa.float64()), *((h, pa.float64()) for h in headings.values())])
     result = Written(name, started_at_s, known.run.feedforward, piece, units)
     part = max(1, int(np.ceil(piece.count / (POINTS / 2))))
@@ -106,12 +107,69 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
             lines += ["", f"[[run]]  # from {', '.join(known.run.files)}".replace("\n", " "), f"file = {_text(trace.name + '.parquet')}"]
             lines += [f"feedforward = {_text(trace.feedforward)}"] if trace.feedforward else []
             lines.append(f"started_at_s = {trace.started_at_s:.6f}")
+            lines += _facts(known, trace)
     content = {"runs": {trace.name: _record(known, trace) for known, traces in runs for trace in traces}}
     try:
+        _write_events(out / EVENTS, runs)
         (out / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
         (out / "import.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
+
+
+def _facts(known: Understood, trace: Written) -> list[str]:
+    """[[run.channel]] and [run.labels]: what was found before anything is fitted, for identification and diagnosis."""
+    lines = []
+    late = {(item.axis, item.signal): item for item in known.late}
+    taken = {c.key: c.source.skew_s for c in known.channels}
+    factors = {c.key: c.column.factor for c in known.channels}
+    for axis, signal in trace.units:
+        told: list[str] = []
+        item = late.get((axis, signal))
+        back = taken.get((axis, signal), 0.0)
+        if item is not None and (item.clear or back):
+            told += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
+        elif back:
+            told.append(f"latency_s = {back:.6g}")
+        told += [f"taken_back_s = {back:.6g}"] if back else []
+        if signal == "position" and (offset := known.offsets.get((trace.piece, axis))) is not None:
+            told.append(f"offset_{'m' if known.kinds[axis] == 'linear' else 'rad'} = {offset:.9g}")
+            told += ["offset_taken_out = true"] if known.centred else []
+        told += ["sign = -1"] if factors.get((axis, signal), 1.0) < 0.0 else []
+        told += ["against = true"] if item is not None and item.against else []
+        told += ["unsigned = true"] if (axis, signal) in known.unsigned else []
+        if told:
+            lines += ["[[run.channel]]", f"axis = {_text(axis)}", f"signal = {_text(signal)}", *told]
+    labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}
+    if labels:
+        lines += ["[run.labels]", *(f"{_text(name)} = {value:.9g}" for name, value in labels.items())]
+    return lines
+
+
+def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
+    """Block events beside the traces, each in the run that it falls into or that comes next; times [s] of that run's trace."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    rows: list[dict[str, Any]] = []
+    for known, traces in runs:
+        for event in known.events:
+            trace = next((t for t in traces if event.time <= t.piece.end), None)
+            if trace is not None:
+                rows.append(
+                    {
+                        "time": event.time - trace.piece.begin,
+                        "channel": event.channel,
+                        "block": event.block,
+                        "text": event.text,
+                        "run": trace.name,
+                    }
+                )
+    if not rows:
+        path.unlink(missing_ok=True)
+        return
+    fields = [("time", pa.float64()), ("channel", pa.int64()), ("block", pa.string()), ("text", pa.string()), ("run", pa.string())]
+    pyarrow.parquet.write_table(pa.Table.from_pylist(rows, schema=pa.schema(fields)), path)
 
 
 def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
@@ -128,7 +186,7 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
             for c in known.channels
         ],
         "skew": [
-            {"axis": s.axis, "signal": s.signal, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.late
+            {"axis": s.axis, "signal": s.signal, "against": s.reference, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.late
         ],
         "notes": list(known.notes),
     }  # fmt: skip

@@ -15,6 +15,7 @@ READERS = {
     ".tsv": "delimited",
     ".dat": "delimited",
     ".xml": "sinumerik",
+    ".json": "sinumerik_edge",
     ".tdms": "tdms",
     ".mf4": "mdf",
     ".mdf": "mdf",

@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.recordings.restarts import Restarts
 from twin.recordings.signals import NO_MEASUREMENT, How, Recording, Signal, Stored, find_time_column, known_unit, split_heading, time_factor
 
 SAMPLE_BYTES = 1 << 16
@@ -37,6 +38,8 @@ class Dialect:
     names: tuple[str, ...]
     units: tuple[str, ...]
     timestamps: bool
+    texts: tuple[int, ...] = ()
+    """Columns of words, which are passed over."""
 
 
 @dataclass
@@ -56,27 +59,36 @@ def read(path: Path, how: How) -> Recording:
     at = find_time_column(dialect.names, dialect.units, how.clock, where)
     plain = [split_heading(n)[0] for n in dialect.names]
     plain = [p if plain.count(p) == 1 else n for p, n in zip(plain, dialect.names)]
-    chosen = [i for i, name in enumerate(dialect.names) if i != at and (how.wanted is None or name in how.wanted or plain[i] in how.wanted)]
+    if how.wanted and (words := [dialect.names[i] for i in dialect.texts if dialect.names[i] in how.wanted or plain[i] in how.wanted]):
+        raise InputError(f"{path}: column '{words[0]}' holds words; leave it out of the map")
+    kept = [i for i in range(len(dialect.names)) if i != at and i not in dialect.texts]
+    chosen = [
+        i for i, name in enumerate(dialect.names) if i in kept and (how.wanted is None or name in how.wanted or plain[i] in how.wanted)
+    ]
     if not chosen:
-        return Recording(path, "CSV", {n: Signal(n, np.empty(0), None) for i, n in enumerate(plain) if i != at})
+        return Recording(path, "CSV", {plain[i]: Signal(plain[i], np.empty(0), None) for i in kept})
     factor = 1.0
     if at is not None and not dialect.timestamps:
         factor = time_factor(dialect.names[at], dialect.units[at], how.clock, where)
-    spools, time = _stream(path, dialect, at, chosen, factor, how)
+    spools, time, restarts = _stream(path, dialect, at, chosen, factor, how)
     signals = {
         plain[i]: Signal(plain[i], Stored(spool.path), Stored(Path(spool.times.name)) if spool.times else time, dialect.units[i])
         for i, spool in spools.items()
         if spool.rows
     }
     # names that exist but were not wanted: for the nearest match only
-    others = {plain[i]: Signal(plain[i], np.empty(0), None) for i in range(len(plain)) if i != at and i not in spools}
+    others = {plain[i]: Signal(plain[i], np.empty(0), None) for i in kept if i not in spools}
     told = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}[dialect.delimiter]
     note = (
         f"CSV: {told}, decimal {'comma' if dialect.decimal == ',' else 'point'}, numbers from line {dialect.first + 1}, {dialect.encoding}"
     )
     empty = [plain[i] for i, spool in spools.items() if not spool.rows]
-    notes = (note, *(f"column '{name}' is empty" for name in empty))
-    return Recording(path, "CSV", {**others, **signals}, None, notes)
+    notes = [note, *(f"column '{name}' is empty" for name in empty)]
+    if dialect.texts:
+        notes.append(f"columns of words, passed over: {', '.join(plain[i] for i in dialect.texts)}")
+    if restarts:
+        notes.append(f"the time begins anew at {restarts} row{'s' * (restarts > 1)}: each part is a run of its own")
+    return Recording(path, "CSV", {**others, **signals}, None, tuple(notes), restarts=restarts)
 
 
 def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
@@ -103,11 +115,18 @@ def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
         # more columns win between pairs that read as many rows: a decimal comma taken for a delimiter makes unequal rows
         if rows and (rows, cells) > (most, width):
             best, most, first, width, stamps = pair, rows, start, cells, with_stamp
+    texts: tuple[int, ...] = ()
+    if best is None:
+        # a table with columns of words among those of numbers
+        for pair in pairs:
+            rows, start, cells, words = _rows_with_words(lines, *pair)
+            if rows and (rows, cells - len(words)) > (most, width - len(texts)):
+                best, most, first, width, texts = pair, rows, start, cells, words
     if best is None:
         raise InputError(f"{path}: no rows of numbers found; is it a CSV file? say delimiter and decimal in [csv] of the map")
     delimiter, decimal = best
     names, units = _heading(lines[:first], width, delimiter, told, path)
-    return Dialect(encoding, delimiter, decimal, first, names, units, stamps)
+    return Dialect(encoding, delimiter, decimal, first, names, units, stamps, texts)
 
 
 def _encoding(head: bytes, path: Path) -> str:
@@ -168,6 +187,22 @@ def _rows_of_numbers(lines: list[str], delimiter: str, decimal: str) -> tuple[in
     return count, start, width, stamps
 
 
+def _rows_with_words(lines: list[str], delimiter: str, decimal: str) -> tuple[int, int, int, tuple[int, ...]]:
+    """(rows at the end of the sample, first of them, their cells, columns of words): a column is of words in every row or in none."""
+    rows = [_cells(line, delimiter) for line in lines]
+    while rows and not rows[-1]:
+        rows.pop()
+    if not rows or len(rows[-1]) < 3:
+        return 0, 0, 0, ()
+    width = len(rows[-1])
+    words = tuple(i for i, cell in enumerate(rows[-1]) if not _number(cell, decimal))
+    start = len(rows)
+    while start and len(rows[start - 1]) == width and tuple(i for i, c in enumerate(rows[start - 1]) if not _number(c, decimal)) == words:
+        start -= 1
+    count = len(rows) - start
+    return (count, start, width, words) if words and width - len(words) >= 2 and count > 1 else (0, 0, 0, ())
+
+
 def _heading(lines: list[str], width: int, delimiter: str, told: Mapping[str, Any], path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units from the lines before the numbers; numbered names where there is no heading."""
     split = [_cells(line.lstrip("#").strip() if line.startswith("#") else line, delimiter) for line in lines]
@@ -205,8 +240,10 @@ def _looks_like_units(cells: list[str]) -> bool:
     return len(known) > 0 and sum(known) >= max(1, len(known) // 2)
 
 
-def _stream(path: Path, dialect: Dialect, at: int | None, chosen: list[int], factor: float, how: How) -> tuple[dict[int, _Spool], Stored]:
-    """Pass the file in blocks; wanted columns and the time go to disk."""
+def _stream(
+    path: Path, dialect: Dialect, at: int | None, chosen: list[int], factor: float, how: How
+) -> tuple[dict[int, _Spool], Stored, int]:
+    """Pass the file in blocks; wanted columns and the time go to disk. Also counts the rows where the time begins anew."""
     import pyarrow as pa
     import pyarrow.csv as pc
 
@@ -228,7 +265,7 @@ def _stream(path: Path, dialect: Dialect, at: int | None, chosen: list[int], fac
         source = _Squeezed(path, dialect.encoding)
     time_path = folder / "time"
     spools = {i: _Spool(folder / f"column{i}", open(folder / f"column{i}", "wb")) for i in chosen}  # noqa: SIM115
-    rows = 0
+    rows, restart = 0, Restarts()
     try:
         reader = pc.open_csv(
             source,
@@ -260,6 +297,7 @@ def _stream(path: Path, dialect: Dialect, at: int | None, chosen: list[int], fac
                     raise InputError(
                         f"{path}: column '{dialect.names[at or 0]}': line {dialect.first + rows + row + 1} holds no time; repair it"
                     )
+                time = restart(np.asarray(time, float))
                 for i, spool in spools.items():
                     _append(spool, batch.column(keys[i]), time, time_file, f"{path}: column '{dialect.names[i]}'", dialect.first + rows)
                 time.astype(float).tofile(time_file)
@@ -275,7 +313,7 @@ def _stream(path: Path, dialect: Dialect, at: int | None, chosen: list[int], fac
                 spool.times.close()
     if rows < 2:
         raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
-    return spools, Stored(time_path)
+    return spools, Stored(time_path), restart.count
 
 
 def _append(spool: _Spool, column: Any, time: np.ndarray, time_file: IO[bytes], where: str, line: int) -> None:

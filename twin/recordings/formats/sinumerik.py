@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import How, Recording, Signal, starts_with
+from twin.recordings.signals import How, Recording, Signal, date_of, starts_with
 
 NO_NUMBER = 9.2e18
 """Values above are the bit patterns of NaN and infinity, which the control prints as whole numbers."""
@@ -63,7 +63,7 @@ def read(path: Path, how: How) -> Recording:
                 continue
             parents.pop()
             if frames == 1 and tag == "frameHeader":
-                started = _date(element.get("startTime"))
+                started = date_of(element.get("startTime"))
                 lost = int(float(element.get("dropOuts") or 0))
             elif frames == 1 and tag == "dataSignal":
                 _begin(samples, element.attrib, path)
@@ -143,10 +143,3 @@ def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], p
     key = (float(times[0]), one.interval, span)
     grid = clocks.setdefault(key, times[0] + one.interval * np.arange(span))
     return Signal(one.name, filled, grid, "", one.description), ""
-
-
-def _date(text: str | None) -> datetime | None:
-    try:
-        return datetime.fromisoformat(text.replace("Z", "+00:00")) if text else None
-    except ValueError:
-        return None

@@ -1,0 +1,181 @@
+"""What the names of columns mean, as controls and instruments print them: which axis, which signal, which unit.
+
+Known are the names of SINUMERIK (Edge: `DES_POS|1`; trace: `nckServoDataCmdPos64 [u1, 1]`; `Lagesollwert X`), HEIDENHAIN's oscilloscope
+(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`) and plain words in English and German. A name is taken
+apart into words; one word that is not known, and the name means nothing. What a name does not say (mm or deg) is left to the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import re
+
+from twin.recordings.signals import known_unit
+
+_WORDS = {
+    "pos": "pos position lage weg angle winkel joint_position",
+    "vel": "vel velocity speed geschwindigkeit drehzahl rpm",
+    "current": "current curr strom iq amps",
+    "torque": "torque moment drehmoment trq",
+    "voltage": "voltage volt spannung",
+    "acceleration": "acc accel acceleration beschleunigung",
+    "set": "set setpoint soll sollwert cmd command commanded des desired ref reference target nominal noml nom demand demanded",
+    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk",
+    "ffw": "ffw feedforward ff vorsteuerung precontrol",
+    "error": "error err lag following schleppfehler schleppabstand ferror",
+    "motor": "mot motor indirect rpm",
+    "load": "se load direct second secondary scale",
+    "disturbance": "disturbance pulses pulse stoerung",
+    "-": "rec data record signal value val all axis achse ax joint nck sd sema servo drive trace abs stage slide carriage table simple all rel relative pid",
+}  # fmt: skip
+_MEANS: dict[str, set[str]] = {}
+for _role, _listed in _WORDS.items():
+    for _word in _listed.split():
+        _MEANS.setdefault(_word, set()).add(_role)
+_LETTERS = {
+    "s": "pos",
+    "q": "pos",
+    "v": "vel",
+    "n": "vel",
+    "i": "current",
+    "m": "torque",
+    "tau": "torque",
+    "u": "voltage",
+    "a": "acceleration",
+}
+"""Letters for a quantity; they count only beside a word for set point, actual value or feedforward."""
+_QUANTITIES = ("pos", "vel", "current", "torque", "voltage", "acceleration")
+
+_EXACT = {
+    # SINUMERIK Edge
+    "des_pos": ("setpoint", ""), "enc_pos": ("position", ""), "enc1_pos": ("motor_position", ""), "enc2_pos": ("position", ""),
+    "cmd_speed": ("velocity_setpoint", ""), "vel_ffw": ("velocity_feedforward", ""), "torque_ffw": ("torque_feedforward", "Nm"),
+    "torque": ("torque", "Nm"), "current": ("current", "A"), "load": ("", ""), "power": ("", ""), "cont_dev": ("", ""),
+    # SINUMERIK trace: measured by the first (motor) and the second (direct) encoder
+    "measpos1": ("motor_position", ""), "measpos2": ("position", ""),
+    # HEIDENHAIN oscilloscope
+    "v (act rpm)": ("velocity", "mm/min"), "v (nom rpm)": ("velocity_setpoint", "mm/min"), "v (n act)": ("velocity", "mm/min"),
+    "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
+    "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
+    # EMPS benchmark, as robot identification writes it
+    "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
+}  # fmt: skip
+_UNIT_ENDING = re.compile(r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|m|a|v|n)$", re.IGNORECASE)
+_UNIT_NAMES = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "rpm": "rev/min", "deg_s": "deg/s", "mm_s": "mm/s"}
+_INDEX = re.compile(r"\s*(?:\(\s*(\d+)\s*\)|\|\s*(\w+)|\[\s*u?\d+\s*,\s*(\d+)\s*\]|\[\s*(\d+)\s*\])\s*$")
+_COMPOUND = re.compile(
+    r"(lage|drehzahl|geschwindigkeits?|strom|drehmomenten?|momenten?|positions?|beschleunigungs?)(soll|ist)(?:werte?)?", re.IGNORECASE
+)
+_STEMS = {
+    "geschwindigkeits": "geschwindigkeit",
+    "drehmomenten": "drehmoment",
+    "momenten": "moment",
+    "positions": "position",
+    "beschleunigungs": "beschleunigung",
+}
+_AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a column is: axis, signal ("" where the name is known and no channel of the twin), unit ("" where the name says none).
+
+    `rank`: of two columns of one meaning the lower one is taken.
+    """
+
+    axis: str
+    signal: str
+    unit: str
+    rank: int = 0
+
+
+def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
+    """Meaning of a name, or None; `unit` is the file's own, `only_axis` the name of the axis where none is said."""
+    plain = name.rpartition("/")[2].strip()
+    index = _INDEX.search(plain)
+    axis = next((part for part in index.groups() if part), "") if index else ""
+    if index:
+        plain = plain[: index.start()].strip()
+    if (exact := _EXACT.get(plain.lower())) is not None:
+        return Meaning(axis or only_axis, exact[0], unit or exact[1])
+    if not unit and (ending := _UNIT_ENDING.search(plain)):
+        unit = _UNIT_NAMES.get(ending[1].lower(), "") or known_unit(ending[1].lower().replace("_per_", "/"))
+        plain = plain[: ending.start()]
+    words = _words(plain)
+    if (by_word := _EXACT.get(" ".join(w for w in words if not _AXIS.fullmatch(w)).lower())) is not None and len(words) > 1:
+        letters = [w for w in words if _AXIS.fullmatch(w)]
+        return Meaning(axis or (letters[-1].upper() if letters else only_axis), by_word[0], unit or by_word[1])
+    return _of_words(words, axis, unit, only_axis)
+
+
+def _words(text: str) -> list[str]:
+    """Words of a name: 'nckServoDataCmdPos64', 'motor-pos-cmd', 'Lagesollwert X', 'rec.act_pos_mot'."""
+    text = _COMPOUND.sub(lambda m: f" {_STEMS.get(m[1].lower(), m[1])} {m[2]} ", text)
+    text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
+    text = re.sub(r"(?i)f[ _-]error", "ferror", text)
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
+    return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]
+
+
+def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning | None:
+    roles: set[str] = set()
+    letters: list[str] = []
+    plain: list[str] = []
+    for word in words:
+        known = _MEANS.get(word.lower())
+        if known:
+            roles |= known
+        elif word.isdigit():
+            if len(word) == 1:
+                axis = axis or word  # joint.0.motor-pos-cmd; 64 is the width of a number
+        elif (word.lower() in _LETTERS and word.islower()) or (word in ("I", "M", "U") and not letters):
+            letters.append(word.lower())
+        elif _AXIS.fullmatch(word):
+            axis = axis or word.upper()
+        else:
+            plain.append(word)
+    if plain or len(letters) > 2:
+        return None
+    # a letter is a quantity where no word is one, else an axis: 'v actual', 'pos cmd a'
+    if letters and roles & {"set", "act", "ffw"} and not roles & set(_QUANTITIES):
+        roles.add(_LETTERS[letters.pop(0)])
+    for letter in letters:
+        if axis or not _AXIS.fullmatch(letter):
+            return None
+        axis = letter.upper()
+    return _meaning(roles, axis or only_axis, unit, words)
+
+
+def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning | None:
+    quantities = [q for q in _QUANTITIES if q in roles]
+    spoken = {w.lower() for w in words}
+    relative = 2 if spoken & {"rel", "relative"} else 0
+    if "disturbance" in roles:
+        return Meaning(axis, "disturbance", unit) if not quantities else None
+    if "error" in roles:
+        return Meaning(axis, "following_error", unit) if set(quantities) <= {"pos"} else Meaning(axis, "", unit)
+    if not quantities and roles & {"set", "act"} and not roles & {"motor", "load", "ffw"} and not roles >= {"set", "act"}:
+        quantities = ["pos"]  # 'command', 'feedback', 'Istwert'
+    if len(quantities) != 1 or roles >= {"set", "act"}:
+        return None
+    quantity = quantities[0]
+    if "ffw" in roles:
+        if quantity == "torque":
+            return Meaning(axis, "torque_feedforward", unit or "Nm")
+        return Meaning(axis, "velocity_feedforward" if quantity == "vel" else "", unit)
+    if quantity == "pos":
+        if "set" in roles:
+            return Meaning(axis, "setpoint", unit, 1 if "motor" in roles else 0)
+        return Meaning(axis, "motor_position" if "motor" in roles else "position", unit)
+    if quantity == "vel":
+        if "set" in roles:
+            return Meaning(axis, "velocity_setpoint", unit)
+        return Meaning(axis, "" if "load" in roles else "velocity", unit)
+    if quantity == "acceleration":
+        return Meaning(axis, "acceleration", unit, 0 if "set" in roles else 1)
+    if quantity == "current":
+        # a control that shows only the nominal current: its current loop is faster than the recording
+        return Meaning(axis, "current", unit or "A", 1 if "set" in roles else 0)
+    if quantity == "torque":
+        return Meaning(axis, "torque_setpoint" if "set" in roles else "torque", unit or "Nm", relative)
+    return Meaning(axis, "voltage", unit or "V", 1 if "act" in roles else 0)

@@ -1,0 +1,374 @@
+"""A map proposed from the names of the columns and from what the recorded numbers say: units, signs, which axes move.
+
+A column is in doubt where its name fits and its numbers do not; it stands in the map as a comment and is not used. What moves nothing,
+spins or has no known name is listed in the map, too, so that nothing is dropped without a word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+import json
+import re
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.force_sign import force_sign
+from twin.recordings.names import Meaning, meaning_of
+from twin.recordings.signals import BLOCK, Recording, Signal
+from twin.recordings.timing import timing_of
+from twin.units import RECORDED_UNITS, dimension_recorded
+
+STILL_SI = 2e-6
+"""An axis whose set point moves less [m or rad] is at rest."""
+ONE_WAY_TURNS = 5.0
+"""An axis that turns one way farther spins."""
+FOLLOWS = 0.1
+"""A position that follows its set point (and a second encoder that follows the first) by another factor than 1 by more is in doubt."""
+APART = 0.02
+"""Two encoders that differ by more of their travel do not measure one motion."""
+SAME_SLOPE = 2e-3
+"""A speed set point this near to the slope of the position set point (of its RMS) is that slope, not an output of a controller."""
+_ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward",
+          "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance")  # fmt: skip
+_SPEED_UNITS = {
+    "linear": {"mm/s": 1.0, "mm/min": 60.0, "m/min": 0.06, "m/s": 1e-3, "um/s": 1e3},
+    "rotary": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "deg/min": 60.0, "rev/min": 1.0 / 6.0},
+}
+"""Number that a speed of 1 mm/s or 1 deg/s makes in each unit."""
+_NEAR = {"velocity": 0.05, "velocity_feedforward": 0.25, "velocity_setpoint": 0.3}
+"""How far the ratio of a speed to the slope of its position may lie off a unit's: feedforward has a weight, a set point leads."""
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """One column of the map; `doubt` says why it is not used, "" where it is."""
+
+    name: str
+    axis: str
+    signal: str
+    unit: str
+    sign: int = 1
+    extra: str = ""  # further keys of the map
+    remark: str = ""
+    doubt: str = ""
+
+
+@dataclass
+class Proposal:
+    """Columns, the axes that are left out with the reason, columns whose names mean nothing, and what was on."""
+
+    columns: list[Proposed] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    labels: list[str] = field(default_factory=list)
+    feedforward: str | None = None
+
+    @property
+    def used(self) -> list[Proposed]:
+        """Columns without doubt."""
+        return [c for c in self.columns if not c.doubt]
+
+    @property
+    def axes(self) -> list[str]:
+        return list(dict.fromkeys(c.axis for c in self.used))
+
+
+def propose(recordings: Sequence[Recording]) -> Proposal:
+    """The map of these recordings as far as names and numbers say it. Raises InputError where times cannot be read."""
+    out = Proposal()
+    found = _by_meaning(recordings, out)
+    for axis in sorted({axis for axis, _ in found}, key=lambda a: (a.isdigit(), int(a) if a.isdigit() else 0, a)):
+        own = {signal: one for (a, signal), one in found.items() if a == axis}
+        if "setpoint" not in own:
+            out.left_out.append(f"axis {axis}: no set point among its columns ({', '.join(name for _, name in own.values())})")
+        else:
+            _axis(axis, _of_one_recording(recordings, own), out)
+    moving = {c.axis for c in out.used if c.signal == "setpoint"}
+    speeds, torques = (
+        [r.signals[c.name] for r in recordings for c in out.columns if c.signal == signal and c.axis in moving and c.name in r.signals]
+        for signal in ("velocity_feedforward", "torque_feedforward")
+    )
+    if speeds:
+        out.feedforward = "off" if not any(map(_alive, speeds)) else "velocity+torque" if any(map(_alive, torques)) else "velocity"
+    return out
+
+
+def _of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
+    """The signals of an axis from the recording in which its set point moves farthest; one that is not in it from another."""
+
+    def way(recording: Recording) -> float:
+        signal = recording.signals.get(own["setpoint"][1])
+        return float(np.ptp(_head(signal.values))) if signal is not None and _timed(signal) else -1.0
+
+    ranked = sorted(recordings, key=way, reverse=True)
+    return {
+        signal: (told, next(r.signals[name] for r in ranked if name in r.signals and _timed(r.signals[name])))
+        for signal, (told, name) in own.items()
+    }
+
+
+def _timed(signal: Signal) -> bool:
+    return signal.time is not None and len(signal.values) > 0
+
+
+def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[str, str], tuple[Meaning, str]]:
+    """(axis, signal) -> the column that means it."""
+    found: dict[tuple[str, str], tuple[Meaning, str]] = {}
+    names = list(dict.fromkeys(name for r in recordings for name in r.signals))
+    for name in names:
+        own = [r.signals[name] for r in recordings if name in r.signals and _timed(r.signals[name])]
+        if not own:
+            continue
+        signal = own[0]
+        told = meaning_of(name, signal.unit)
+        if told is None or not told.signal:
+            parts = [r for r in recordings if r.restarts and name in r.signals]
+            (out.labels if parts and _label(signal) else out.unknown).append(name)
+            continue
+        key = (told.axis, told.signal)
+        if key in found and found[key][0].rank <= told.rank:
+            out.unknown.append(name)
+            continue
+        if key in found:
+            out.unknown.append(found[key][1])
+        found[key] = (told, name)
+    return found
+
+
+def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal) -> None:
+    """Columns of one axis, or why it is left out."""
+    names = ", ".join(s.name for _, s in found.values())
+    label = found["setpoint"][1].description
+    called = f"axis {axis}" + (f" ({label})" if label else "")
+    rows = _longest(found["setpoint"][1])
+    time = _head(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
+    values = {signal: _at(one, time) for signal, (_, one) in found.items()}
+    setpoint = values["setpoint"]
+    kind, sure = _kind(found, label)
+    unit = {s: told.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (told, _) in found.items()}
+    to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
+    full = _head(found["setpoint"][1].values)
+    if float(np.ptp(full)) * to_si < STILL_SI:
+        out.left_out.append(f"{called} does not move in this recording ({names})")
+        return
+    if (turns := _turns(full * to_si, kind, sure)) is not None:
+        out.left_out.append(f"{called} spins ({turns:.0f} turns one way): no feed axis ({names})")
+        return
+    assumed = (
+        ""
+        if found["setpoint"][0].unit
+        else f"assumed: the file says no unit; {'deg for a rotary' if kind == 'linear' else 'mm for a linear'} axis"
+    )
+    period = float(np.median(np.diff(time)))
+    position = next((values[s] for s in ("position", "motor_position") if s in values and np.ptp(values[s]) > 0.0), None)
+    if position is None and "following_error" in values:
+        position = setpoint - values["following_error"]
+    columns: list[Proposed] = []
+    for signal in _ORDER:
+        if signal not in found:
+            continue
+        told, one = found[signal]
+        column = Proposed(one.name, axis, signal, unit[signal])
+        if signal in ("setpoint", "position", "motor_position", "following_error"):
+            column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values, unit))
+        elif not _alive(one):
+            column = replace(column, unit=unit[signal] if told.unit else "", doubt="it never changes")
+        elif signal in _NEAR:
+            column = _speed(column, told, values[signal], setpoint, position, period, kind)
+        elif signal == "acceleration":
+            column = replace(column, unit=told.unit or f"{unit['setpoint']}/s2")
+        elif signal in ("current", "torque", "voltage") and position is not None:
+            sign = force_sign(values[signal], position, period, kind)
+            column = replace(column, sign=sign.sign, remark=sign.remark, doubt=sign.doubt)
+        columns.append(column)
+    measured = [c for c in columns if c.signal in ("position", "motor_position")]
+    if any(not c.doubt for c in measured):
+        columns = [replace(c, doubt="the position itself is recorded") if c.signal == "following_error" else c for c in columns]
+    elif measured and not any(c.signal == "following_error" for c in columns):
+        columns = [replace(c, doubt=c.doubt or "no measured position of this axis can be used") for c in columns]
+    out.columns += columns
+
+
+def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapping[str, str]) -> str:
+    """Why a position is in doubt: it follows neither the set point nor the other encoder."""
+    if signal in ("setpoint", "following_error"):
+        return ""
+    y = values[signal] * RECORDED_UNITS[unit[signal]][1]
+    if not np.ptp(y) > 0.0:
+        return "it never changes"
+    for other in ("motor_position", "setpoint"):
+        if other in values and other != signal and (x := values[other] * RECORDED_UNITS[unit[other]][1]).any() and np.ptp(x) > 0.0:
+            slope, offset = np.polyfit(x - x.mean(), y, 1)
+            left = float(np.std(y - offset - slope * (x - x.mean()))) / float(np.ptp(x))
+            if other == "motor_position" and signal == "position" and left > APART:
+                return f"it differs from the motor encoder by {left:.1%} of the travel (RMS): not one motion"
+            if abs(slope - 1.0) > FOLLOWS and left < 3.0 * FOLLOWS:
+                return f"it moves {slope:.3g} times as far as the {other.replace('_', ' ')}: unit, scale or column?"
+            if left > 3.0 * FOLLOWS:
+                return f"it does not follow the {other.replace('_', ' ')}"
+    return ""
+
+
+def _speed(
+    column: Proposed, told: Meaning, values: np.ndarray, setpoint: np.ndarray, position: np.ndarray | None, period: float, kind: str
+) -> Proposed:
+    """Unit and sign of a speed from the slope of the position (of the set point for a feedforward)."""
+    base = setpoint if column.signal == "velocity_feedforward" or position is None else position
+    if column.signal == "velocity_setpoint" and _is_slope(values, setpoint, period):
+        return replace(column, unit=told.unit, doubt="it is the slope of the set point, not the output of a controller")
+    step = max(1, min(round(0.02 / period), len(values) // 4))
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))]) * period
+    v, x = summed[step:] - summed[:-step], base[step:] - base[:-step]
+    xx, xy, vv = float(x @ x), float(x @ v), float(v @ v)
+    if xx <= 0.0 or vv <= 0.0 or xy**2 < 0.5 * xx * vv:
+        return replace(
+            column, unit=told.unit, doubt=f"it does not go with the slope of the {'set point' if base is setpoint else 'position'}"
+        )
+    ratio = xy / xx  # recorded per (unit of the position)/s
+    sign = 1 if ratio > 0.0 else -1
+    remark = "turned round: it runs against the motion" if sign < 0 else ""
+    if told.unit:
+        return replace(column, unit=told.unit, sign=sign, remark=remark)
+    units = _SPEED_UNITS[kind]
+    nearest = min(units, key=lambda u: abs(np.log(abs(ratio) / units[u])))
+    if abs(abs(ratio) / units[nearest] - 1.0) <= _NEAR[column.signal]:
+        found = "" if nearest in ("mm/s", "deg/s") else "unit found from the slope of the position"
+        return replace(column, unit=nearest, sign=sign, remark=remark or found)
+    travel = 60.0 / abs(ratio)  # a motor in rev/min
+    key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
+    return replace(
+        column, unit="rev/min", sign=sign, extra=f"{key} = {travel:.6g}", remark=f"taken as rev/min of a motor: travel of a turn from the slope of the position; {remark}".rstrip("; ")
+    )  # fmt: skip
+
+
+def _is_slope(values: np.ndarray, setpoint: np.ndarray, period: float) -> bool:
+    """Is a speed the difference of set points, forwards, backwards or between, in any unit?"""
+    forward = np.diff(setpoint)[1:] / period
+    backward = np.diff(setpoint)[:-1] / period
+    v = values[1:-1]
+    for slope in (forward, backward, 0.5 * (forward + backward)):
+        xx = float(slope @ slope)
+        if xx > 0.0 and np.std(v - float(slope @ v) / xx * slope) < SAME_SLOPE * np.std(v):
+            return True
+    return False
+
+
+def _kind(found: Mapping[str, tuple[Meaning, Signal]], label: str) -> tuple[str, bool]:
+    """Linear or rotary, and whether a unit says so; else by the label: A, B, C are rotary."""
+    for signal in ("setpoint", "position", "motor_position", "velocity"):
+        if signal in found and (unit := found[signal][0].unit):
+            named = dimension_recorded(unit)
+            if named in ("length", "speed", "angle", "angular speed"):
+                return ("rotary" if named.startswith("ang") else "linear"), True
+    first = label.strip()[:1].upper() if len(label.strip()) <= 2 else found["setpoint"][0].axis[:1].upper()
+    return ("rotary" if first in ("A", "B", "C") else "linear"), False
+
+
+def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
+    """Turns of an axis that goes one way only and far, else None; `way` in SI (1e-3 of the recorded number where no unit is known)."""
+    steps = np.diff(way)
+    total, net = float(np.abs(steps).sum()), abs(float(way[-1] - way[0]))
+    if net < 0.98 * total:
+        return None
+    if kind == "linear" and sure:
+        return None
+    turns = total / (2.0 * np.pi) if kind == "rotary" else total * 1e3 / 360.0
+    return turns if turns > ONE_WAY_TURNS else None
+
+
+def _head(column: object) -> np.ndarray:
+    """The first block of a column."""
+    return np.asarray(column[0:BLOCK], float)  # type: ignore[index]
+
+
+def _longest(signal: Signal) -> slice:
+    """Rows of the longest stretch without a gap in which the signal moves farthest."""
+    assert signal.time is not None
+    timing = timing_of(_head(signal.time), signal.name, period_s=None)
+    values = _head(signal.values)
+    best = max(timing.stretches, key=lambda s: (float(np.ptp(values[s.first : s.first + s.count])) > 0.0, s.count))
+    return slice(best.first, best.first + best.count)
+
+
+def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
+    """Values at these times (between samples by straight lines)."""
+    own, values = _head(signal.time), _head(signal.values)
+    if len(own) < 2:
+        raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
+    return np.interp(time, own, values)
+
+
+def _alive(signal: Signal) -> bool:
+    return float(np.ptp(_head(signal.values))) > 0.0
+
+
+def _label(signal: Signal) -> bool:
+    """Does a column hold still within the parts of a file, and differ between them?"""
+    values = np.asarray(signal.values[0 : len(signal.values)], float)
+    changes = np.flatnonzero(np.diff(values) != 0.0)
+    return 0 < len(changes) < len(values) / 20
+
+
+def map_text(proposal: Proposal, files: Iterable[str]) -> str:
+    """The map as TOML: what is used, and as comments what is in doubt, left out or unknown."""
+    lines = [
+        f"# proposed by 'twin import' for {', '.join(files)} from the names and numbers of the columns",
+        "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
+    ]
+    if proposal.feedforward:
+        lines.append(f'feedforward = "{proposal.feedforward}"           # as the recorded feedforward signals say')
+    else:
+        lines.append(
+            '# feedforward = "off"         # off | velocity | velocity+torque: what the control had on; the recording does not say'
+        )
+    lines.append(
+        'skew = "encoders"            # an encoder that was recorded late is taken back; how late each channel is stands in campaign.toml'
+    )
+    lines.append('offsets = "correct"          # a constant difference between two encoders is taken out; it stands in campaign.toml')
+    if proposal.labels:
+        lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
+    for column in proposal.columns:
+        mark = "# " if column.doubt else ""
+        lines.append("")
+        if column.doubt:
+            lines.append(f"# in doubt, not used: {column.doubt}")
+        lines.append(f"{mark}[[column]]")
+        remark = f"   # {column.remark}" if column.remark else ""
+        unit = f"{mark}unit = {_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
+        lines += [
+            f"{mark}name = {_text(column.name)}",
+            f"{mark}axis = {_text(column.axis)}",
+            f"{mark}signal = {_text(column.signal)}",
+            unit,
+        ]
+        if column.extra:
+            lines.append(f"{mark}{column.extra}")
+        if column.sign < 0:
+            lines.append(f"{mark}sign = -1{remark}")
+        elif column.signal.startswith(("current", "torque", "voltage")) and remark:
+            lines.append(f"#{remark[4:]}")
+    if proposal.left_out:
+        lines += ["", "# left out:", *(f"#   {_one_line(text)}" for text in proposal.left_out)]
+    if proposal.unknown:
+        lines += ["", "# columns without a use that is known:", *(f"#   {_one_line(name)}" for name in _grouped(proposal.unknown))]
+    return "\n".join(lines) + "\n"
+
+
+def _grouped(names: Sequence[str]) -> list[str]:
+    """'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)': one line for the columns of one name."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in names:
+        match = re.fullmatch(r"(.*[(|\[])(\w+)([)\]]?)", name)
+        groups.setdefault((match[1], match[3]) if match else (name, ""), []).append(match[2] if match else "")
+    return [f"{stem}{' '.join(numbers)}{end}" for (stem, end), numbers in groups.items()]
+
+
+def _text(value: str) -> str:
+    """A TOML string."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

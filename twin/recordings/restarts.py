@@ -1,0 +1,43 @@
+"""Files that hold several recordings one below the other: the time begins anew in each part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+PAUSE_S = 1.0
+"""Time that is put between two parts [s]: how long the pause was the file does not say; it is a gap, and splits the run."""
+AT_LEAST = 20
+"""Samples of a part. A time that goes back sooner is damage, and is refused as such."""
+
+
+class Restarts:
+    """Times of blocks in order, made to go on where they begin anew; `count` parts began after the first.
+
+    A part begins anew where the time goes back to the first time of the file, within one interval.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._first = self._interval = self._last = np.nan
+        self._shift = 0.0
+        self._since = 0
+
+    def __call__(self, time: np.ndarray) -> np.ndarray:
+        """The times (sample,) [s] of the next block."""
+        if np.isnan(self._first) and len(time) > 1:
+            self._first, self._interval = float(time[0]), abs(float(time[1] - time[0]))
+        if np.isnan(self._first):
+            return time
+        before = np.concatenate([[self._last if np.isfinite(self._last) else time[0]], time[:-1]])
+        anew = np.flatnonzero((time < before) & (np.abs(time - self._first) <= 1.001 * self._interval))
+        out = time.copy()
+        begin = -self._since
+        for row in anew:
+            if row - begin >= AT_LEAST:
+                shift = float(before[row]) + self._shift + max(PAUSE_S, 10.0 * self._interval) - float(time[row])
+                out[begin if begin > 0 else 0 : row] = time[begin if begin > 0 else 0 : row] + self._shift
+                self._shift, begin = shift, int(row)
+                self.count += 1
+        out[max(begin, 0) :] = time[max(begin, 0) :] + self._shift
+        self._last, self._since = float(time[-1]), len(time) - begin
+        return out
