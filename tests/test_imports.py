@@ -9,14 +9,14 @@ TOP = {"__init__", "__main__", "compiled_functions", "errors", "files", "progres
 """The small modules that every room stands on."""
 
 ORDER = (
+    ("report",),  # a toolbox of drawing: pages, figures, curves; it imports no room
     ("machine",),  # check, loops and data sheet of a machine read its simulation: see BORROWED
     ("geometry",),
     ("recordings",),
     ("simulation", "effects"),
-    ("report",),
     ("program",),
     ("surface", "iso230"),
-    ("replay",),
+    ("replay", "compare"),
     ("identify",),
     ("diagnose", "study"),
     ("exam", "regress"),
@@ -29,10 +29,8 @@ BORROWED = {
     ("machine", "effects"),  # check, loops: effects that a machine file lists
     ("machine", "recordings"),
     ("machine", "geometry"),
-    ("machine", "report"),  # pictures of loops, data sheet
     ("geometry", "simulation"),  # kinematics and tool path read the compiled model
     ("geometry", "recordings"),
-    ("recordings", "report"),  # pictures of an import
     ("recordings", "simulation"),
 }
 """Rooms that import against the order; between files there is no circle all the same."""

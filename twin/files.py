@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import json
 import math
 import os
@@ -9,7 +10,11 @@ from pathlib import Path
 import threading
 from typing import Any
 
+import twin
 from twin.errors import InputError
+
+FORMATS = 1
+"""Number of the formats of all JSON files."""
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -22,13 +27,21 @@ def write_whole(path: Path, text: str) -> None:
     partial.replace(path)
 
 
-def write_json(content: Any, path: Path) -> None:
-    """Write a document; JSON knows neither NaN nor infinity: what there is none of (the margin of a loop that has none) is null.
+def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:
+    """A document headed by its format and the version of twin: {"schema": "gap/1", "version": "0.1.0", ...}.
+
+    `schema` names a JSON Schema of twin/report/schemas; the number rises when a key goes or changes its meaning.
+    """
+    return {"schema": f"{schema}/{FORMATS}", "version": twin.__version__, **content}
+
+
+def write_json(content: Mapping[str, Any], path: Path, schema: str) -> None:
+    """Write a document with its stamp; JSON knows neither NaN nor infinity: such a value is written as null.
 
     Raises:
         InputError: the place cannot be written to.
     """
-    write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", path)
+    write_text(json.dumps(_finite(stamped(content, schema)), indent=2, allow_nan=False) + "\n", path)
 
 
 def write_text(text: str, path: Path) -> None:

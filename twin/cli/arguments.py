@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
@@ -36,8 +37,8 @@ def seed(text: str) -> int:
 
 
 def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 710 that ships with twin") -> None:
-    """`--machine FILE`."""
-    parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: {default})")
+    """`--machine FILE`; without it the environment variable TWIN_MACHINE counts."""
+    parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: $TWIN_MACHINE, else {default})")
 
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
@@ -45,11 +46,24 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
 
 
+def add_open(parser: argparse.ArgumentParser) -> None:
+    """`--open`: show the report in the browser."""
+    parser.add_argument("--open", action="store_true", help="open the report in the browser")
+
+
+def open_report(args: argparse.Namespace, page: Path) -> None:
+    """Open a written report where `--open` was given."""
+    if getattr(args, "open", False):
+        import webbrowser
+
+        webbrowser.open(page.resolve().as_uri())
+
+
 def machine_of(args: argparse.Namespace) -> Machine:
     """The machine of `--machine`, with the effects of `--effect` added to those of its file where the command has that argument."""
     from twin.machine import load_machine
 
-    machine = load_machine(args.machine)
+    machine = load_machine(args.machine or os.environ.get("TWIN_MACHINE"))
     added = getattr(args, "effect", None)
     if not added:
         return machine

@@ -77,6 +77,7 @@ def carry_out(args: argparse.Namespace) -> int:
             "work": {"pairs": work.pairs, "tests": work.tests, "seconds": machining.seconds},
         },
         out / "cut.json",
+        "cut",
     )
     written = write_files(machining, out, files=not args.no_files)
     print(f"{part.name}: {part.tool.name}")

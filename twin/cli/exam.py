@@ -10,6 +10,7 @@ import tomllib
 
 import twin
 from twin.errors import InputError, nearest
+from twin.files import stamped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +105,7 @@ def carry_out(args: argparse.Namespace) -> int:
         "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
         "marks": list(marks.values()),
     }
-    (out / "exam.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    (out / "exam.json").write_text(json.dumps(stamped(document, "exam"), indent=1) + "\n", encoding="utf-8")
     print(summary(document))
     write_exam_report(document, out / "report.html")
     print(f"written to {out}: exam.json, report.html, truths.json")

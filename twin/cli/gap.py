@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_campaign, add_machine, machine_of
+from twin.cli.arguments import add_campaign, add_machine, add_open, machine_of, open_report
 from twin.files import write_json
 from twin.progress import Progress
+
+SHOWN = 12
+"""Outliers that are listed on the terminal; the HTML page lists all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,31 +18,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_campaign(parser)
     add_machine(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    parser.add_argument("--html", metavar="FILE", help="write a report with a picture")
+    parser.add_argument("--all", action="store_true", help="print every run, axis and signal")
+    add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Simulate and compare; print one line per run and axis."""
-    from dataclasses import asdict
-
+    """Simulate and compare; print the verdict, the axes, then the outliers."""
     from twin.effects import settings_of
     from twin.recordings.campaign import read_campaign
-    from twin.simulation.gap import COMPARED, gap_of_campaign
+    from twin.simulation.campaign_gap import AS_EXPECTED, gap
     from twin.simulation.summary import table
 
     machine = machine_of(args)
     settings_of(machine)
     campaign = read_campaign(args.campaign, machine)
     with Progress("comparing", total=len(campaign.runs)) as bar:
-        gaps = gap_of_campaign(machine, campaign, progress=lambda _run: bar(None))
-    shown = [s for s in COMPARED if any(s in signals for axes in gaps.values() for signals in axes.values())]
-    rows = []
-    for run, axes in gaps.items():
-        for axis, signals in axes.items():
-            cells = [f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) else "-" for s in shown]
-            rows.append([run, axis, *cells])
-    print("measured minus simulated, each: RMS, largest, RMS that noise alone makes")
-    print(table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows))
+        found = gap(campaign, machine, progress=lambda _run: bar(None))
+    print(found.verdict)
+    print("\nlargest gap (RMS of measured minus simulated) of each axis, how many times noise alone, in which run")
+    print(found.summary_table())
+    outliers = found.outliers
+    if outliers:
+        rows = [
+            [
+                o.run,
+                o.axis,
+                o.signal.replace("_", " "),
+                f"{o.gap.rms:.3g} {o.gap.unit}",
+                f"{o.gap.max:.3g}",
+                f"{o.gap.noise:.3g}",
+                f"{o.times_noise:.1f}",
+            ]
+            for o in outliers[:SHOWN]
+        ]
+        print(
+            f"\n{len(outliers)} signals above {AS_EXPECTED:g} times noise" + (f", the largest {SHOWN}:" if len(outliers) > SHOWN else ":")
+        )
+        print(table(["run", "axis", "signal", "RMS", "max", "noise alone", "x noise"], rows, left=3))
+    if args.all:
+        print("\neach: RMS, largest, RMS that noise alone makes")
+        print(found.full_table())
     if args.json:
-        plain = {run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in gaps.items()}
-        write_json({"runs": plain}, Path(args.json))
+        write_json(found.document(), Path(args.json), "gap")
+    page = args.html or ("out/gap.html" if args.open else None)
+    if page:
+        from twin.compare.pages import write_gap_page
+
+        write_gap_page(found, Path(page))
+        print(f"written: {page}")
+        open_report(args, Path(page))
     return 0

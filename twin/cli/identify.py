@@ -68,5 +68,5 @@ def carry_out(args: argparse.Namespace) -> int:
     print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}")
     print(f"written: {out}, {files[0]}")
     if args.json:
-        write_json(as_json(result), Path(args.json))
+        write_json(as_json(result), Path(args.json), "identification")
     return 0

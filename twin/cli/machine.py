@@ -66,7 +66,7 @@ def _check(args: argparse.Namespace) -> int:
         try:
             for check in checks:
                 write_loop_figure(check, machine.name, out / f"loops_{check.axis.name}.png")
-            write_json(_document(checks, findings), out / "check.json")
+            write_json(_document(checks, findings), out / "check.json", "check")
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")

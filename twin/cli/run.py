@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from datetime import datetime
 from pathlib import Path
 import sys
 
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)"
     )
     parser.add_argument(
-        "--out", metavar="DIR", help="folder for trace.parquet, run.rrd and summary.json (default: out/<name of the input>)"
+        "--out", metavar="DIR", help="folder for trace.parquet, run.rrd, run.png and summary.json (default: out/<name of the input>)"
     )
     parser.add_argument(
         "--strict", action="store_true", help="set points above an axis' speed, acceleration or jerk are an error, not a warning"
@@ -42,10 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Simulate, then write trace, recording and summary; for a program also what the interpolator and what the drives make."""
+    from twin.compare.contour import contour_numbers
     from twin.recordings.trace import write_trace
+    from twin.report.figure import save_png
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import check_travel, limit_warnings, setpoints_of
-    from twin.simulation.summary import summary_of, summary_table
+    from twin.simulation.summary import effects_line, summary_of, summary_table
 
     machine = machine_of(args)
     source = Path(args.input)
@@ -70,10 +73,23 @@ def carry_out(args: argparse.Namespace) -> int:
             raise
     followed = with_program_columns(run.trace, trace)
     write_trace(followed, out / "trace.parquet")
-    summary = summary_of(machine, run)
-    written = ["trace.parquet", "summary.json"]
+    contour = contour_numbers(run)
+    summary = {
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "input": str(source),
+        "machine_file": str(machine.path) if machine.path else None,
+        "feedforward": feedforward or "machine file",
+        "noise_seed": args.noise_seed,
+        **summary_of(machine, run),
+        "contour": contour,
+    }
+    written = ["trace.parquet", "summary.json", "run.png"]
     print(f"{machine.name}, {source.name}: {setpoints.duration:.3f} s")
+    print(f"effects: {effects_line(summary['effects'])}; feedforward: {feedforward or 'as the machine file says'}")
     print(summary_table(summary))
+    if contour is not None:
+        print(f"contour error of the tool tip: {contour['max_um']:.2f} um max, {contour['rms_um']:.2f} um RMS")
+    save_png(run.plot(), out / "run.png")
     if program:
         from twin.program import error_budget, plot_feed
 
@@ -82,7 +98,7 @@ def carry_out(args: argparse.Namespace) -> int:
         print(budget.table())
         plot_feed(trace, out / "feed.png", source.name)
         written.append("feed.png")
-    write_json(summary, out / "summary.json")
+    write_json(summary, out / "summary.json", "summary")
     if not args.no_recording:
         from twin.replay import write_recording
 

@@ -20,7 +20,7 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     """Write all files to a folder; returns the document of `diagnosis.json`."""
     document = diagnosis.document()
     output_folder(out)
-    write_json(document, out / "diagnosis.json")
+    write_json(document, out / "diagnosis.json", "diagnosis")
     write_machine(diagnosis.corrected, out / "machine.toml")
     write_proposal(diagnosis.proposal, out / "next_measurement.csv")
     with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time

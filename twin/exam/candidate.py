@@ -14,7 +14,7 @@ import sys
 
 from twin.diagnose import diagnose
 from twin.errors import TwinError
-from twin.files import write_whole
+from twin.files import stamped, write_whole
 from twin.machine.machine import load_machine, write_machine
 from twin.recordings.campaign import read_campaign
 
@@ -38,7 +38,7 @@ def main() -> int:
     write_machine(diagnosis.corrected, given.out / "machine.toml")
     said = baselines_of(diagnosis.found, machine)
     (given.out / "baselines.json").write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
-    write_whole(given.out / "diagnosis.json", json.dumps(diagnosis.document(), indent=1) + "\n")  # the answer, last
+    write_whole(given.out / "diagnosis.json", json.dumps(stamped(diagnosis.document(), "diagnosis"), indent=1) + "\n")  # the answer, last
     return 0
 
 

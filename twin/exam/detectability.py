@@ -223,7 +223,7 @@ def foresee_command(args: argparse.Namespace) -> int:
         foreseen = foresee(campaign, machine, bar.say)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    write_json({name: [vars(o) for o in rows] for name, rows in foreseen.items()}, out / "plan.json")
+    write_json({name: [vars(o) for o in rows] for name, rows in foreseen.items()}, out / "plan.json", "detectability")
     write_plan_report(campaign, foreseen, out / "report.html")
     print(table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in foreseen["as recorded"]], left=2))
     print()

@@ -264,7 +264,7 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
             for p in plan.predicted
         ],
     }
-    write_json(document, out / "plan.json")
+    write_json(document, out / "plan.json", "plan")
     return [*files, out / "plan.json"]
 
 

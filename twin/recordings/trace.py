@@ -8,13 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+import html
 from pathlib import Path
 import re
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    import pyarrow as pa
 
 # what a signal is, so that a wrong unit is noticed and the right one is written
 POSITIONS = ("setpoint", "position", "motor_position")
@@ -102,6 +108,58 @@ class Trace:
         """Each `every`-th sample."""
         return Trace(self.time[::every], {k: v[::every] for k, v in self.signals.items()}, self.kinds)
 
+    def to_table(self) -> pa.Table:
+        """A pyarrow table as `write_trace` writes it: `time [s]`, `X.position [mm]`, ..."""
+        import pyarrow as pa
+
+        columns = {"time [s]": self.time}
+        for (axis, signal), values in self.signals.items():
+            unit = "1" if axis == PROGRAM else unit_of(signal, self.kinds[axis])
+            columns[heading_of(axis, signal, unit)] = values / UNITS[unit][1]
+        return pa.table(columns)
+
+    def to_pandas(self) -> Any:
+        """The same as a pandas data frame, indexed by time [s]. Raises InputError where pandas is not installed."""
+        try:
+            return self.to_table().to_pandas().set_index("time [s]")
+        except ImportError:
+            raise InputError("to_pandas needs pandas: pip install pandas; to_table() gives a pyarrow table without it") from None
+
+    def plot(self, *axes: str) -> Figure:
+        """Every recorded signal of the given axes, or of all, over time in mm, mm/s, deg, deg/s, A; returns a matplotlib figure."""
+        from twin.report.curves import Curve, Panel, curves_figure
+
+        panels = []
+        for axis in axes or self.axes:
+            units = {signal: unit_of(signal, self.kinds[axis]) for name, signal in self.signals if name == axis}
+            if not units:
+                raise InputError(f"trace has no axis {axis}; {nearest(axis, self.axes)}")
+            for unit in dict.fromkeys(units.values()):
+                together = [signal for signal, its in units.items() if its == unit]
+                dashes = ("-", "--", ":", "-.")
+                solid = [signal for signal in together if signal != "setpoint"]
+                curves = [
+                    Curve(
+                        signal.replace("_", " "),
+                        self.get(axis, signal) / UNITS[unit][1],
+                        "setpoint" if signal == "setpoint" else axis,
+                        "-" if signal == "setpoint" else dashes[solid.index(signal) % len(dashes)],
+                    )
+                    for signal in together
+                ]
+                panels.append(Panel(f"{axis}\n{unit}", curves))
+        return curves_figure(self.time, panels, "")
+
+    def __repr__(self) -> str:
+        signals = ", ".join(dict.fromkeys(signal for _, signal in self.signals))
+        return f"Trace of {' '.join(self.axes) or 'no axis'}: {len(self.time)} samples every {self.period * 1e3:.6g} ms; {signals}"
+
+    def _repr_html_(self) -> str:
+        """A notebook shows what is recorded and a plot."""
+        from twin.report.figure import figure_svg
+
+        return f"<p>{html.escape(repr(self))}</p>{figure_svg(self.plot())}"
+
 
 def unit_of(signal: str, kind: str) -> str:
     """The unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
@@ -167,16 +225,11 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
 
 def write_trace(trace: Trace, path: str | Path) -> None:
     """Write Parquet or CSV by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
-    import pyarrow as pa
     import pyarrow.csv
     import pyarrow.parquet
 
     path = Path(path)
-    columns = {"time [s]": trace.time}
-    for (axis, signal), values in trace.signals.items():
-        unit = "1" if axis == PROGRAM else unit_of(signal, trace.kinds[axis])
-        columns[heading_of(axis, signal, unit)] = values / UNITS[unit][1]
-    table = pa.table(columns)
+    table = trace.to_table()
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".csv":
         pyarrow.csv.write_csv(table, path)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import stamped
 from twin.recordings.campaign import EVENTS
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
@@ -112,7 +113,7 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
     try:
         _write_events(out / EVENTS, runs)
         (out / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (out / "import.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        (out / "import.json").write_text(json.dumps(stamped(content, "import"), indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
 

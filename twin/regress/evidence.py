@@ -10,14 +10,13 @@ overlay.rrd                 one over the other, for `twin replay`
 from __future__ import annotations
 
 from collections.abc import Sequence
-import json
 from pathlib import Path
 import textwrap
 from typing import Any
 
 import numpy as np
 
-from twin.files import output_folder
+from twin.files import output_folder, write_json
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common, signal_unit
@@ -35,7 +34,7 @@ def write_evidence(
     """Write the folder of a failed case; returns it."""
     output_folder(folder)
     (folder / "sentence.txt").write_text(text + "\n", encoding="utf-8")
-    (folder / "checks.json").write_text(json.dumps([check_table(c) for c in checks], indent=1) + "\n", encoding="utf-8")
+    write_json({"checks": [check_table(c) for c in checks]}, folder / "checks.json", "checks")
     if golden.trace is None or outcome.trace is None or outcome.machine is None:
         _plot_numbers(checks, text, folder / "plot.png")
         return folder

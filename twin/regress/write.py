@@ -12,7 +12,7 @@ import re
 from typing import Any
 from xml.etree import ElementTree
 
-from twin.files import write_text
+from twin.files import stamped, write_text
 from twin.regress.evidence import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
@@ -120,7 +120,7 @@ def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path,
     """Write both files."""
     for path, text in (
         (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
-        (json_file, json.dumps(document(verdicts, seconds), indent=1, allow_nan=False) + "\n"),
+        (json_file, json.dumps(stamped(document(verdicts, seconds), "regress"), indent=1, allow_nan=False) + "\n"),
     ):
         write_text(text, path)
 

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 import itertools
 from typing import Protocol
 
@@ -22,7 +21,8 @@ from twin.simulation import cascade, loop
 from twin.simulation.loop_terms import SIGNAL_COUNT, X_LOAD_SPEED, term_table
 from twin.simulation.mujoco_plant import FullPlant
 from twin.simulation.plant_spec import home_inertia_at_motor
-from twin.simulation.setpoints import Setpoints, command_of
+from twin.simulation.result import Run
+from twin.simulation.setpoints import Setpoints, check_travel, command_of, setpoints_of
 
 STRETCH_TICKS = 16_000
 """Ticks that are advanced in one call: bounds the memory of a run beyond its trace, and the time between two reports."""
@@ -49,19 +49,9 @@ class PlantFace(Protocol):
         """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """Result of a run: the followed trace as the control's samples show it, the same `without_noise`, and the time at limits."""
-
-    trace: Trace
-    without_noise: Trace
-    current_limited_s: dict[str, float]
-    voltage_limited_s: dict[str, float]
-
-
 def simulate(
     machine: Machine,
-    setpoints: Setpoints,
+    setpoints: Setpoints | Trace,
     *,
     sample_period: float | None = None,
     started_at: float = 0.0,
@@ -71,11 +61,15 @@ def simulate(
 ) -> Run:
     """Simulate the machine with its effects on these set points, (sample, axis) in the machine's axis order, SI.
 
+    A trace with set points is taken as it is recorded; an axis without set points stands still.
     `sample_period` [s] of the record (default: the machine file's), rounded to whole ticks; `started_at` [s] since the
     start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what the control sees
     (None: ideal). `plant_of` makes the mechanics (default: MuJoCo). `progress` is called with the done fraction. Raises
     SimulationError (with the trace up to there) where an axis diverges, InputError where it cannot be held at its start.
     """
+    if isinstance(setpoints, Trace):
+        setpoints = setpoints_of(setpoints, machine)
+        check_travel(setpoints, machine, "simulate")
     # what the control was commissioned with stays; what the machine really is comes from file and effects
     inertia = commissioned_inertia(machine)
     actual = apply_effects(machine, started_at)
@@ -151,6 +145,7 @@ def simulate(
         without_noise,
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
         dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
+        machine,
     )
 
 

@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.simulation.run import Run
+from twin.simulation.result import Run
 from twin.units import AXIS_UNITS, deg_from_rad
 
 
 def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
-    """Numbers of `summary.json`; following error is set point minus position at the same time."""
+    """Numbers of `summary.json`, in um, arcsec, m/min, deg/s, A.
+
+    Following error is set point minus position at the same time; without the delay the set point is taken `position_delay_s` earlier.
+    """
     axes = {}
     for axis in machine.axes:
         trace = run.trace
-        error = trace.get(axis.name, "setpoint") - trace.get(axis.name, "position")
+        errors = run.errors[axis.name]
         effort, speed = trace.get(axis.name, axis.effort), trace.get(axis.name, "velocity")
         per = axis.effort_unit.lower()
         units = AXIS_UNITS[axis.kind]
         unit, factor = units.error
         speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", deg_from_rad(1.0))
         axes[axis.name] = {
-            "following_error_max": float(np.abs(error).max() * factor),
-            "following_error_rms": float(np.sqrt(np.mean(error**2)) * factor),
+            "following_error_max": errors.following * factor,
+            "following_error_rms": errors.following_rms * factor,
+            "error_without_delay_max": errors.without_delay * factor,
+            "error_without_delay_rms": errors.without_delay_rms * factor,
+            "reversal_peak": None if errors.reversal_peak is None else errors.reversal_peak * factor,
+            "reversals": errors.reversals,
             "following_error_unit": unit,
             "speed_max": float(np.abs(speed).max() * speed_factor),
             "speed_unit": speed_unit,
@@ -38,14 +45,15 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
             "current_limited_s": run.current_limited_s[axis.name],
             "voltage_limited_s": run.voltage_limited_s[axis.name],
         }
-    return {"machine": machine.name, "duration_s": float(run.trace.time[-1]), "axes": axes}
+    effects = [dict(effect) for effect in machine.effects]
+    return {"machine": machine.name, "effects": effects, "duration_s": float(run.trace.time[-1]), "axes": axes}
 
 
 def summary_table(summary: dict[str, Any]) -> str:
     """The same as a table for people."""
     rows = []
     for name, a in summary["axes"].items():
-        effort, unit = a["effort"], a["effort_unit"]
+        effort, unit, error_unit = a["effort"], a["effort_unit"], a["following_error_unit"]
         largest, limit = (a[f"{effort}_{what}_{unit.lower()}"] for what in ("max", "limit"))
         limits = [f"{effort} {a['current_limited_s'] * 1e3:.1f} ms"] * (a["current_limited_s"] > 0)
         limits += [f"voltage {a['voltage_limited_s'] * 1e3:.1f} ms"] * (a["voltage_limited_s"] > 0)
@@ -53,8 +61,10 @@ def summary_table(summary: dict[str, Any]) -> str:
         rows.append(
             [
                 name,
-                f"{a['following_error_max']:.2f} {a['following_error_unit']}",
-                f"{a['following_error_rms']:.2f} {a['following_error_unit']}",
+                f"{a['error_without_delay_max']:.2f} {error_unit}",
+                f"{a['error_without_delay_rms']:.2f} {error_unit}",
+                "-" if a["reversal_peak"] is None else f"{a['reversal_peak']:.2f} {error_unit}",
+                f"{a['following_error_max']:.2f} {error_unit}",
                 f"{a['speed_max']:.3f} {a['speed_unit']}",
                 f"{a['speed_limit_used'] * 100:.0f} %",
                 f"{largest:.2f} {unit}",
@@ -64,8 +74,29 @@ def summary_table(summary: dict[str, Any]) -> str:
         )
     efforts = {a["effort"] for a in summary["axes"].values()}
     commanded = f"{efforts.pop()} max" if len(efforts) == 1 else "command max"
-    heading = ["axis", "following error max", "rms", "speed max", "of limit", commanded, "of limit", "limits met"]
-    return table(heading, rows)
+    heading = [
+        "axis",
+        "error without delay",
+        "rms",
+        "after reversals",
+        "following error max",
+        "speed max",
+        "of limit",
+        commanded,
+        "of limit",
+    ]
+    return table([*heading, "limits met"], rows)
+
+
+def effects_line(effects: Sequence[Mapping[str, Any]]) -> str:
+    """The effects of a machine in one line: 'backlash X (clearance 1.5e-05)', or 'none'."""
+    texts = []
+    for effect in effects:
+        values = ", ".join(
+            f"{k} {v:.4g}" if isinstance(v, int | float) else f"{k} {v}" for k, v in effect.items() if k not in ("name", "axis")
+        )
+        texts.append(f"{effect['name']} {effect.get('axis', '')}{f' ({values})' if values else ''}")
+    return "; ".join(texts) or "none"
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:

@@ -29,7 +29,7 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     try:
         pyarrow.parquet.write_table(table, out / TABLE)
         pyarrow.csv.write_csv(table, out / "table.csv")
-        write_json(answers.document(), out / "study.json")
+        write_json(answers.document(), out / "study.json", "study")
         written += write_report(study, answers, out)
         if answers.best is not None:
             best = machine_of(study, np.array(answers.row(answers.best)[1]))

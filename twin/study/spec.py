@@ -147,7 +147,7 @@ class Study:
         return tuple(p for f in self.factors for p in f.paths) + tuple(p for t in self.tied for p in t.paths)
 
 
-def read_study(path: str | Path, machine_path: str | None = None) -> Study:
+def read_study(path: str | Path, machine_path: str | Path | None = None) -> Study:
     """Read and check a study file; every fault is an InputError with table, key and remedy."""
     path = Path(path)
     try:

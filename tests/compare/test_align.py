@@ -1,0 +1,51 @@
+"""Comparisons: recordings that begin at different times, feeds that differ, motions that are not the same."""
+
+import numpy as np
+import pytest
+
+from twin.compare.align import PATH, TIME, aligned
+from twin.compare.compare import compare
+from twin.compare.machines import differing_numbers
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
+
+T = np.arange(0.0, 2.0, 1e-3)
+
+
+def stroke(start: float = 0.3, seconds: float = 1.0, lag: float = 0.0, length: float = 0.05) -> Trace:
+    """A smooth stroke of X that begins at `start` and follows `lag` metres behind."""
+    u = np.clip((T - start) / seconds, 0.0, 1.0)
+    asked = length * (u - np.sin(2 * np.pi * u) / (2 * np.pi))
+    return Trace(T, {("X", "setpoint"): asked, ("X", "position"): asked - lag}, {"X": "linear"})
+
+
+@pytest.mark.parametrize(("other", "by"), [(stroke(), TIME), (stroke(start=0.4567), TIME), (stroke(seconds=0.7), PATH)])
+def test_equal_motions_do_not_differ(other: Trace, by: str, mikron: Machine) -> None:
+    first, second, how = aligned(stroke(), other)
+    assert how == by
+    np.testing.assert_allclose(first.get("X", "setpoint"), second.get("X", "setpoint"), rtol=0, atol=2e-6)
+    assert compare(stroke(), other, mikron).differences[0].max < 2.0  # um
+
+
+def test_a_lag_is_found_though_the_recording_begins_later(mikron: Machine) -> None:
+    found = compare(stroke(), stroke(start=0.5, lag=7e-6), mikron)
+    assert found.differences[0].max == pytest.approx(7.0, abs=0.6)
+    assert found.differences[0].rms == pytest.approx(7.0, abs=0.1)
+    assert "differs from" in found.verdict
+
+
+def test_other_motion_is_refused(mikron: Machine) -> None:
+    with pytest.raises(InputError, match="not the same motion"):
+        compare(stroke(), stroke(length=0.06), mikron)
+    other = stroke()
+    other = Trace(T, {("Y", s): values for (_, s), values in other.signals.items()}, {"Y": "linear"})
+    with pytest.raises(InputError, match="no axis with set points in common"):
+        compare(stroke(), other, mikron)
+
+
+def test_machines(mikron: Machine) -> None:
+    assert differing_numbers(mikron, mikron) == []
+    path = "axis.X.loops.position_gain_per_s"
+    (number,) = differing_numbers(mikron, mikron.with_values({path: 99.0}))
+    assert (number.path, number.second) == (path, 99.0)

@@ -1,0 +1,146 @@
+"""`twin compare A B`: two runs, campaigns or machines beside each other."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twin.cli.arguments import add_machine, add_open, machine_of, open_report
+from twin.errors import InputError
+from twin.files import output_folder, write_json
+from twin.progress import Progress
+
+if TYPE_CHECKING:
+    from twin.machine import Machine
+    from twin.recordings import Trace
+
+RUN, CAMPAIGN, MACHINE = "run", "campaign", "machine"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("first", metavar="A", help="folder of a run, trace, campaign folder, or machine file")
+    parser.add_argument("second", metavar="B", help="the same kind of thing")
+    parser.add_argument("--out", metavar="DIR", help="folder for compare.json and report.html (default: out/compare)")
+    parser.add_argument("--input", metavar="FILE", help="with two machines: program or trace that both simulate")
+    add_machine(parser)
+    add_open(parser)
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Compare; print verdict and table, write compare.json and report.html."""
+    first, second = Path(args.first), Path(args.second)
+    kinds = [_kind(path) for path in (first, second)]
+    if kinds[0] != kinds[1]:
+        raise InputError(f"{first} is a {kinds[0]}, {second} is a {kinds[1]}; give two of the same kind")
+    if args.input and kinds[0] != MACHINE:
+        raise InputError("--input belongs to two machine files; leave it out")
+    out = output_folder(args.out or "out/compare")
+    document = {RUN: _runs, CAMPAIGN: _campaigns, MACHINE: _machines}[kinds[0]](args, first, second, out)
+    write_json({"kind": f"{kinds[0]}s", **document}, out / "compare.json", "compare")
+    page = out / "report.html"
+    print(f"written to {out}: compare.json{', report.html' if page.is_file() else ''}")
+    if page.is_file():
+        open_report(args, page)
+    return 0
+
+
+def _runs(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
+    machine = machine_of(args)
+    return _compared(_trace(first, machine), _trace(second, machine), machine, _names(first, second), out, f"{first}, {second}")
+
+
+def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path, inputs: str) -> dict:
+    from twin.compare.compare import compare
+    from twin.compare.pages import write_comparison_page
+
+    comparison = compare(a, b, machine, names=names)
+    print(comparison.verdict)
+    print(comparison.table())
+    write_comparison_page(comparison, out / "report.html", inputs)
+    return comparison.document()
+
+
+def _campaigns(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
+    from twin.compare.compare import compare
+    from twin.compare.pages import write_comparison_page
+    from twin.recordings.campaign import read_campaign
+
+    machine = machine_of(args)
+    names = _names(first, second)
+    a, b = ({run.name: run.trace for run in read_campaign(path, machine).runs} for path in (first, second))
+    common = [name for name in a if name in b]
+    if not common:
+        raise InputError(f"{first} and {second} have no run of the same name; compare two traces instead")
+    found = {name: compare(a[name], b[name], machine, names=names) for name in common}
+    for name, comparison in found.items():
+        print(f"{name}: {comparison.verdict}")
+    worst = max(found, key=lambda name: max((d.max for d in found[name].differences if d.signal == "position"), default=0.0))
+    print(f"\n{worst}\n{found[worst].table()}")
+    write_comparison_page(found[worst], out / "report.html", f"run {worst} of {first} and {second}")
+    return {
+        "first": names[0],
+        "second": names[1],
+        "verdict": f"{worst}: {found[worst].verdict}",
+        "runs": {name: comparison.document() for name, comparison in found.items()},
+    }
+
+
+def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
+    from twin.compare.machines import differing_numbers
+    from twin.machine import load_machine
+    from twin.simulation.summary import table
+
+    machines = [load_machine(path) for path in (first, second)]
+    names = _names(first, second)
+    numbers = differing_numbers(*machines)
+    verdict = f"{len(numbers)} numbers differ." if numbers else "The two machine files hold the same numbers."
+    print(verdict)
+    if numbers:
+        print(table(["number", *names], [[n.path, _text(n.first), _text(n.second)] for n in numbers]))
+    document = {"first": names[0], "second": names[1], "verdict": verdict, "numbers": [n._asdict() for n in numbers]}
+    if args.input:
+        from twin.cli.arguments import setpoints_of_input
+        from twin.simulation.run import simulate
+
+        program, trace = setpoints_of_input(Path(args.input), machines[0])
+        word = program.feedforward if program else None
+        with Progress("simulating", total=2) as bar:
+            runs = []
+            for machine in machines:
+                runs.append(simulate(machine.with_feedforward(word), trace).trace)
+                bar(None)
+        document = {
+            **_compared(runs[0], runs[1], machines[0], names, out, f"{first}, {second} on {args.input}"),
+            "numbers": document["numbers"],
+        }
+    return document
+
+
+def _kind(path: Path) -> str:
+    if path.suffix == ".toml":
+        return MACHINE
+    return CAMPAIGN if path.is_dir() and (path / "campaign.toml").is_file() else RUN
+
+
+def _trace(path: Path, machine: Machine) -> Trace:
+    from twin.recordings import read_trace
+
+    file = next((path / f"trace{end}" for end in (".parquet", ".csv") if (path / f"trace{end}").is_file()), path) if path.is_dir() else path
+    if file.is_dir():
+        raise InputError(
+            f"{path}: no trace.parquet in this folder; give the --out folder of 'twin run', a trace, a campaign or a machine file"
+        )
+    return read_trace(file, axes=machine.kinds, need=("setpoint",))
+
+
+def _names(first: Path, second: Path) -> tuple[str, str]:
+    """Short names of both: those of the files, or of their folders where the files are named alike."""
+    a, b = (path.resolve() for path in (first, second))
+    names = (a.stem, b.stem) if a.stem != b.stem else (f"{a.parent.name}/{a.stem}", f"{b.parent.name}/{b.stem}")
+    return names if names[0] != names[1] else (str(first), f"{second} (2)")
+
+
+def _text(value: object) -> str:
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

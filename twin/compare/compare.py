@@ -1,0 +1,167 @@
+"""Two runs beside each other: by axis and signal what differs, how much, and where most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+import html
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.compare.align import aligned
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.trace import Trace
+from twin.simulation.errors_of_run import axis_errors
+from twin.simulation.gap import COMPARED, gap_unit
+from twin.simulation.result import Run
+from twin.simulation.summary import table
+from twin.units import AXIS_UNITS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from twin.machine.axis import Axis
+
+LEAST = 1e-3
+"""Differences below this (um, arcsec, mm/s, deg/s, A) are none: the rounding of a file."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Second minus first of one signal: RMS and largest in `unit`, and when the largest is met [s]."""
+
+    axis: str
+    signal: str
+    rms: float
+    max: float
+    unit: str
+    at_s: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Largest error without the delay, and after reversals (None without one), of the first and of the second, in `unit`."""
+
+    axis: str
+    unit: str
+    first: float
+    second: float
+    first_reversal: float | None
+    second_reversal: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two runs; `first` and `second` are the traces on common rows, `by` says how they were aligned."""
+
+    names: tuple[str, str]
+    machine: Machine
+    first: Trace
+    second: Trace
+    by: str
+    differences: Sequence[Difference]
+    errors: Sequence[Errors]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence: the axis whose position differs most, or that nothing differs."""
+        found = [d for d in self.differences if d.max > LEAST]
+        if not found:
+            return f"{self.names[0]} and {self.names[1]} move alike."
+        worst = max(found, key=lambda d: (d.signal == "position", d.max))
+        axes = ", ".join(dict.fromkeys(d.axis for d in found))
+        return (
+            f"{self.names[1]} differs from {self.names[0]} on {axes}, most on {worst.axis}: {worst.signal.replace('_', ' ')} by up to "
+            f"{worst.max:.3g} {worst.unit} at {worst.at_s:.3f} s."
+        )
+
+    def table(self) -> str:
+        """The errors of both and the differences, one line an axis that differs."""
+        rows = []
+        for e in self.errors:
+            of_axis = {d.signal: d for d in self.differences if d.axis == e.axis}
+            if all(d.max <= LEAST for d in of_axis.values()):
+                continue
+            peaks = ["-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)]
+            cells = [f"{d.max:.3g} {d.unit}" if (d := of_axis.get(s)) else "-" for s in self._shown]
+            rows.append([e.axis, f"{e.first:.2f} {e.unit}", f"{e.second:.2f} {e.unit}", *peaks, *cells])
+        a, b = self.names
+        heading = ["axis", f"error {a}", f"error {b}", f"reversal {a}", f"reversal {b}"]
+        return table([*heading, *(f"{s.replace('_', ' ')} differs by" for s in self._shown)], rows)
+
+    def document(self) -> dict[str, Any]:
+        """What `twin compare` writes as compare.json."""
+        return {
+            "first": self.names[0],
+            "second": self.names[1],
+            "aligned_by": self.by,
+            "verdict": self.verdict,
+            "errors": [asdict(e) for e in self.errors],
+            "differences": [asdict(d) for d in self.differences],
+        }
+
+    def plot(self) -> Figure:
+        """Error without the delay of both, and the difference of position, of the axes that differ; returns a matplotlib figure."""
+        from twin.report.curves import Curve, Panel, curves_figure
+
+        found = {d.axis for d in self.differences if d.max > LEAST}
+        panels = []
+        for axis in (a for a in self.machine.axes if a.name in found):
+            unit, factor = AXIS_UNITS[axis.kind].error
+            asked = np.interp(self.first.time - axis.loops.position_delay_s, self.first.time, self.first.get(axis.name, "setpoint"))
+            curves = [
+                Curve(name, (asked - trace.get(axis.name, "position")) * factor, colour, dash)
+                for name, trace, colour, dash in zip(self.names, (self.first, self.second), ("setpoint", axis.name), ("-", "-"))
+                if trace.has(axis.name, "position")
+            ]
+            panels.append(Panel(f"{axis.name} error without\nthe delay, {unit}", curves))
+        if not panels:
+            axis = self.machine.axes[0]
+            panels.append(Panel(f"{axis.name} difference", [Curve("", np.zeros(len(self.first.time)), axis.name)]))
+        return curves_figure(self.first.time, panels, f"{self.names[0]} and {self.names[1]}, aligned by {self.by}")
+
+    @property
+    def _shown(self) -> list[str]:
+        return [s for s in COMPARED if any(d.signal == s for d in self.differences)]
+
+    def __repr__(self) -> str:
+        return f"Comparison: {self.verdict}"
+
+    def _repr_html_(self) -> str:
+        from twin.report.figure import figure_svg
+
+        return f"<p>{html.escape(self.verdict)}</p><pre>{html.escape(self.table())}</pre>{figure_svg(self.plot())}"
+
+
+def compare(a: Run | Trace, b: Run | Trace, machine: Machine | None = None, *, names: tuple[str, str] = ("first", "second")) -> Comparison:
+    """What differs between two runs or traces of the same motion, aligned on their set points and not on time.
+
+    `machine` gives kinds and delays of the axes (default: that of a run, else the Mikron). Differences are second minus first in um,
+    arcsec, mm/s, deg/s, A. Raises InputError where the set points are not the same motion.
+    """
+    machine = machine or next((run.machine for run in (a, b) if isinstance(run, Run)), None) or load_machine()
+    first, second, by = aligned(*(run.trace if isinstance(run, Run) else run for run in (a, b)))
+    differences, errors = [], []
+    for axis in machine.axes:
+        if axis.name not in first.axes or axis.name not in second.axes:
+            continue
+        differences += [_difference(first, second, axis, s) for s in COMPARED if first.has(axis.name, s) and second.has(axis.name, s)]
+        if first.has(axis.name, "position") and second.has(axis.name, "position"):
+            errors.append(_errors(first, second, axis))
+    return Comparison(names, machine, first, second, by, differences, errors)
+
+
+def _difference(first: Trace, second: Trace, axis: Axis, signal: str) -> Difference:
+    difference = second.get(axis.name, signal) - first.get(axis.name, signal)
+    unit, factor = gap_unit(axis, signal)
+    worst = int(np.argmax(np.abs(difference)))
+    rms = float(np.sqrt(np.mean(difference**2)))
+    return Difference(axis.name, signal, rms * factor, float(abs(difference[worst])) * factor, unit, float(first.time[worst]))
+
+
+def _errors(first: Trace, second: Trace, axis: Axis) -> Errors:
+    unit, factor = AXIS_UNITS[axis.kind].error
+    a, b = axis_errors(first, axis), axis_errors(second, axis)
+    peaks = (None if e.reversal_peak is None else e.reversal_peak * factor for e in (a, b))
+    return Errors(axis.name, unit, a.without_delay * factor, b.without_delay * factor, *peaks)

@@ -1,0 +1,42 @@
+"""Two machine files: the numbers and effects that differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from twin.machine.machine import Machine
+
+
+class Number(NamedTuple):
+    """A number of the machine file that differs: its path, and its value in the first and second (None where it is missing)."""
+
+    path: str
+    first: Any
+    second: Any
+
+
+def differing_numbers(a: Machine, b: Machine) -> list[Number]:
+    """Paths whose values differ, in the order of the first file; effects are listed as `effect.NAME.AXIS.PARAMETER`."""
+    first, second = _flat(_plain(a)), _flat(_plain(b))
+    return [
+        Number(path, first.get(path), second.get(path)) for path in dict.fromkeys([*first, *second]) if first.get(path) != second.get(path)
+    ]
+
+
+def _plain(machine: Machine) -> dict[str, Any]:
+    """The document with effects by name and axis, without what names files."""
+    document = {key: value for key, value in machine.document.items() if key not in ("effect", "model", "name")}
+    effects = {f"{e['name']}.{e['axis']}": {k: v for k, v in e.items() if k not in ("name", "axis")} for e in machine.effects}
+    return {**document, "effect": effects}
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key, value in table.items():
+        path = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            out.update(_flat(value, f"{path}."))
+        else:
+            out[path] = value
+    return out

@@ -1,0 +1,19 @@
+"""A machine with more effects, written as on the command line."""
+
+from __future__ import annotations
+
+from twin.effects.change import with_effects
+from twin.effects.effect import Setting, parse_setting, settings_of
+from twin.machine.machine import Machine
+
+
+def add_effects(machine: Machine, *effects: str | Setting) -> Machine:
+    """The machine with these effects added to those that it has.
+
+    Each is 'NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE]' in SI, as after `--effect`, e.g. 'backlash:X:clearance=15e-6', or a Setting.
+    Raises InputError for an unknown name, axis or parameter, a value out of bounds, and an effect that stands twice on an axis.
+    """
+    settings = [parse_setting(effect, machine) if isinstance(effect, str) else effect for effect in effects]
+    changed = with_effects(machine, [*settings_of(machine), *settings])
+    settings_of(changed)
+    return changed

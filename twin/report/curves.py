@@ -1,0 +1,56 @@
+"""Curves over time in panels under each other: the plot of a trace, of a run, of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
+from twin.report.figure import new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SETPOINT = "setpoint"
+WIDE = 2.6
+THIN = 1.2
+"""Line widths in points: what was asked for lies wide below what happened."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line: legend entry ('' without one), values (sample,), the axis whose colour it has or 'setpoint', and its dashes."""
+
+    label: str
+    values: np.ndarray
+    colour: str
+    dashes: str = "-"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Lines on one scale; `label` names quantity and unit."""
+
+    label: str
+    curves: Sequence[Curve]
+
+
+def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
+    """A figure with one panel below the other over time (sample,) [s]; legends stand beside the panels, never on curves."""
+    figure, grid = new_figure(len(panels), 1, height=1.7, sharex=True)
+    for axes, panel in zip(grid[:, 0], panels):
+        for curve in panel.curves:
+            asked = curve.colour == SETPOINT
+            colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour))
+            axes.plot(time, curve.values, curve.dashes, color=colour, linewidth=WIDE if asked else THIN, label=curve.label or None)
+        axes.set_ylabel(panel.label)
+        axes.margins(x=0.0)
+        if any(curve.label for curve in panel.curves):
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    grid[0, 0].set_title(title)
+    grid[-1, 0].set_xlabel("time in s")
+    figure.align_ylabels(grid[:, 0])
+    return figure

@@ -1,0 +1,150 @@
+"""The gap of a campaign as one result: its verdict in a sentence, the outliers, a table, a picture, its document.
+
+For every run, axis and signal the gap is the RMS of measured minus simulated; beside it stands the RMS that measuring noise alone makes
+(twin against twin). Their ratio says whether the twin explains the measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+import html
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import Campaign, read_campaign
+from twin.simulation.gap import COMPARED, SignalGap, gap_of_campaign
+from twin.simulation.summary import table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    import pyarrow as pa
+
+AS_EXPECTED = 1.5
+"""Gap over noise up to which a signal is as it should be: the ratio of a twin with its own noise realisation stays below it."""
+
+
+class Outlier(NamedTuple):
+    """A signal whose gap is more than noise."""
+
+    run: str
+    axis: str
+    signal: str
+    gap: SignalGap
+    times_noise: float
+
+
+def listed(words: Sequence[str]) -> str:
+    """'X', 'X and Y', 'X, Y and Z'."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+@dataclass(frozen=True)
+class CampaignGap:
+    """Gap of every run: `runs` maps run -> axis -> signal -> SignalGap, in um, arcsec, mm/s, deg/s, A."""
+
+    machine: str
+    campaign: str
+    runs: Mapping[str, Mapping[str, Mapping[str, SignalGap]]]
+
+    def rows(self) -> list[Outlier]:
+        """Every signal with its gap over noise, largest first."""
+        found = [
+            Outlier(run, axis, signal, gap, gap.rms / gap.noise if gap.noise > 0 else 0.0)
+            for run, axes in self.runs.items()
+            for axis, signals in axes.items()
+            for signal, gap in signals.items()
+        ]
+        return sorted(found, key=lambda row: -row.times_noise)
+
+    @property
+    def outliers(self) -> list[Outlier]:
+        """The signals above AS_EXPECTED, largest first."""
+        return [row for row in self.rows() if row.times_noise > AS_EXPECTED]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence: the axes that are as they should be, then each other axis with its largest gap."""
+        axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
+        worst: dict[str, Outlier] = {}
+        for row in self.outliers:
+            worst.setdefault(row.axis, row)
+        good = [axis for axis in axes if axis not in worst]
+        parts = [f"{listed(good)} as {'they' if len(good) > 1 else 'it'} should be"] if good else []
+        parts += [
+            f"{axis} {row.times_noise:.3g} x noise in run {row.run} ({row.signal.replace('_', ' ')})"
+            for axis, row in sorted(worst.items(), key=lambda item: -item[1].times_noise)
+        ]
+        return "; ".join(parts)
+
+    def summary_table(self) -> str:
+        """One line an axis: largest gap over all runs of each signal, and how many times noise that is."""
+        lines = []
+        shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
+        for axis in dict.fromkeys(axis for run in self.runs.values() for axis in run):
+            cells = [axis]
+            for signal in shown:
+                rows = [row for row in self.rows() if (row.axis, row.signal) == (axis, signal)]
+                cells += (
+                    [f"{rows[0].gap.rms:.3g} {rows[0].gap.unit}", f"{rows[0].times_noise:.1f}", rows[0].run] if rows else ["-", "-", "-"]
+                )
+            lines.append(cells)
+        return table(["axis", *(text for s in shown for text in (s.replace("_", " "), "x noise", "in run"))], lines)
+
+    def full_table(self) -> str:
+        """Every run, axis and signal: RMS, largest, RMS that noise alone makes."""
+        shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
+        rows = []
+        for run, axes in self.runs.items():
+            for axis, signals in axes.items():
+                cells = [f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) else "-" for s in shown]
+                rows.append([run, axis, *cells])
+        return table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows)
+
+    def document(self) -> dict[str, Any]:
+        """What `twin gap --json` writes."""
+        plain = {
+            run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
+        }
+        return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain}
+
+    def to_table(self) -> pa.Table:
+        """One row for each run, axis and signal as a pyarrow table."""
+        import pyarrow as pa
+
+        rows = [
+            {"run": r.run, "axis": r.axis, "signal": r.signal, **asdict(r.gap), "times_noise": r.times_noise}
+            for r in sorted(self.rows(), key=lambda r: (list(self.runs).index(r.run), r.axis, r.signal))
+        ]
+        return pa.Table.from_pylist(rows)
+
+    def to_pandas(self) -> Any:
+        """The same as a pandas data frame."""
+        return self.to_table().to_pandas()
+
+    def plot(self) -> Figure:
+        """Gap over noise of every axis and run, a panel a signal, on a logarithmic scale; returns a matplotlib figure."""
+        from twin.report.ratio_map import ratio_figure
+
+        axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
+        signals = [s for s in COMPARED if any(s in found for run in self.runs.values() for found in run.values())]
+        ratios = {(r.signal, r.run, r.axis): r.times_noise for r in self.rows()}
+        return ratio_figure(signals, list(self.runs), axes, ratios, AS_EXPECTED)
+
+    def __repr__(self) -> str:
+        return f"CampaignGap of {self.campaign} against {self.machine}: {self.verdict}"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self.verdict)}</p><pre>{html.escape(self.summary_table())}</pre>"
+
+
+def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, progress: Callable[[str], None] | None = None) -> CampaignGap:
+    """Simulate every run of a measured campaign and compare signal by signal.
+
+    `campaign` is a campaign or its folder; `machine` defaults to the Mikron. `progress` is called with the name of each finished run.
+    Raises InputError where no run holds a measured signal or a set point lies outside the machine's travel.
+    """
+    machine = machine or load_machine()
+    known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
+    return CampaignGap(machine.name, known.path.resolve().name, gap_of_campaign(machine, known, progress=progress))

@@ -1,0 +1,35 @@
+"""A design study in one call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import tempfile
+
+from twin.study.design import variants_of
+from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.output import write_study
+from twin.study.results import Answers, answers_of
+from twin.study.spec import read_study
+from twin.study.store import Store
+
+
+def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Path | None = None, threads: int | None = None) -> Answers:
+    """Carry out the study of a study file on the threads of this computer and answer it.
+
+    `out` is the folder for results and report (None: nothing is kept); a folder with results of the same study is continued.
+    `machine` is another machine file. The answers hold, per response, the effect of each factor from its low to its high end in the
+    response's unit, the Pareto front and the best variant. Raises InputError for a study file that cannot be used.
+    """
+    known = read_study(spec, machine)
+    variants = variants_of(known)
+    with tempfile.TemporaryDirectory(prefix="twin-study-", ignore_cleanup_errors=True) as scratch:
+        store = Store(Path(out or scratch), fingerprint(known, variants), resume=out is not None)
+        try:
+            with threads_here(threads) as workers:
+                carry_out(known, variants, store, workers, lambda _done: None)
+            answers = answers_of(known, store.rows())
+        finally:
+            store.close()
+        if out is not None:
+            write_study(known, answers, Path(out))
+    return answers
