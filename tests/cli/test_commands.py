@@ -93,7 +93,7 @@ def test_period_longer_than_the_run(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_help_needs_no_engine() -> None:
     """Usage is there at once: neither engine nor viewer nor plots are loaded for it."""
-    loaded = "import sys; from twin.cli.parser import build_parser; build_parser(); print(*sys.modules)"
+    loaded = "import sys; from twin.cli.parser import build_parser; build_parser(''); print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
     assert not {"mujoco", "rerun", "matplotlib", "pyarrow"} & set(modules)
 

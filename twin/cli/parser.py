@@ -122,5 +122,5 @@ def _overview() -> str:
     lines = []
     for group, commands in COMMANDS.items():
         lines.append(f"\n{group}")
-        lines += [f"  {command.name:<12}{command.does}" for command in commands]
+        lines += [f"  {command.name:<13}{command.does}" for command in commands]
     return "\n".join(lines)
