@@ -21,7 +21,7 @@ import numpy as np
 
 from twin.cli import main as twin
 from twin.diagnose.tolerance import with_added
-from twin.effects.effect import check_setting
+from twin.effects import check_setting
 from twin.errors import TwinError
 from twin.identify.single_axis import Record, fit_single_axis, read_emps
 from twin.machine.machine import Machine, load_machine

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from twin.diagnose.candidates import FRAME_DAMPING, Start, _swing, combine
+from twin.diagnose.candidates import Start, combine
+from twin.diagnose.start_values import swing_filter
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
+
+DAMPING = 0.05
 
 
 def delay_of(time_constant_s, cycle):
@@ -39,8 +42,8 @@ def test_other_sizes_are_scaled_by_their_deviation_from_neutral():
 def test_the_swing_of_a_frame_is_the_exact_one_at_every_sampling_period(period):
     for frequency_hz in (12.0, 40.0, 90.0):
         w = 2.0 * math.pi * frequency_hz
-        exact = cont2discrete(([1.0], [1.0, 2.0 * FRAME_DAMPING * w, w * w]), period, "zoh")
-        b, a = _swing(frequency_hz, period)
+        exact = cont2discrete(([1.0], [1.0, 2.0 * DAMPING * w, w * w]), period, "zoh")
+        b, a = swing_filter(frequency_hz, DAMPING, period)
         np.testing.assert_allclose(b, exact[0].ravel(), rtol=1e-6, atol=1e-15)
         np.testing.assert_allclose(a, exact[1], rtol=1e-9)
         assert np.abs(np.roots(a)).max() < 1.0

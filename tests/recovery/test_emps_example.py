@@ -13,7 +13,7 @@ from scipy.io import savemat
 from tests.builders.script import script
 from tests.conftest import SHARED
 from twin.diagnose.tolerance import with_added
-from twin.effects.effect import check_setting
+from twin.effects import check_setting
 from twin.machine.machine import load_machine
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.candidates import deviation_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
@@ -164,7 +163,7 @@ class Diagnosis:
                 free = free_of[i]
                 step = free.unit * (abs(value) if free.logarithmic else 1.0)
                 fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
-                law = self.thresholds.model_error * (abs(value) if free.logarithmic else deviation_of(parameter, value))
+                law = self.thresholds.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
                 half = 1.96 * max(math.hypot(fitted, law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.candidates import size_parameter
 from twin.diagnose.observe import Group, Mapper, in_turn
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.tolerance import NORMAL
@@ -25,7 +24,7 @@ from twin.diagnose.tuning import Tuning, beside, tuning_from
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -58,34 +57,23 @@ def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: T
     free = []
     for i, setting in enumerate(settings):
         axis = machine.axis(setting.axis)
-        size = size_parameter(setting.effect)
+        size = setting.effect.size
         for p in setting.effect.parameters:
             if p.name not in setting.parameters:
                 continue
             value = setting.parameters[p.name]
             low, high = p.usual_range(machine, axis)
-            by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.name == "factor")
+            by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.is_factor)
             if by_ratio:
-                free.append(Free(i, p, True, min(0.15, thresholds.wave_step / _waves(setting, p, axis, thresholds.wave_run_s))))
+                # a step that shifts the far end of a wave by more than part of a wave has no slope
+                waves = p.scan.waves(value, axis, thresholds.wave_run_s) if p.scan else 0.0
+                free.append(Free(i, p, True, min(0.15, thresholds.wave_step / max(waves, 1e-9))))
             elif p.periodic:
                 free.append(Free(i, p, False, 0.3))
             else:
                 span = high - low if math.isfinite(high - low) and high > low else abs(value) or 1.0
                 free.append(Free(i, p, False, max(0.2 * span, 1e-12)))
     return free
-
-
-def _waves(setting: Setting, parameter: Parameter, axis: Axis, run_s: float) -> float:
-    """How often a wave repeats over a run: a step that shifts its far end by more than part of a wave has no slope."""
-    value = setting.parameters[parameter.name]
-    low, high = axis.travel
-    reach = min(high - low, 2.0 * math.pi if axis.kind == "rotary" else math.inf)
-    repeats = {
-        ("periodic_disturbance", "frequency_hz"): value * run_s,
-        ("torque_ripple", "periods_per_rev"): value * reach / (2.0 * math.pi * axis.ratio),
-        ("position_dependent_friction", "wavelength"): reach / max(value, 1e-9),
-    }
-    return max(repeats.get((setting.effect.name, parameter.name), 0.0), 1e-9)
 
 
 @dataclass(frozen=True)

@@ -5,37 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import get_args
 
 import numpy as np
 
 from twin.diagnose.state import Found
+from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 
 PERIOD = 1e-3
 
-# what separates an effect from its nearest rivals
-_SEPARATES = {
-    "micro-reversals": ("presliding", "backlash", "coulomb_friction", "stribeck"),
-    "constant speeds": (
-        "viscous_friction",
-        "viscous_asymmetry",
-        "torque_ripple",
-        "cyclic_error",
-        "lead_error",
-        "position_dependent_friction",
-        "constant_force",
-        "torque_constant",
-        "velocity_feedforward",
-        "position_gain",
-        "loop_delay",
-        "encoder_eccentricity",
-    ),
-    "accelerations": ("inertia", "torque_feedforward", "current_limit", "cross_axis_coupling", "set_point_filter", "table_unbalance"),
-    "chirp": ("transmission_compliance", "frame_vibration", "speed_gain", "speed_integral_time", "current_filter"),
-    "rest": ("thermal_drift", "periodic_disturbance"),
-}
+KINDS: tuple[SeparatingMove, ...] = get_args(SeparatingMove)
+"""Moves that can be proposed."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +43,9 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
     if not pairs:
         return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
     _, best, rival = min(pairs, key=lambda p: p[0])
-    names = [best.setting.effect.name, *([rival.setting.effect.name] if rival else [])]
-    kind = next((k for k, effects in _SEPARATES.items() if names[-1] in effects), "constant speeds")
-    reason = f"tells {names[0]} from {names[1]}" if rival else f"confirms {names[0]} on a run that it was not found on"
-    return _proposal(kind, machine.axis(best.setting.axis), reason)
+    name = best.setting.effect.name
+    reason = f"tells {name} from {rival.setting.effect.name}" if rival else f"confirms {name} on a run that it was not found on"
+    return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 
 def _most_left(found: Sequence[Found]) -> str:
@@ -74,10 +56,6 @@ def _most_left(found: Sequence[Found]) -> str:
         for c in f.group.channels:
             left[c.axis] = left.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
     return max(left, key=lambda axis: left[axis])
-
-
-KINDS = tuple(_SEPARATES)
-"""Moves that can be proposed."""
 
 
 def move_of(kind: str, axes: Sequence[Axis]) -> Trace:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
+import math
 from typing import Any
 
 import mujoco
@@ -105,7 +106,7 @@ class Group:
         """
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
-        gains = {s.axis: s.parameters["factor"] for s in settings if s.effect.name == "position_gain"}
+        gains = {axis: math.prod(s.factor_on("position_gain_per_s") for s in settings if s.axis == axis) for axis in axes}
         mine = [channel for channel in self.channels if channel.axis in axes]
 
         def simulated(run: int) -> dict[tuple[str, str], np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.diagnose.candidates import is_scaled, size_parameter, starts_of
+from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
 from twin.diagnose.fit import Fit, fit_effects, no_effect, tuning_beside
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
@@ -191,8 +191,7 @@ def _round(  # type: ignore[no-untyped-def]
 
 
 def _is_linear(setting: Setting) -> bool:
-    size = size_parameter(setting.effect)
-    return is_scaled(size) and setting.effect.name != "backlash"
+    return setting.effect.is_linear
 
 
 def _without_superfluous(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Mapper) -> Found:

@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.fit import fit_effects, tuning_beside
 from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible
@@ -55,10 +54,10 @@ def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found
 
 def _has_size(found: Found, setting: Setting) -> bool:
     """Is the size of an effect certain enough, with its shape taken as known?"""
-    fit, size = found.fit, size_parameter(setting.effect)
+    fit, size = found.fit, setting.effect.size
     precision = np.diag(fit.information()) / (fit.about.prior_weight * found.inflation)
     for free, known in zip(fit.free, precision):
         if free.parameter is size and fit.settings[free.setting] == setting:
-            relative = free.unit if free.logarithmic else free.unit / max(deviation_of(size, free.value(fit.settings)), 1e-30)
+            relative = free.unit if free.logarithmic else free.unit / max(size.deviation(free.value(fit.settings)), 1e-30)
             return 1.96 * relative < found.thresholds.no_size * math.sqrt(float(known))
     return True

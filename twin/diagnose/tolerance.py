@@ -16,38 +16,17 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia
 from twin.machine.machine import Axis, Machine
+from twin.machine.toleranced import OF_MOTOR, TOLERANCED, field_value, toleranced
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
 
-NORMAL = {"elasticity": "transmission_compliance", "damping": "transmission_compliance", "slip": "presliding"}
-"""Normal imperfections, and the effects they are when they are large. Springs: 1 / stiffness says how much; and what damps the first."""
+NORMAL: dict[str, str] = {effect.normal: effect.name for effect in EFFECTS.values() if effect.normal}
+NORMAL["damping"] = NORMAL["elasticity"]
+"""Normal imperfections, and the effects they are when they are large: springs, measured by 1 / stiffness, and the damping of the first."""
 
 SPRINGS = ("elasticity", "slip")
 """Those that cannot be less than none."""
-
-_AXIS_FIELDS = {
-    "torque_constant": "torque_constant_nm_per_a",
-    "resistance": "resistance_ohm",
-    "inductance": "inductance_h",
-    "rotor_inertia": "rotor_inertia_kg_m2",
-    "moving_mass": "moving_mass_kg",
-    "coulomb_friction": "coulomb_friction_nm",
-    "viscous_friction": "viscous_friction_nm_s_per_rad",
-}
-
-_OF_MOTOR = ("torque_constant_nm_per_a", "resistance_ohm", "inductance_h")
-
-
-def _has(axis: Axis, quantity: str) -> bool:
-    """Has this axis a quantity that could deviate?"""
-    return {
-        "torque_constant": axis.effort != "torque",
-        "resistance": axis.has_current_loop,
-        "inductance": axis.has_current_loop,
-        "rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0,
-        "moving_mass": axis.moving_mass_kg is not None,
-    }.get(quantity, True)
 
 
 @dataclass(frozen=True)
@@ -82,8 +61,7 @@ class Nuisance:
                 return machine
             stiffness = min(_softest(machine, axis, self.quantity, self.thresholds) / share, _stiffest(machine, axis))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
-        name = _AXIS_FIELDS[self.quantity]
-        return machine.with_axis(self.owner, **{name: factor * getattr(axis.motor if hasattr(axis.motor, name) else axis, name)})
+        return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
 
     def axes(self, group: Sequence[str]) -> tuple[str, ...]:
         """The axes of a group whose motion it changes: its own, or all that carry the body."""
@@ -98,8 +76,8 @@ class Nuisance:
             return []
         if self.quantity == "rotor_inertia":
             return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_")]
-        name = _AXIS_FIELDS[self.quantity]
-        part = "motor." if name in _OF_MOTOR else ""
+        name = TOLERANCED[self.quantity]
+        part = "motor." if name in OF_MOTOR else ""
         return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
 
 
@@ -141,10 +119,7 @@ def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds =
     """All toleranced parameters of a group of axes; bodies belong to the rotary axes that carry them."""
     found = []
     for name in axes:
-        axis = machine.axis(name)
-        for quantity in _AXIS_FIELDS:
-            if _has(axis, quantity):
-                found.append(Nuisance(name, quantity, thresholds))
+        found += [Nuisance(name, quantity, thresholds) for quantity in toleranced(machine.axis(name))]
     if any(machine.axis(name).kind == "rotary" for name in axes):
         found += [Nuisance(body.name, "body", thresholds) for body in machine.bodies]
     return tuple(found)
@@ -159,8 +134,8 @@ def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
             other = added[own.key]
             stiffness = 1.0 / (1.0 / own.parameters["stiffness"] + 1.0 / other.parameters["stiffness"])
             added[own.key] = replace(other, parameters={**own.parameters, **other.parameters, "stiffness": stiffness})
-        elif not (own.effect.name == "transmission_compliance" and ("backlash", own.axis, None) in added):
-            kept.append(own)  # the contact of a gap has a spring of its own
+        elif not any(own.effect.name in new.effect.contains and own.axis == new.axis for new in settings):
+            kept.append(own)
     return with_effects(machine, [*kept, *added.values()])
 
 

@@ -44,12 +44,12 @@ def unseen_effects(
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
-    """Settings of usual size: limits of the current start about what was measured, and that may be far from any."""
-    first = start.settings[0]
-    if "limit_a" not in first.parameters:
+    """Settings of usual size. A size that starts at what was measured, as a limit of the current does, may be far from any."""
+    first, size = start.settings[0], start.effect.size
+    if size.scan is None:
         return start.settings
-    low, high = start.effect.parameter("limit_a").usual_range(machine, machine.axis(start.axis))
-    return (replace(first, parameters={"limit_a": math.sqrt(low * high)}),)
+    low, high = size.usual_range(machine, machine.axis(start.axis))
+    return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)
 
 
 def _share(found: Found, settings: Sequence[Setting], folds: int) -> float:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.candidates import deviation_of, size_parameter
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.observe import Mapper
 from twin.diagnose.sizes import sized, without_implausible
@@ -92,7 +91,7 @@ def differs_between_runs(found: Found) -> bool:
         settled[c.rows] = c.settled(group.views[c.run])
     for i, free in enumerate(found.fit.free):
         setting = found.fit.settings[free.setting]
-        if free.parameter is not size_parameter(setting.effect) or not is_cut(group, setting):
+        if free.parameter is not setting.effect.size or not is_cut(group, setting):
             continue
         steps, gain = [], 0.0
         for run in range(len(group.views)):
@@ -104,7 +103,7 @@ def differs_between_runs(found: Found) -> bool:
                 if abs(step) * math.sqrt(known) > t.beyond_chance:
                     steps.append(step)
                     gain += 0.5 * step**2 * known
-        relative = free.unit if free.logarithmic else free.unit / max(deviation_of(free.parameter, free.value(found.fit.settings)), 1e-30)
+        relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(found.fit.settings)), 1e-30)
         earned = len(steps) > 1 and gain > evidence_needed(found, setting, len(group.views))
         if earned and (max(steps) - min(steps)) * relative > t.one_size:
             return True

@@ -1,6 +1,6 @@
 """Numbers as engineers say them: um, arcsec, per cent, ms; the decimals follow the interval.
 
-interval_text("clearance", "m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
+interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
 """
 
 from __future__ import annotations
@@ -9,17 +9,9 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
+from twin.effects import EFFECTS, Parameter
 from twin.units import ARCSEC, deg_from_rad
 
-_BY_NAME: dict[str, tuple[str, float]] = {
-    "phase_rad": ("deg", deg_from_rad(1.0)),
-    "angle_rad": ("deg", deg_from_rad(1.0)),
-    "wavelength": ("deg", deg_from_rad(1.0)),  # of a rotary axis; a linear one has it in m
-    "radius_m": ("mm", 1e3),
-    "height_m": ("mm", 1e3),
-    "mass_ratio": ("%", 100.0),
-    "fraction": ("%", 100.0),
-}
 _BY_UNIT: dict[str, tuple[str, float]] = {
     "m": ("um", 1e6),
     "rad": ("arcsec", 1.0 / ARCSEC),
@@ -32,7 +24,7 @@ _BY_UNIT: dict[str, tuple[str, float]] = {
     "Nm s/rad": ("Nm s/rad", 1.0),
     "1": ("", 1.0),
 }
-_SMALL = {"rate": ("um/min", 6e7), "lead_error": ("um/m", 1e6)}
+
 MANY = 10
 """Effects of one axis from which they are no longer listed one by one."""
 
@@ -40,23 +32,20 @@ FEWEST_DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of one with a narrow interval."""
 
 
-def readable_unit(name: str, unit: str, value: float, effect: str = "") -> tuple[str, float, float]:
-    """Unit, factor and offset in which a parameter is told: told = factor (value - offset)."""
-    if name == "factor":
+def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -> tuple[str, float, float]:
+    """Unit for people, factor and offset of an SI value: shown value = factor (value - offset)."""
+    if parameter is not None and parameter.is_factor:
         return "%", 100.0, 1.0
-    for key in (effect, name):
-        if key in _SMALL:
-            return _SMALL[key][0], _SMALL[key][1], 0.0
-    if unit == "m" and name not in _BY_NAME and abs(value) >= 1e-3:
+    if parameter is not None and unit in parameter.shown:
+        return *parameter.shown[unit], 0.0
+    if unit == "m" and abs(value) >= 1e-3:
         return "mm", 1e3, 0.0
-    if name in _BY_NAME and not (name == "wavelength" and unit == "m"):
-        return *_BY_NAME[name], 0.0
     return *_BY_UNIT.get(unit, (unit, 1.0)), 0.0
 
 
-def interval_text(name: str, unit: str, value: float, low: float, high: float, effect: str = "") -> tuple[str, str]:
-    """A parameter and its interval in engineer's units; the interval is '' where there is none."""
-    told, factor, offset = readable_unit(name, unit, value, effect)
+def interval_text(unit: str, value: float, low: float, high: float, parameter: Parameter | None = None) -> tuple[str, str]:
+    """A value and its interval in the units that people use; the interval is '' where there is none."""
+    shown, factor, offset = readable_unit(unit, value, parameter)
     numbers = [factor * (x - offset) for x in (value, low, high)]
     half = 0.5 * abs(numbers[2] - numbers[1])
     known = -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] else 0  # decimals of one digit, less one
@@ -64,9 +53,9 @@ def interval_text(name: str, unit: str, value: float, low: float, high: float, e
     if half > 0.0 and math.isfinite(half):
         decimals = min(1 - math.floor(math.log10(half)), MOST_DIGITS + known)
     decimals = max(decimals, 0)
-    sign = "+" if name == "factor" else ""
+    sign = "+" if parameter is not None and parameter.is_factor else ""
     texts = [f"{x:{sign}.{decimals}f}" for x in numbers]
-    end = f" {told}" if told else ""
+    end = f" {shown}" if shown else ""
     return texts[0] + end, f"{texts[1]} to {texts[2]}{end}" if half > 0.0 else ""
 
 
@@ -81,9 +70,15 @@ def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
     """The parameters of an effect of `diagnosis.json` as texts: name, value, interval."""
     rows = []
     for name, p in entry["parameters"].items():
-        value, interval = interval_text(name, p["unit"], p["value"], p["low"], p["high"], entry["effect"])
+        value, interval = interval_text(p["unit"], p["value"], p["low"], p["high"], _parameter(entry, name))
         rows.append({"name": parameter_label(name), "value": value, "interval": interval})
     return rows
+
+
+def _parameter(entry: dict[str, Any], name: str) -> Parameter | None:
+    """The parameter of an entry's effect; None for one that the library does not know."""
+    effect = EFFECTS.get(entry["effect"])
+    return next((p for p in effect.parameters if p.name == name), None) if effect else None
 
 
 def place_text(entry: dict[str, Any]) -> str:
@@ -111,7 +106,7 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
 def headline_number(entry: dict[str, Any]) -> str:
     """The first parameter of an effect in few digits: '12.6 um'."""
     for name, p in entry["parameters"].items():
-        return interval_text(name, p["unit"], p["value"], p["value"], p["value"], entry["effect"])[0]
+        return interval_text(p["unit"], p["value"], p["value"], p["value"], _parameter(entry, name))[0]
     return ""
 
 

@@ -1,6 +1,6 @@
 """Effects: everything that a machine may have beyond the nominal model, each as one switch.
 
-EFFECTS          all effects by name (found in the modules of this package: adding one is adding its unit)
+EFFECTS          all effects by name, found in the modules of this package and in the files that `--effects` gives
 with_effects     a machine with a list of effects
 parse_setting    an effect from the command line
 apply_effects    what the effects change: used by `twin.simulation.run.simulate`
@@ -10,7 +10,8 @@ import importlib
 import pkgutil
 
 from twin.effects.change import Change, apply_effects, load_inertia, with_effects
-from twin.effects.effect import BLOCKS, EFFECTS, Effect, Parameter, Setting, check_setting, parse_setting, settings_of
+from twin.effects.effect import BLOCKS, EFFECTS, Effect, Parameter, find_effect
+from twin.effects.setting import Setting, check_setting, parse_setting, settings_of
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
@@ -24,6 +25,7 @@ __all__ = [
     "Setting",
     "apply_effects",
     "check_setting",
+    "find_effect",
     "load_inertia",
     "parse_setting",
     "settings_of",

@@ -10,45 +10,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.effects.effect import EFFECTS, Setting, settings_of
+from twin.effects.coupling import Coupling, coupling
+from twin.effects.effect import BLOCKS, EFFECTS
+from twin.effects.setting import Setting, settings_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_LOAD_FORCE, Term, arrays, term
-from twin.simulation.plant_spec import ModelEdit, build_plant, full_inertia
+from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia
 
 FASTEST_MODE = 1.5
 """Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
-
-REST_FORCE = 1e-6
-"""A held force below this fraction of Coulomb friction presses no flank: the gap is centred."""
-
-
-@dataclass
-class Coupling:
-    """Elastic coupling of rotor and load: dead zone, springs in series, damper of the softest."""
-
-    clearance: float = 0.0
-    flexibility: float = 0.0  # sum of 1 / stiffness
-    damping: float = 0.0
-    softest: float = math.inf
-
-    def add(self, stiffness: float, damping: float, clearance: float = 0.0) -> None:
-        """One more spring in series [N/m, Nm/rad] with its damping [N s/m, Nm s/rad] and dead zone [m, rad]."""
-        self.clearance += clearance
-        self.flexibility += 1.0 / stiffness
-        if stiffness < self.softest:
-            self.softest, self.damping = stiffness, damping
-
-    @property
-    def stiffness(self) -> float:
-        """Of all springs in series, 1 / sum(1 / k) [N/m, Nm/rad]."""
-        return 1.0 / self.flexibility
-
-    def rotor_offset(self, held: float, coulomb: float) -> float:
-        """Rotor minus load position at rest under a held force: on the pressed flank, spring loaded; centred without force."""
-        if abs(held) <= REST_FORCE * coulomb:
-            return 0.0
-        return held * self.flexibility + math.copysign(self.clearance / 2.0, held)
 
 
 @dataclass
@@ -108,9 +79,9 @@ class Change:
 
         self.model_edits.append(edit)
 
-    def couple(self, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
-        """Put a spring, a damper and a dead zone between rotor and load."""
-        self.couplings.setdefault(axis.name, Coupling()).add(stiffness, damping, clearance)
+    def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
+        """Put a spring, a damper and a dead zone between rotor and load; `cause` is the effect's name, for messages."""
+        self.couplings.setdefault(axis.name, Coupling()).add(cause, stiffness, damping, clearance)
 
     def load_inertia(self, axis: Axis) -> float:
         """Mass or inertia of the load alone, without rotor, in the home pose [kg, kg m2]."""
@@ -154,6 +125,25 @@ def held_force(machine: Machine, axis: Axis) -> float:
     return float(bias[machine.axis_names.index(axis.name)])
 
 
+def upward(machine: Machine, axis: Axis) -> float:
+    """Component of a linear axis along +z of the machine frame, 0 where it is level."""
+    model = frames_of_model(machine)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    up = float(data.xaxis[model.joint(axis.name).id][2])
+    return up if abs(up) > 1e-9 else 0.0
+
+
+def weight(machine: Machine, axis: Axis) -> float:
+    """Weight that a linear axis holds [N], 0 for a rotary or level one."""
+    return (axis.moving_mass_kg or 0.0) * machine.gravity * abs(upward(machine, axis)) if axis.kind == "linear" else 0.0
+
+
+def total_inertia(machine: Machine, axis: Axis) -> float:
+    """Mass or inertia that an axis moves, load and rotor, in the home pose [kg, kg m2]."""
+    return load_inertia(machine, axis) + axis.reflected_inertia
+
+
 def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     """Inertia with rotor and bias of every axis in the home pose (axis,); remembered, because fits ask again and again."""
     axes = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
@@ -178,24 +168,21 @@ _MOST_HOMES = 256
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Put the machine's effects on it; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
-    # in the order of the library: a machine with the same effects in another order is the same machine
-    order = list(EFFECTS)
-    for setting in sorted(settings_of(machine), key=lambda s: order.index(s.effect.name)):
+    # by block, then in the order of the library: a machine with the same effects in another order is the same machine
+    order = {name: i for i, name in enumerate(EFFECTS)}
+    for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order[s.effect.name])):
         if not setting.is_nil:
             source = {"from_axis": change.machine.axis(setting.from_axis)} if setting.from_axis else {}
             setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)
-    if change.couplings:
-        from twin.effects.transmission import coupling
-
-        for name, c in change.couplings.items():
-            axis = change.machine.axis(name)
-            mass = change.reduced_mass(axis)
-            change.check_step(axis, "backlash" if c.clearance else "transmission_compliance", c.stiffness, mass)
-            h = change.machine.base_tick
-            # the damper decays the relative speed exactly over a tick: stable for any damping
-            rate = c.damping * h / mass
-            damping = c.damping * (-math.expm1(-rate) / rate if rate > 0 else 1.0)
-            change.add_term(coupling, FORCE, axis, [c.clearance / 2.0, c.stiffness, damping])
+    for name, c in change.couplings.items():
+        axis = change.machine.axis(name)
+        mass = change.reduced_mass(axis)
+        change.check_step(axis, c.cause, c.stiffness, mass)
+        h = change.machine.base_tick
+        # the damper decays the relative speed exactly over a tick: stable for any damping
+        rate = c.damping * h / mass
+        damping = c.damping * (-math.expm1(-rate) / rate if rate > 0 else 1.0)
+        change.add_term(coupling, FORCE, axis, [c.clearance / 2.0, c.stiffness, damping])
     return change
 
 

@@ -1,19 +1,22 @@
 """What an effect is: one named thing that a machine may have beyond the nominal model.
 
-A unit is one function under `@effect(...)`: its docstring holds the law and its source, the decorator the block it lives
-in, its parameters with units and bounds, and the axes that can have it. The function describes how it acts on a `Change`:
-a changed control or machine parameter, a term of the compiled loop, or an edit of the MuJoCo model. Writing the function
-is all it takes to add an effect.
+An effect is one function under `@effect(...)`. Its docstring holds the law and its source. The decorator holds everything
+else that the twin knows about it: block, parameters with units and bounds, axes, how a diagnosis starts and judges it, its
+units for people, what tells it from its rivals, its picture. The function describes how it acts on a `Change`: a changed
+parameter of control or machine, a term of the compiled loop, or an edit of the MuJoCo model. Nothing else has to be written
+for a new effect: every field but block and parameters has a default that suits one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import inspect
 import math
-from typing import Any
+from typing import Literal
 
+from twin.effects.picture import Picture
+from twin.effects.scan import Scan
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 
@@ -21,6 +24,7 @@ BLOCKS = ("position controller", "speed controller", "current loop", "mechanics"
 
 # unit of a quantity at a linear and at a rotary axis
 QUANTITIES = {
+    "factor": ("1", "1"),
     "length": ("m", "rad"),
     "speed": ("m/s", "rad/s"),
     "force": ("N", "Nm"),
@@ -37,18 +41,48 @@ QUANTITIES = {
     "kilogram": ("kg", "kg"),
 }
 
+PERCENT = {"1": ("%", 100.0)}
+DEGREES = {"rad": ("deg", math.degrees(1.0))}
+"""Units for people that parameters share: SI unit -> (unit, factor)."""
+
 Usual = Callable[[Machine, Axis], tuple[float, float]]
 """The range of sizes that is found on machines of this class, as a function of machine and axis."""
+
+AN_ACCELERATION = Picture()
+
+SeparatingMove = Literal["micro-reversals", "constant speeds", "accelerations", "chirp", "rest"]
+"""Moves that a diagnosis can propose as the next measurement."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect, SI.
 
-    `low`, `high` are the bounds that are accepted; `usual` the range that is found; `default` is for parameters that only
-    shape the effect (None: must be given, unless the unit computes it); `shape` ones are not what the effect is about;
-    `neutral` is the value at which the effect is nil; `logarithmic` says that sizes are compared by ratio;
-    `periodic` is an angle; `fitted` gives the start of a shape that a fit should find, from the other values.
+    name, quantity     its name and what it is; `QUANTITIES` gives the unit. A "factor" multiplies a parameter of the machine
+    low, high          bounds that are accepted
+    usual              range that is found on machines; the bounds where nothing else is known
+    default            value of a parameter that only shapes the effect (None: must be given, unless the effect computes it)
+    shape              True for a parameter that is not what the effect is about; it is not scored
+    neutral            value at which the effect does nothing. The first parameter with one is the effect's size
+    logarithmic        sizes are compared by ratio
+    periodic           an angle
+    fitted             start of a shape that a fit should find, from the values of the others
+
+    How a diagnosis starts it:
+    multiplies         field of the axis, its motor or its loops that a factor multiplies
+    starts             number of sizes that are simulated as starts; 2 of a range around neutral are one on either side
+    bends              what the effect does is not in proportion to its size: a single start may underrate it
+    scan               how start values are read from the residual, instead of from the usual range
+    lag_cycle          for the time constant of a sampled lag: the field of the machine with the cycle c at which it is sampled.
+                       It delays by c / (exp(c / T) - 1), next to nothing below half a cycle
+
+    When a diagnosis believes its size:
+    beyond_tolerance   multiple of the machine's parameter tolerance from which a deviation is an effect
+    part_of            what the tolerance is a share of, for a size that is no factor [its unit]
+    any_size           any size is believed, also one far outside the usual range
+    judged_with        name of another parameter: the product of both is compared with the usual sizes
+
+    shown              unit for people: SI unit -> (unit, factor); without an entry the usual one of that SI unit
     """
 
     name: str
@@ -62,6 +96,16 @@ class Parameter:
     logarithmic: bool = False
     periodic: bool = False
     fitted: Callable[[Machine, Axis, Mapping[str, float]], float] | None = None
+    multiplies: str = ""
+    starts: int = 1
+    bends: bool = False
+    scan: Scan | None = None
+    lag_cycle: Literal["", "position_cycle", "speed_cycle", "current_cycle"] = ""
+    beyond_tolerance: float = 0.0
+    part_of: Callable[[Machine, Axis], float] | None = None
+    any_size: bool = False
+    judged_with: str = ""
+    shown: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     def unit(self, axis: Axis) -> str:
         """Unit at this axis."""
@@ -75,10 +119,40 @@ class Parameter:
             return (self.low, self.high)
         return self.usual(machine, axis) if callable(self.usual) else self.usual
 
+    @property
+    def is_factor(self) -> bool:
+        """True where the value multiplies a parameter of the machine."""
+        return self.quantity == "factor"
+
+    @property
+    def is_scaled(self) -> bool:
+        """True where what the effect does is about in proportion to the deviation from neutral (not so for springs and limits)."""
+        return self.neutral is not None and math.isfinite(self.neutral)
+
+    @property
+    def is_spring(self) -> bool:
+        """True for a stiffness that is infinite on a rigid machine: the effect is about in proportion to 1 / stiffness."""
+        return self.quantity == "stiffness" and self.neutral == math.inf
+
+    def deviation(self, value: float) -> float:
+        """Distance of a value from doing nothing; 1 for an angle."""
+        if self.periodic:
+            return 1.0
+        return abs(value - (self.neutral or 0.0 if self.is_scaled else 0.0))
+
 
 @dataclass(frozen=True)
 class Effect:
-    """A unit of the library; `act(change, axis, **parameters)` puts it on the machine."""
+    """An effect of the library or of a user's file; `act(change, axis, **parameters)` puts it on the machine.
+
+    separating_move    move that tells it best from its nearest rivals: what a diagnosis proposes as the next measurement
+    rivals             the same in words: what looks alike, and what parts them
+    contains           names of effects that this one includes: they leave a machine that gets this one
+    imitated_by        names of effects of which a little, normal on any machine, looks like a little of this one
+    normal             name of a normal imperfection that this effect is a large case of: "elasticity" of a drive train,
+                       "slip" of a contact before it breaks away
+    picture            what its picture shows
+    """
 
     name: str
     block: str
@@ -89,11 +163,33 @@ class Effect:
     which_axes: str
     from_axis: bool = False
     edits_bodies: bool = False
+    separating_move: SeparatingMove = "constant speeds"
+    rivals: str = ""
+    contains: tuple[str, ...] = ()
+    imitated_by: tuple[str, ...] = ()
+    normal: Literal["", "elasticity", "slip"] = ""
+    picture: Picture = AN_ACCELERATION
 
     @property
     def law(self) -> str:
-        """The unit's docstring."""
+        """The function's docstring."""
         return inspect.getdoc(self.act) or ""
+
+    @property
+    def size(self) -> Parameter:
+        """The parameter that says how large the effect is: the first with a neutral value, one that is no shape if there is one."""
+        sizes = [p for p in self.parameters if p.neutral is not None]
+        return next((p for p in sizes if not p.shape), sizes[0])
+
+    @property
+    def phase(self) -> Parameter | None:
+        """The angle that shapes a wave: such an effect is a sum of a sine and a cosine."""
+        return next((p for p in self.parameters if p.periodic and p.shape), None)
+
+    @property
+    def is_linear(self) -> bool:
+        """True where what it does is about in proportion to its size."""
+        return self.size.is_scaled and not self.size.bends
 
     def axes(self, machine: Machine) -> tuple[Axis, ...]:
         """The axes of a machine that can have this effect."""
@@ -108,11 +204,12 @@ class Effect:
 
 
 EFFECTS: dict[str, Effect] = {}
-"""All effects by name, filled by the units themselves."""
+"""All effects by name. The decorator fills it."""
 
 AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     "all": ("any axis", lambda machine, axis: True),
     "linear": ("linear axes", lambda machine, axis: axis.kind == "linear"),
+    "rotary": ("rotary axes", lambda machine, axis: axis.kind == "rotary"),
     "integral": ("axes whose speed controller has an integral part", lambda machine, axis: axis.has_speed_integral),
     "turning motor": ("axes with a screw or a gear", lambda machine, axis: axis.kind == "rotary" or axis.ratio != 1.0),
     "transmission": ("axes with a rotor of their own behind a screw or a gear", lambda machine, axis: axis.rotor_inertia_kg_m2 > 0.0),
@@ -135,43 +232,67 @@ def _rotary(machine: Machine) -> list[Axis]:
 
 
 def effect(
-    *, block: str, parameters: tuple[Parameter, ...], axes: str = "all", from_axis: bool = False, edits_bodies: bool = False
+    *,
+    block: str,
+    parameters: tuple[Parameter, ...],
+    axes: str = "all",
+    from_axis: bool = False,
+    edits_bodies: bool = False,
+    separating_move: SeparatingMove = "constant speeds",
+    rivals: str = "",
+    contains: tuple[str, ...] = (),
+    imitated_by: tuple[str, ...] = (),
+    normal: Literal["", "elasticity", "slip"] = "",
+    picture: Picture = AN_ACCELERATION,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a unit under its function's name; the first line of its docstring is the one-line description."""
-    assert block in BLOCKS
+    """Register a function as an effect under its own name; the first line of its docstring is the one-line description.
+
+    `axes` is a key of `AXIS_RULES`; the other arguments are the fields of `Effect`. Raises InputError where they do not fit.
+    """
 
     def register(act: Callable[..., None]) -> Callable[..., None]:
+        name = act.__name__
+        _check(name, block, parameters, axes)
         which, can_have = AXIS_RULES[axes]
         summary = (inspect.getdoc(act) or "").split("\n", 1)[0].rstrip(".")
-        EFFECTS[act.__name__] = Effect(act.__name__, block, summary, parameters, act, can_have, which, from_axis, edits_bodies)
+        EFFECTS[name] = Effect(
+            name,
+            block,
+            summary,
+            parameters,
+            act,
+            can_have,
+            which,
+            from_axis,
+            edits_bodies,
+            separating_move,
+            rivals,
+            contains,
+            imitated_by,
+            normal,
+            picture,
+        )
         return act
 
     return register
 
 
-@dataclass(frozen=True)
-class Setting:
-    """An effect on an axis with checked parameters: one `[[effect]]` table."""
-
-    effect: Effect
-    axis: str
-    parameters: Mapping[str, float]
-    from_axis: str | None = None
-
-    @property
-    def key(self) -> tuple[str, str, str | None]:
-        """Effect, axis and from_axis: what a machine can have once."""
-        return self.effect.name, self.axis, self.from_axis
-
-    def table(self) -> dict[str, Any]:
-        """As it stands in a machine file."""
-        source = {"from_axis": self.from_axis} if self.from_axis else {}
-        return {"name": self.effect.name, "axis": self.axis, **source, **self.parameters}
-
-    @property
-    def is_nil(self) -> bool:
-        """True where a parameter has the value at which the effect does nothing."""
-        return any(p.neutral is not None and self.parameters.get(p.name) == p.neutral for p in self.effect.parameters)
+def _check(name: str, block: str, parameters: tuple[Parameter, ...], axes: str) -> None:
+    """Refuse an effect that the twin could not use, in one line."""
+    where = f"effect {name}"
+    if name in EFFECTS:
+        raise InputError(f"{where}: the twin has an effect of that name already; give it another name")
+    if block not in BLOCKS:
+        raise InputError(f"{where}: no block '{block}'; {nearest(block, BLOCKS)}")
+    if axes not in AXIS_RULES:
+        raise InputError(f"{where}: no rule '{axes}' for axes; {nearest(axes, AXIS_RULES)}")
+    for p in parameters:
+        if p.quantity not in QUANTITIES:
+            raise InputError(f"{where}: parameter {p.name}: no quantity '{p.quantity}'; {nearest(p.quantity, QUANTITIES)}")
+        if p.name in ("name", "axis", "from_axis"):
+            raise InputError(f"{where}: a parameter cannot be called '{p.name}'; give it another name")
+    if all(p.neutral is None for p in parameters):
+        raise InputError(f"{where}: no parameter has a neutral value; say at which value of its size it does nothing")
 
 
 def find_effect(name: str, where: str) -> Effect:
@@ -179,80 +300,3 @@ def find_effect(name: str, where: str) -> Effect:
     if not isinstance(name, str) or name not in EFFECTS:
         raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}")
     return EFFECTS[name]
-
-
-def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Setting:
-    """A Setting from a table {name, axis, parameters...}; every fault is an InputError."""
-    if not isinstance(table, Mapping) or "name" not in table:
-        raise InputError(f'{where}: an effect needs a name; write name = "backlash"')
-    found = find_effect(table["name"], where)
-    where = f"{where}: {found.name}"
-    if "axis" not in table:
-        raise InputError(f"{where}: 'axis' is missing; name one of {', '.join(machine.axis_names)}")
-    if table["axis"] not in machine.axis_names:
-        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(str(table['axis']), machine.axis_names)}")
-    axis = machine.axis(table["axis"])
-    if not found.can_have(machine, axis):
-        able = ", ".join(a.name for a in found.axes(machine)) or "no axis of this machine"
-        raise InputError(f"{where}: axis {axis.name} cannot have it: it is for {found.which_axes}; use {able}")
-    from_axis = table.get("from_axis")
-    if found.from_axis:
-        able_names = [a.name for a in found.axes(machine) if a.name != axis.name]
-        if from_axis not in able_names:
-            told = "is missing" if from_axis is None else f"= {from_axis!r} cannot be"
-            able = ", ".join(able_names) or "this machine has none"
-            raise InputError(f"{where}: from_axis {told}; name another of the {found.which_axes}: {able}")
-    elif from_axis is not None:
-        raise InputError(f"{where}: has no from_axis; leave it out")
-    values: dict[str, float] = {}
-    for key, value in table.items():
-        if key in ("name", "axis", "from_axis"):
-            continue
-        parameter = found.parameter(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise InputError(f"{where}: {key} = {value!r}: expected a number in {parameter.unit(axis)}")
-        if not parameter.low <= value <= parameter.high and value != parameter.neutral:
-            raise InputError(
-                f"{where}: {key} = {value:g} {parameter.unit(axis)} is out of bounds; give {parameter.low:g} to {parameter.high:g} {parameter.unit(axis)}"
-            )
-        values[key] = float(value)
-    for parameter in found.parameters:
-        if parameter.name not in values:
-            if parameter.default is not None:
-                values[parameter.name] = parameter.default
-            elif not parameter.shape:
-                raise InputError(f"{where}: '{parameter.name}' is missing; give it in {parameter.unit(axis)}")
-    return Setting(found, axis.name, values, from_axis)
-
-
-def settings_of(machine: Machine) -> tuple[Setting, ...]:
-    """The machine's `[[effect]]` tables, checked; the same effect twice on an axis is an error."""
-    where = str(machine.path or machine.name)
-    settings = tuple(check_setting(table, machine, f"{where}: effect {i + 1}") for i, table in enumerate(machine.effects))
-    seen: set[tuple[str, str, str | None]] = set()
-    for setting in settings:
-        key = setting.key
-        if key in seen:
-            raise InputError(f"{where}: effect {setting.effect.name} stands twice on axis {setting.axis}; keep one")
-        seen.add(key)
-    return settings
-
-
-def parse_setting(text: str, machine: Machine) -> Setting:
-    """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'."""
-    where = f"--effect {text}"
-    parts = text.split(":", 2)
-    if len(parts) < 2:
-        raise InputError(f"{where}: write NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE], e.g. backlash:X:clearance=15e-6")
-    table: dict[str, Any] = {"name": parts[0], "axis": parts[1]}
-    for assignment in filter(None, (parts[2] if len(parts) > 2 else "").split(",")):
-        key, equals, value = assignment.partition("=")
-        if not equals:
-            raise InputError(f"{where}: '{assignment}' is no PARAMETER=VALUE")
-        if key.strip() in table:
-            raise InputError(f"{where}: '{key.strip()}' stands twice; give it once")
-        try:
-            table[key.strip()] = value.strip() if key.strip() == "from_axis" else float(value)
-        except ValueError:
-            raise InputError(f"{where}: {key} = '{value}' is no number") from None
-    return check_setting(table, machine, where)

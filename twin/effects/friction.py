@@ -1,13 +1,14 @@
-"""Effects of friction. The level F of the contact is shaped first (order 0, 1); a bristle (order 2) replaces the constraint."""
+"""Effects of friction that depends on direction, speed or place: Coulomb and viscous friction off nominal, and their variations."""
 
 from __future__ import annotations
 
 import math
 
-from twin.effects.change import Change, load_inertia
-from twin.effects.effect import Parameter, effect
-from twin.errors import InputError
-from twin.machine.machine import Axis, Machine
+from twin.effects.change import Change
+from twin.effects.effect import DEGREES, PERCENT, Parameter, effect
+from twin.effects.picture import Picture
+from twin.effects.scan import AlongTravel
+from twin.machine.machine import Axis
 from twin.simulation.loop_terms import (
     FORCE,
     X_FRICTION_FORCE,
@@ -20,11 +21,24 @@ from twin.simulation.loop_terms import (
     term,
 )
 
-BRISTLE_DAMPING_RATIO = 0.3
-"""Damping of the bristle against the axis' whole inertia where none is given."""
 
-
-@effect(block="mechanics", parameters=(Parameter("factor", "number", 0.0, 10.0, (0.5, 1.5), neutral=1.0, logarithmic=True),))
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter(
+            "factor", "factor", 0.0, 10.0, (0.5, 1.5), neutral=1.0, logarithmic=True,
+            multiplies="coulomb_friction_nm", beyond_tolerance=3.0,
+        ),
+    ),
+    separating_move="micro-reversals",
+    rivals="A shift of the current at all speeds from 0.5 mm/s up is Coulomb friction; Stribeck and pre-sliding show at low speed only.",
+    picture=Picture(
+        "Current shifted by the same amount at every speed, against the motion; larger error at reversal.",
+        "reversal",
+        axis="X",
+        sizes={"factor": 1.4},
+    ),
+)  # fmt: skip
 def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
     """Coulomb friction off nominal.
 
@@ -33,7 +47,17 @@ def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
     change.scale(axis, coulomb_friction_nm=factor)
 
 
-@effect(block="mechanics", parameters=(Parameter("factor", "number", 0.0, 10.0, (0.4, 1.6), neutral=1.0, logarithmic=True),))
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter(
+            "factor", "factor", 0.0, 10.0, (0.4, 1.6), neutral=1.0, logarithmic=True,
+            multiplies="viscous_friction_nm_s_per_rad", beyond_tolerance=4.0,
+        ),
+    ),
+    rivals="Coulomb friction shifts the current by the same amount at every speed; viscous friction grows with speed.",
+    picture=Picture("More current in proportion to speed.", "gentle", axis="X", sizes={"factor": 1.6}),
+)  # fmt: skip
 def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
     """Viscous friction off nominal.
 
@@ -44,61 +68,12 @@ def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
 
 @effect(
     block="mechanics",
-    parameters=(
-        Parameter("excess", "force", 0.0, 1e5, lambda m, a: (0.3 * a.coulomb_friction, 0.8 * a.coulomb_friction), neutral=0.0),
-        Parameter(
-            "velocity", "speed", 1e-5, 1.0,
-            lambda m, a: (2e-3, 6e-3) if a.kind == "linear" else (math.radians(0.6), math.radians(2.0)), logarithmic=True,
-        ),
-    ),
-)  # fmt: skip
-def stribeck(change: Change, axis: Axis, excess: float, velocity: float) -> None:
-    """More friction at low speed than at high (Stribeck).
-
-    F(v) = Fc + excess exp(-(v / velocity)^2). Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994.
-    """
-    change.add_term(stribeck_level, FORCE, axis, [excess, velocity], order=1)
-
-
-def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
-    low, high = (4e-6, 20e-6) if axis.kind == "linear" else (math.radians(4 / 3600), math.radians(20 / 3600))
-    return (axis.coulomb_friction / high, axis.coulomb_friction / low)
-
-
-@effect(
-    block="mechanics",
-    parameters=(
-        Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
-        Parameter(
-            "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])
-        ),
+    parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0, shown=PERCENT),),
+    rivals="A constant force shifts both directions alike at every speed; the asymmetry grows with speed.",
+    picture=Picture(
+        "One direction needs more current than the other, in proportion to speed.", "gentle", axis="X", sizes={"fraction": 0.35}
     ),
 )
-def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
-    """Below break-away the contact is a spring (pre-sliding).
-
-    Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the Coulomb level with
-    whatever shapes it. Default damping: ratio 0.3 on the axis' whole inertia.
-    Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
-    """
-    load = change.load_inertia(axis)
-    change.check_step(axis, "presliding", stiffness, load)
-    limit = load / change.machine.base_tick
-    if damping is None:
-        damping = min(_bristle_damping(change.machine, axis, stiffness), limit)
-    if damping > limit:
-        raise InputError(
-            f"presliding on axis {axis.name}: damping = {damping:g} stops the load within a tick of {change.machine.base_tick * 1e6:g} us; "
-            f"give at most {limit:.3g}"
-        )
-    change.add_term(bristle, FORCE, axis, [stiffness, damping], order=2)
-
-
-def _bristle_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
-    return 2.0 * BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * (load_inertia(machine, axis) + axis.reflected_inertia))
-
-
-@effect(block="mechanics", parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0),))
 def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
     """Viscous friction that differs by direction.
 
@@ -110,11 +85,16 @@ def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
 @effect(
     block="mechanics",
     parameters=(
-        Parameter("fraction", "number", -1.0, 1.0, (0.25, 0.5), neutral=0.0),
+        Parameter("fraction", "number", -1.0, 1.0, (0.25, 0.5), neutral=0.0, shown=PERCENT),
         Parameter(
             "wavelength", "length", 1e-4, 10.0,
             lambda m, a: (0.02, 0.1) if a.kind == "linear" else (math.radians(10), math.radians(60)), logarithmic=True,
+            scan=AlongTravel(), shown=DEGREES,
         ),
+    ),
+    rivals="A torque ripple keeps its sign under reversal; friction along the travel turns with the direction.",
+    picture=Picture(
+        "Friction comes and goes along the travel and turns with the direction.", "constant speed", axis="X", sizes={"wavelength": 0.02}
     ),
 )  # fmt: skip
 def position_dependent_friction(change: Change, axis: Axis, fraction: float, wavelength: float) -> None:
@@ -123,14 +103,6 @@ def position_dependent_friction(change: Change, axis: Axis, fraction: float, wav
     Fc (1 + fraction sin(2 pi q / wavelength)): unlike ripple it changes sign with direction.
     """
     change.add_term(friction_along_travel, FORCE, axis, [fraction, 2.0 * math.pi / wavelength], order=0)
-
-
-@term
-def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F += p[0] exp(-(v / p[1])^2)."""
-    p, s, x = arrays(parameters, state, signals)
-    ratio = x[axis, X_LOAD_SPEED] / p[1]
-    x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
 
 
 @term
@@ -146,26 +118,3 @@ def asymmetric_viscous(parameters, state, signals, axis):  # type: ignore[no-unt
     p, s, x = arrays(parameters, state, signals)
     speed = x[axis, X_LOAD_SPEED] + 0.5 * x[axis, X_STEP] * x[axis, X_LOAD_ACCELERATION]
     x[axis, X_FRICTION_FORCE] -= p[0] * abs(speed)
-
-
-@term
-def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """z' = v - k |v| z / F, solved exactly over the tick for the speed in its middle; the mean force acts."""
-    p, s, x = arrays(parameters, state, signals)
-    h = x[axis, X_STEP]
-    level = x[axis, X_FRICTION_LEVEL]
-    x[axis, X_FRICTION_LEVEL] = 0.0
-    if level <= 0.0:
-        return
-    speed = x[axis, X_LOAD_SPEED] + 0.5 * h * x[axis, X_LOAD_ACCELERATION]
-    rate = p[0] * abs(speed) / level * h
-    before = s[0]
-    if rate > 1e-9:
-        steady = math.copysign(level / p[0], speed)
-        fade = math.exp(-rate)
-        s[0] = steady + (before - steady) * fade
-        mean = steady + (before - steady) * (1.0 - fade) / rate
-    else:
-        s[0] = before + speed * h
-        mean = before + 0.5 * speed * h
-    x[axis, X_FRICTION_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h

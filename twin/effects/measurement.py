@@ -8,7 +8,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from twin.effects.change import Change
-from twin.effects.effect import Parameter, effect
+from twin.effects.effect import DEGREES, PERCENT, Parameter, effect
+from twin.effects.picture import Picture
+from twin.effects.scan import Resonance
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
 from twin.units import ARCSEC
@@ -17,9 +19,17 @@ from twin.units import ARCSEC
 @effect(
     block="measurement",
     parameters=(
-        Parameter("frequency_hz", "frequency", 1.0, 500.0, (20.0, 45.0), logarithmic=True),
-        Parameter("mass_ratio", "number", 0.0, 1.0, (0.03, 0.10), default=0.06, shape=True, neutral=0.0, logarithmic=True),
+        Parameter("frequency_hz", "frequency", 1.0, 500.0, (20.0, 45.0), logarithmic=True, scan=Resonance()),
+        Parameter("mass_ratio", "number", 0.0, 1.0, (0.03, 0.10), default=0.06, shape=True, neutral=0.0, logarithmic=True, shown=PERCENT),
         Parameter("damping_ratio", "number", 0.0, 1.0, (0.02, 0.1), default=0.05, shape=True, logarithmic=True),
+    ),
+    separating_move="chirp",
+    rivals="A compliant transmission shows between motor and load in both encoders; the frame shows in the scale, hardly in the motor.",
+    picture=Picture(
+        "Each change of acceleration rings in the scale, hardly in the motor.",
+        "jerk",
+        axis="X",
+        sizes={"frequency_hz": 28.0, "mass_ratio": 0.08},
     ),
 )
 def frame_vibration(change: Change, axis: Axis, frequency_hz: float, mass_ratio: float, damping_ratio: float) -> None:
@@ -40,8 +50,10 @@ def frame_vibration(change: Change, axis: Axis, frequency_hz: float, mass_ratio:
     axes="full turn",
     parameters=(
         Parameter("amplitude", "length", 0.0, 1e-2, (4 * ARCSEC, 15 * ARCSEC), neutral=0.0, logarithmic=True),
-        Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True),
+        Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),
+    rivals="A cyclic error comes back every motor turn and shakes the motor; an eccentric encoder comes back every table turn.",
+    picture=Picture("Once a table turn between motor and scale, slowly.", "turn", axis="C"),
 )
 def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad: float) -> None:
     """Disc of the direct encoder off centre: an error that comes back every turn of the table.
@@ -54,7 +66,16 @@ def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad
 @effect(
     block="measurement",
     axes="linear",
-    parameters=(Parameter("rate", "speed", -1e-4, 1e-4, (-0.4e-6, 0.4e-6), neutral=0.0),),
+    parameters=(Parameter("rate", "speed", -1e-4, 1e-4, (-0.4e-6, 0.4e-6), neutral=0.0, shown={"m/s": ("um/min", 6e7)}),),
+    separating_move="rest",
+    rivals="A wrong lead follows the position; drift goes on at rest and from run to run.",
+    picture=Picture(
+        "Motor and scale part with time, whatever the axis does; this run began 20 s into the campaign.",
+        "again",
+        axis="X",
+        sizes={"rate": 0.4e-6},
+        started_at=20.0,
+    ),
 )
 def thermal_drift(change: Change, axis: Axis, rate: float) -> None:
     """Scale moves against the motor at a steady rate, across runs.

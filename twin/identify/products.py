@@ -19,7 +19,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.effects.mechanics import upward
+from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
 from twin.machine.machine import Axis, Machine

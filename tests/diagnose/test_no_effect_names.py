@@ -1,0 +1,46 @@
+"""No effect is named in the code of the diagnosis: what it must know of an effect stands on the effect, so that a new one is one file."""
+
+import ast
+from pathlib import Path
+import re
+
+import pytest
+
+from twin.effects import EFFECTS
+
+FOLDER = Path(__file__).resolve().parents[2] / "twin" / "diagnose"
+
+
+def docstrings(tree: ast.AST) -> set[ast.Constant]:
+    """String constants that stand as statements: docstrings of modules, functions, classes and constants."""
+    return {n.value for n in ast.walk(tree) if isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant)}
+
+
+def names_in(source: str) -> list[str]:
+    """Effect names that stand in the string literals of a source.
+
+    A name that is an English word ("inertia") may stand in a sentence; a literal that is the name, or a name with an underscore, may not.
+    """
+    tree = ast.parse(source)
+    plain = docstrings(tree)
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in plain:
+            words = {node.value} if " " in node.value else set(re.findall(r"\w+", node.value))
+            words |= {word for word in re.findall(r"\w+", node.value) if "_" in word}
+            found += [f"line {node.lineno}: {word}" for word in sorted(words & set(EFFECTS))]
+    return found
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.stem)
+def test_no_effect_is_named(file):
+    assert names_in(file.read_text(encoding="utf-8")) == [], (
+        "let the effect say it: a field of Effect or Parameter, see twin/effects/effect.py"
+    )
+
+
+def test_a_name_is_seen():
+    source = (
+        '"""backlash."""\nSPECIAL = {"inertia": 2.0}\nif name == "backlash":\n    print(f"mass and inertia; torque_ripple of {name}")\n'
+    )
+    assert names_in(source) == ["line 2: inertia", "line 3: backlash", "line 4: torque_ripple"]

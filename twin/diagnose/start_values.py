@@ -1,0 +1,174 @@
+"""Start values that the residual itself shows: spectral lines along the motor's turn, the travel and time, swings, clipped currents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+
+import numpy as np
+from scipy.signal import lfilter
+
+from twin.diagnose.observe import Group
+from twin.effects.effect import Parameter
+from twin.effects.scan import AlongTravel, AlongTurn, InTime, LargestCurrent, Resonance
+from twin.machine.machine import Axis, Machine
+
+PEAKS = 2
+"""Spectral lines that are tried for an effect that repeats along position or time."""
+
+LARGEST_ORDER_HZ = 60.0
+"""Above this frequency the current no longer shows a disturbance as it is."""
+
+SLOW_ENOUGH = 0.1
+"""Share of the motion that must be slow enough for a wave along the travel to be looked for: a short lead turns fast."""
+
+
+class StartValues:
+    """Reads start values of one axis from a residual (row,), weighted, of its group."""
+
+    def __init__(self, group: Group, machine: Machine, axis: Axis, residual: np.ndarray):
+        self.group, self.axis = group, axis
+        self.values = residual / group.weights
+        self.channels = {}
+        for channel in group.channels:
+            if channel.axis == axis.name:
+                self.channels[channel.run, channel.name] = channel
+        self.machine = machine
+
+    def of(self, parameter: Parameter) -> list[float]:
+        """Start values of a parameter with a scan: the strongest lines, or the levels, of what that looks through."""
+        match parameter.scan:
+            case AlongTurn(low=low, high=high):
+                return _strongest(*self._along(signed=False, low=low, high=high, per=2.0 * math.pi * self.axis.ratio, inverse=False))
+            case AlongTravel():
+                shortest, longest = parameter.usual_range(self.machine, self.axis)
+                return _strongest(*self._along(signed=True, low=1.0 / (3.0 * longest), high=3.0 / shortest, per=1.0, inverse=True))
+            case InTime() as scan:
+                return _strongest(*self._in_time(scan))
+            case Resonance() as scan:
+                return _strongest(*self._resonance(scan))
+            case LargestCurrent() as scan:
+                return self._current_levels(scan)
+        raise ValueError(f"parameter {parameter.name} has no scan")
+
+    def _current_levels(self, scan: LargestCurrent) -> list[float]:
+        """Levels at which a clipped current would show: about the largest that was measured.
+
+        A record samples the saw-tooth that the current is between two cycles at one place of it: the limit may lie above.
+        """
+        level = 0.0
+        for (run, name), _ in self.channels.items():
+            trace = self.group.views[run].trace
+            if name == "current":
+                level = max(level, float(np.quantile(np.abs(trace.get(self.axis.name, self.axis.effort)), 0.9995)))
+        level = level or 0.3 * self.axis.motor.peak_current_a
+        return [share * level for share in scan.shares]
+
+    def _pieces(self, name: str) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Per run: residual, position, speed and time at the channel's samples."""
+        for (run, channel_name), channel in self.channels.items():
+            if channel_name != name:
+                continue
+            view = self.group.views[run]
+            a = view.machine.axis_names.index(self.axis.name)
+            values = self.values[channel.rows]
+            q, v = view.motion.position[:, a], view.motion.speed[:, a]
+            t = view.trace.time - view.trace.time[0]
+            if name in ("current", "windup"):
+                moving = view.reference(self.axis.name)[2]
+                q, v, t = q[moving], v[moving], t[moving]
+            yield values, q, v, t
+
+    def _along(self, signed: bool, low: float, high: float, per: float, inverse: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Spectrum of the current's residual over position: bins of an eighth of the shortest wave, then a Fourier transform."""
+        parts = list(self._pieces("current"))
+        if not parts:
+            return np.array([1.0]), np.array([0.0])
+        bin_width = per / high / 8.0
+        start = min(float(q.min()) for _, q, _, _ in parts)
+        count = int((max(float(q.max()) for _, q, _, _ in parts) - start) / bin_width) + 2
+        if count > 400_000:
+            return np.array([1.0]), np.array([0.0])
+        total, hits = np.zeros(count), np.zeros(count)
+        speeds, top = np.abs(np.concatenate([v for _, _, v, _ in parts])), high
+        while top > 4.0 * low and np.mean(speeds * top / 4.0 / per < LARGEST_ORDER_HZ) < SLOW_ENOUGH:
+            top /= 2.0
+        for values, q, v, _ in parts:
+            slow = np.abs(v) * top / 4.0 / per < LARGEST_ORDER_HZ
+            index = ((q[slow] - start) / bin_width).astype(int)
+            weighted = (values - np.median(values))[slow] * (np.sign(v[slow]) if signed else 1.0)
+            np.add.at(total, index, weighted)
+            np.add.at(hits, index, 1.0)
+        mean = np.where(hits > 0, total / np.maximum(hits, 1.0), 0.0) * np.sqrt(np.minimum(hits, 20.0))
+        mean -= np.where(hits > 0, mean[hits > 0].mean() if np.any(hits > 0) else 0.0, 0.0)
+        size = 1 << (8 * count - 1).bit_length()
+        waves = np.fft.rfftfreq(size, bin_width) * per
+        if signed:
+            # the phase is known: sin(2 pi q / wavelength) from q = 0
+            power = np.abs(np.imag(np.fft.rfft(mean, size) * np.exp(-2j * np.pi * np.fft.rfftfreq(size, bin_width) * start))) ** 2
+        else:
+            power = np.abs(np.fft.rfft(mean, size)) ** 2
+        keep = (waves >= low) & (waves <= top)
+        return (1.0 / waves[keep] if inverse else waves[keep]), power[keep]
+
+    def _in_time(self, scan: InTime) -> tuple[np.ndarray, np.ndarray]:
+        frequencies = np.arange(scan.low_hz, scan.high_hz, 0.02)
+        power = np.zeros(len(frequencies))
+        for values, _, _, t in self._pieces("current"):
+            if len(t) < 200:
+                continue
+            period = float(np.median(np.diff(t)))
+            grid = np.zeros(round(t[-1] / period) + 1)
+            grid[np.rint(t / period).astype(int)] = values - np.median(values)
+            size = 1 << max(16, (len(grid) - 1).bit_length())
+            spectrum = np.abs(np.fft.rfft(grid, size)) ** 2 / len(grid)
+            power += np.interp(frequencies, np.fft.rfftfreq(size, period), spectrum)
+        return frequencies, power
+
+    def _resonance(self, scan: Resonance) -> tuple[np.ndarray, np.ndarray]:
+        """Square of the windup (or, without it, of the position) that a mass swinging with each frequency explains.
+
+        Frequencies that a run's sampling cannot show (from half its rate on) get nothing from it.
+        """
+        frequencies = np.geomspace(scan.low_hz, scan.high_hz, 40)
+        power = np.zeros(len(frequencies))
+        name = "windup" if any(n == "windup" for _, n in self.channels) else "position"
+        for values, _, v, t in self._pieces(name):
+            if len(t) < 3:
+                continue
+            period = float(np.median(np.diff(t)))
+            a = np.gradient(v, period)
+            for i in np.flatnonzero(frequencies < 0.5 / period):
+                response = lfilter(*swing_filter(float(frequencies[i]), scan.damping_ratio, period), a)
+                norm = float(response @ response)
+                if norm > 0:
+                    power[i] += float(response @ values) ** 2 / norm
+        return frequencies, power
+
+
+def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration, exact for one held over a sample.
+
+    With r = exp(-z w T), c = r cos(w_d T), s = r sin(w_d T), q = z / sqrt(1 - z^2), w_d = w sqrt(1 - z^2):
+    b = (0, 1 - c - q s, r^2 - c + q s) / w^2,   a = (1, -2 c, r^2). Stable at every sampling period.
+    """
+    w, z = 2.0 * math.pi * frequency_hz, damping_ratio
+    root = math.sqrt(1.0 - z * z)
+    r = math.exp(-z * w * period)
+    c, s, q = r * math.cos(w * root * period), r * math.sin(w * root * period), z / root
+    return np.array([0.0, 1.0 - c - q * s, r * r - c + q * s]) / w**2, np.array([1.0, -2.0 * c, r * r])
+
+
+def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:
+    """Local maxima, strongest first, at most PEAKS."""
+    if len(power) < 3 or not np.any(power > 0):
+        return [float(values[len(values) // 2])]
+    inner = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    inner = inner[np.argsort(-power[inner])][: 4 * PEAKS]
+    chosen: list[float] = []
+    for i in inner:
+        if all(abs(math.log(values[i] / c)) > 0.02 for c in chosen):
+            chosen.append(float(values[i]))
+        if len(chosen) == PEAKS:
+            break
+    return chosen or [float(values[int(np.argmax(power))])]

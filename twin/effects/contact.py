@@ -1,0 +1,123 @@
+"""Effects of the contact near standstill: Stribeck and pre-sliding. The level is shaped first (order 0, 1), the bristle uses it up (2)."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change, total_inertia
+from twin.effects.effect import Parameter, effect
+from twin.effects.picture import Picture
+from twin.errors import InputError
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import (
+    FORCE,
+    X_FRICTION_FORCE,
+    X_FRICTION_LEVEL,
+    X_LOAD_ACCELERATION,
+    X_LOAD_SPEED,
+    X_STEP,
+    arrays,
+    term,
+)
+
+BRISTLE_DAMPING_RATIO = 0.3
+"""Damping of the bristle against the axis' whole inertia where none is given."""
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("excess", "force", 0.0, 1e5, lambda m, a: (0.3 * a.coulomb_friction, 0.8 * a.coulomb_friction), neutral=0.0),
+        Parameter(
+            "velocity", "speed", 1e-5, 1.0,
+            lambda m, a: (2e-3, 6e-3) if a.kind == "linear" else (math.radians(0.6), math.radians(2.0)), logarithmic=True,
+        ),
+    ),
+    separating_move="micro-reversals",
+    rivals="Coulomb friction is more at every speed, Stribeck below a few mm/s only.",
+    picture=Picture(
+        "More friction at low speed: the current peaks where the axis starts and stops.",
+        "slow",
+        axis="X",
+        sizes={"excess": 700.0, "velocity": 0.004},
+    ),
+)  # fmt: skip
+def stribeck(change: Change, axis: Axis, excess: float, velocity: float) -> None:
+    """More friction at low speed than at high (Stribeck).
+
+    F(v) = Fc + excess exp(-(v / velocity)^2). Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994.
+    """
+    change.add_term(stribeck_level, FORCE, axis, [excess, velocity], order=1)
+
+
+def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
+    low, high = (4e-6, 20e-6) if axis.kind == "linear" else (math.radians(4 / 3600), math.radians(20 / 3600))
+    return (axis.coulomb_friction / high, axis.coulomb_friction / low)
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
+        Parameter(
+            "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])
+        ),
+    ),
+    separating_move="micro-reversals",
+    rivals="Backlash parts motor and scale, pre-sliding does not. Coulomb friction jumps at a reversal, pre-sliding builds up over micrometres.",
+    normal="slip",
+    picture=Picture("Small moves: the friction builds up over micrometres instead of jumping.", "micro", axis="X", smooth_s=0.004),
+)
+def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
+    """Below break-away the contact is a spring (pre-sliding).
+
+    Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the Coulomb level with
+    whatever shapes it. Default damping: ratio 0.3 on the axis' whole inertia.
+    Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
+    """
+    load = change.load_inertia(axis)
+    change.check_step(axis, "presliding", stiffness, load)
+    limit = load / change.machine.base_tick
+    if damping is None:
+        damping = min(_bristle_damping(change.machine, axis, stiffness), limit)
+    if damping > limit:
+        raise InputError(
+            f"presliding on axis {axis.name}: damping = {damping:g} stops the load within a tick of {change.machine.base_tick * 1e6:g} us; "
+            f"give at most {limit:.3g}"
+        )
+    change.add_term(bristle, FORCE, axis, [stiffness, damping], order=2)
+
+
+def _bristle_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
+    return 2.0 * BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * total_inertia(machine, axis))
+
+
+@term
+def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += p[0] exp(-(v / p[1])^2)."""
+    p, s, x = arrays(parameters, state, signals)
+    ratio = x[axis, X_LOAD_SPEED] / p[1]
+    x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
+
+
+@term
+def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """z' = v - k |v| z / F, solved exactly over the tick for the speed in its middle; the mean force acts."""
+    p, s, x = arrays(parameters, state, signals)
+    h = x[axis, X_STEP]
+    level = x[axis, X_FRICTION_LEVEL]
+    x[axis, X_FRICTION_LEVEL] = 0.0
+    if level <= 0.0:
+        return
+    speed = x[axis, X_LOAD_SPEED] + 0.5 * h * x[axis, X_LOAD_ACCELERATION]
+    rate = p[0] * abs(speed) / level * h
+    before = s[0]
+    if rate > 1e-9:
+        steady = math.copysign(level / p[0], speed)
+        fade = math.exp(-rate)
+        s[0] = steady + (before - steady) * fade
+        mean = steady + (before - steady) * (1.0 - fade) / rate
+    else:
+        s[0] = before + speed * h
+        mean = before + 0.5 * speed * h
+    x[axis, X_FRICTION_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h

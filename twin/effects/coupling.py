@@ -1,0 +1,66 @@
+"""The elastic coupling of rotor and load, which backlash and compliance share: dead zone, springs in series, damper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from twin.simulation.loop_terms import (
+    X_LOAD_FORCE,
+    X_LOAD_MIDDLE,
+    X_LOAD_SPEED,
+    X_ROTOR_FORCE,
+    X_ROTOR_MIDDLE,
+    X_ROTOR_SPEED,
+    arrays,
+    term,
+)
+
+REST_FORCE = 1e-6
+"""A held force below this fraction of Coulomb friction presses no flank: the gap is centred."""
+
+
+@dataclass
+class Coupling:
+    """Elastic coupling of rotor and load: dead zone, springs in series, damper of the softest."""
+
+    clearance: float = 0.0
+    flexibility: float = 0.0  # sum of 1 / stiffness
+    damping: float = 0.0
+    softest: float = math.inf
+    cause: str = ""  # the effect that made the softest spring, or the gap
+
+    def add(self, cause: str, stiffness: float, damping: float, clearance: float = 0.0) -> None:
+        """One more spring in series [N/m, Nm/rad] with its damping [N s/m, Nm s/rad] and dead zone [m, rad]."""
+        self.cause = cause if clearance or not self.clearance else self.cause
+        self.clearance += clearance
+        self.flexibility += 1.0 / stiffness
+        if stiffness < self.softest:
+            self.softest, self.damping = stiffness, damping
+
+    @property
+    def stiffness(self) -> float:
+        """Of all springs in series, 1 / sum(1 / k) [N/m, Nm/rad]."""
+        return 1.0 / self.flexibility
+
+    def rotor_offset(self, held: float, coulomb: float) -> float:
+        """Rotor minus load position at rest under a held force: on the pressed flank, spring loaded; centred without force."""
+        if abs(held) <= REST_FORCE * coulomb:
+            return 0.0
+        return held * self.flexibility + math.copysign(self.clearance / 2.0, held)
+
+
+@term
+def coupling(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F = k (d -+ c/2) + b d' outside the dead zone |d| <= p[0], on the load; its reaction on the rotor."""
+    p, s, x = arrays(parameters, state, signals)
+    stretch = x[axis, X_ROTOR_MIDDLE] - x[axis, X_LOAD_MIDDLE]
+    if stretch > p[0]:
+        stretch -= p[0]
+    elif stretch < -p[0]:
+        stretch += p[0]
+    elif p[0] > 0.0:
+        return
+    force = p[1] * stretch + p[2] * (x[axis, X_ROTOR_SPEED] - x[axis, X_LOAD_SPEED])
+    x[axis, X_LOAD_FORCE] += force
+    x[axis, X_ROTOR_FORCE] -= force

@@ -1,0 +1,93 @@
+"""Effects of an elastic connection of motor and load: a dead zone, a spring."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change, load_inertia
+from twin.effects.effect import Parameter, effect
+from twin.effects.picture import Picture
+from twin.machine.machine import Axis, Machine
+from twin.units import ARCSEC
+
+CONTACT_FREQUENCY_HZ = 450.0
+CONTACT_DAMPING_RATIO = 0.3
+COMPLIANCE_DAMPING_RATIO = 0.08
+COMPLIANCE_STABLE = 1.4
+"""Damping where none is given: of the contact, and of a screw with its bearings (at least this multiple of Kv x load: a position
+loop closed on the load over a spring swings up by itself below Kv x load, and a machine that works does not)."""
+
+
+@effect(
+    block="transmission",
+    axes="transmission",
+    parameters=(
+        Parameter(
+            "clearance", "length", 0.0, 1e-2,
+            lambda m, a: (6e-6, 25e-6) if a.kind == "linear" else (15 * ARCSEC, 50 * ARCSEC), neutral=0.0, logarithmic=True,
+            starts=3, bends=True,
+        ),
+        Parameter("contact_stiffness", "stiffness", 1e3, 1e12, shape=True),
+        Parameter("contact_damping", "damping", 0.0, 1e9, shape=True),
+    ),
+    separating_move="micro-reversals",
+    rivals="A compliance winds up in proportion to the force; backlash is a step, and its load stands still until it is crossed.",
+    contains=("transmission_compliance",),
+    picture=Picture(
+        "Slow reversal: motor and scale part by the clearance, the load stands until the motor has crossed it.", "reversal", axis="X"
+    ),
+)  # fmt: skip
+def backlash(
+    change: Change, axis: Axis, clearance: float, contact_stiffness: float | None = None, contact_damping: float | None = None
+) -> None:
+    """Dead zone between motor and load.
+
+    The load is touched only outside +-clearance/2, then through a spring and a damper (default: 450 Hz on the reduced mass
+    m1 m2 / (m1 + m2), damping ratio 0.3). A slow reversal shows clearance + 2 Fc / contact_stiffness between motor and
+    scale. Source: Nordin, Gutman 2002 (physical backlash).
+    """
+    reduced = change.reduced_mass(axis)
+    w = 2.0 * math.pi * CONTACT_FREQUENCY_HZ
+    stiffness = contact_stiffness if contact_stiffness is not None else w**2 * reduced
+    damping = contact_damping if contact_damping is not None else 2.0 * CONTACT_DAMPING_RATIO * math.sqrt(stiffness * reduced)
+    change.couple("backlash", axis, stiffness, damping, clearance)
+
+
+def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
+    load = load_inertia(machine, axis)
+    return ((2 * math.pi * 35.0) ** 2 * load, (2 * math.pi * 75.0) ** 2 * load)
+
+
+@effect(
+    block="transmission",
+    axes="transmission",
+    parameters=(
+        Parameter("stiffness", "stiffness", 1e3, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
+        Parameter(
+            "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _screw_damping(m, a, v["stiffness"])
+        ),
+    ),
+    separating_move="chirp",
+    rivals="Inertia leaves motor and scale together. A chirp meets the resonance, which no inertia has.",
+    normal="elasticity",
+    picture=Picture(
+        "A chirp from 10 to 70 Hz meets the resonance; motor minus scale is the wound-up spring.", "chirp", axis="X", smooth_s=0.0005
+    ),
+)
+def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
+    """Spring and damper between motor and load.
+
+    F = stiffness (motor position - load position) + damping (their speeds' difference); friction on the load. First mode
+    sqrt(stiffness / load) / 2 pi with the motor held. Default damping: ratio 0.08 on the reduced mass, at least 1.4 Kv load.
+    Source: Altintas et al. 2011 (machine tool feed drives).
+    """
+    if damping is None:
+        damping = _screw_damping(change.machine, axis, stiffness)
+    change.couple("transmission_compliance", axis, stiffness, damping)
+
+
+def _screw_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
+    load = load_inertia(machine, axis)
+    reduced = load * axis.reflected_inertia / (load + axis.reflected_inertia)
+    stable = COMPLIANCE_STABLE * axis.loops.position_gain_per_s * load
+    return max(2.0 * COMPLIANCE_DAMPING_RATIO * math.sqrt(stiffness * reduced), stable)

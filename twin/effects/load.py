@@ -1,0 +1,102 @@
+"""Effects in the load: more inertia on one axis, a mass clamped on the table."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+
+from twin.effects.change import Change, total_inertia, upward
+from twin.effects.effect import DEGREES, Parameter, effect
+from twin.effects.picture import Picture
+from twin.errors import InputError
+from twin.machine.machine import Axis, Machine
+from twin.simulation.plant_spec import frames_of_model
+
+MILLIMETRES = {"m": ("mm", 1e3)}
+
+
+def _tenth_to_third(machine: Machine, axis: Axis) -> tuple[float, float]:
+    total = total_inertia(machine, axis)
+    return (0.10 * total, 0.35 * total)
+
+
+@effect(
+    block="mechanics",
+    parameters=(
+        Parameter("added", "mass", -1e5, 1e5, _tenth_to_third, neutral=0.0, beyond_tolerance=2.0, part_of=total_inertia, any_size=True),
+    ),
+    separating_move="accelerations",
+    rivals="A torque feedforward that is off shows with feedforward on only. A drive train that gives looks like a little inertia.",
+    imitated_by=("transmission_compliance",),
+    picture=Picture("More current in proportion to acceleration.", axis="X", sizes={"added": 800.0}),
+)
+def inertia(change: Change, axis: Axis, added: float) -> None:
+    """More mass or inertia on one axis than the machine file has.
+
+    M = M_nominal + added, felt by this axis alone (no gravity and no coupling on rotary axes); on a vertical axis its
+    weight too: F = -added g. Source: paper, section 3 (equivalent inertia).
+    """
+    if added < 0.0 and added <= -(load := change.load_inertia(axis)):
+        unit = "kg" if axis.kind == "linear" else "kg m2"
+        raise InputError(
+            f"inertia on axis {axis.name}: added = {added:g} {unit} takes away all of the load's {load:.4g} {unit}; "
+            f"give more than {-load:.4g}"
+        )
+    change.add_inertia(axis, added)
+    up = upward(change.machine, axis)
+    if axis.kind == "linear" and up:
+        change.add_force(axis, -added * change.machine.gravity * up)
+
+
+@effect(
+    block="mechanics",
+    axes="tilting",
+    edits_bodies=True,
+    parameters=(
+        # gravity shows mass times radius, and hardly how the product is shared out
+        Parameter("mass_kg", "kilogram", 0.0, 500.0, (20.0, 60.0), neutral=0.0, judged_with="radius_m"),
+        Parameter("radius_m", "metre", 0.0, 1.0, (0.1, 0.2), shown=MILLIMETRES),
+        Parameter("angle_rad", "angle", 0.0, 2.0 * math.pi, (0.0, 2.0 * math.pi), periodic=True, shown=DEGREES),
+        Parameter("height_m", "metre", -1.0, 1.0, (0.05, 0.2), default=0.1, shape=True, shown=MILLIMETRES),
+    ),
+    separating_move="accelerations",
+    rivals="More inertia on one axis has no weight. A constant force does not change with the tilt.",
+    picture=Picture(
+        "Torque of the weight, changing with the tilt.",
+        axis="A",
+        with_axes="C",
+        sizes={"angle_rad": 1.2, "radius_m": 0.2, "mass_kg": 50.0},
+    ),
+)
+def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float, angle_rad: float, height_m: float) -> None:
+    """A mass clamped on the table that the machine file does not have.
+
+    Point mass at (radius cos angle, radius sin angle, height above the tilting axis) in the table frame: gravity torque
+    m g r over both rotary axes, inertia and coupling. Source: rigid-body mechanics.
+    """
+    carried = _table_body(change.machine, axis)
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        offset = change.machine.geometry.get("a_axis_to_c_axis_z_m", 0.0)
+        position = [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - offset]
+        spec.body(carried).add_body(
+            name="unbalance", pos=position, ipos=[0.0, 0.0, 0.0], mass=mass_kg, inertia=[1e-9 * mass_kg] * 3, explicitinertial=True
+        )
+
+    change.model_edits.append(edit)
+
+
+def _table_body(machine: Machine, axis: Axis) -> str:
+    """The body of the last rotary axis that this one carries."""
+    model = frames_of_model(machine)
+    carrier = int(model.joint(axis.name).bodyid[0])
+    name = model.body(carrier).name
+    for joint in range(model.njnt):
+        body = int(model.jnt_bodyid[joint])
+        above = body
+        while above > 0 and above != carrier:
+            above = int(model.body_parentid[above])
+        if above == carrier and body != carrier and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+            name = model.body(body).name
+    return str(name)

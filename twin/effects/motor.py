@@ -1,0 +1,73 @@
+"""Effects in the motor: less torque per ampere than the control believes, and a torque that ripples with the rotor's angle."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change
+from twin.effects.effect import DEGREES, Parameter, effect
+from twin.effects.picture import Picture
+from twin.effects.scan import AlongTurn
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term
+
+
+@effect(
+    block="current loop",
+    parameters=(
+        Parameter(
+            "factor", "factor", 0.3, 1.5, (0.88, 0.95), neutral=1.0, logarithmic=True,
+            multiplies="torque_constant_nm_per_a", beyond_tolerance=2.0,
+        ),
+    ),
+    rivals="More inertia, Coulomb and viscous friction in the same proportion look the same. A known weight or added mass parts them.",
+    picture=Picture("More current for the same motion wherever torque is needed, also at rest on Z.", axis="Z", sizes={"factor": 0.9}),
+)  # fmt: skip
+def torque_constant(change: Change, axis: Axis, factor: float) -> None:
+    """Motor makes less (or more) torque per ampere than the control believes.
+
+    Kt = factor x nominal; the control still divides by the nominal, the back-EMF stays. Source: magnet temperature,
+    saturation; tolerance of motor data 3 to 7.5 %.
+    """
+    change.scale(axis, torque_constant_nm_per_a=factor)
+
+
+SERVO_PEAK_NM = 20.0
+"""Peak torque of a machine tool's servo motor from which a ripple has the usual size; a smaller motor has less of it in proportion."""
+
+
+def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:
+    share = min(1.0, axis.motor.torque_constant_nm_per_a * axis.motor.peak_current_a / SERVO_PEAK_NM)
+    return (0.04 * share, 0.3 * share)
+
+
+@effect(
+    block="mechanics",
+    axes="turning motor",
+    parameters=(
+        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True),
+        Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan=AlongTurn()),
+        Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
+    ),
+    rivals="Friction along the travel turns round with the direction of motion, a ripple does not.",
+    picture=Picture(
+        "Current waves locked to the motor's angle: here 6 a turn.",
+        "constant speed",
+        axis="X",
+        sizes={"amplitude_nm": 0.25, "periods_per_rev": 6.0},
+    ),
+)
+def torque_ripple(change: Change, axis: Axis, amplitude_nm: float, periods_per_rev: float, phase_rad: float) -> None:
+    """Motor torque ripples with the rotor's angle (cogging).
+
+    T += amplitude sin(n theta + phase), theta = motor position / r. Locked to position, even under reversal. Source:
+    detent torque of permanent-magnet motors, 1 to 4 % of rated.
+    """
+    change.add_term(ripple, FORCE, axis, [amplitude_nm, periods_per_rev / axis.ratio, phase_rad])
+
+
+@term
+def ripple(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """T += p[0] sin(p[1] q + p[2])."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_MOTOR_TORQUE] += p[0] * math.sin(p[1] * x[axis, X_ROTOR_MIDDLE] + p[2])

@@ -1,0 +1,80 @@
+"""Effects of an inexact ratio of motor and load: a wrong lead, an error that comes back every motor turn."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change
+from twin.effects.effect import DEGREES, Parameter, effect
+from twin.effects.picture import Picture
+from twin.machine.machine import Axis
+from twin.simulation.loop_terms import (
+    MEASURE,
+    X_MOTOR_POSITION,
+    X_MOTOR_SPEED,
+    X_ROTOR_POSITION,
+    X_ROTOR_SPEED,
+    arrays,
+    term,
+)
+from twin.units import ARCSEC
+
+
+@effect(
+    block="transmission",
+    axes="linear",
+    parameters=(Parameter("fraction", "number", -0.01, 0.01, (-80e-6, 80e-6), neutral=0.0, shown={"1": ("um/m", 1e6)}),),
+    rivals="Thermal drift goes on while the axis rests, and in the same move later; a wrong lead follows the position.",
+    picture=Picture("Motor and scale part in proportion to the way.", "constant speed", axis="X", sizes={"fraction": 60e-6}),
+)
+def lead_error(change: Change, axis: Axis, fraction: float) -> None:
+    """Lead of the screw off by a fraction.
+
+    Motor position = q0 + (q - q0)(1 - fraction), q0 where the run starts; motor speed is its derivative, so the speed loop
+    feels it. Torque and rotor inertia stay reflected through the nominal ratio. Source: ISO 3408-3 lead deviation.
+    """
+    change.add_term(wrong_lead, MEASURE, axis, [fraction])
+
+
+@effect(
+    block="transmission",
+    axes="turning motor",
+    parameters=(
+        Parameter(
+            "amplitude", "length", 0.0, 1e-3,
+            lambda m, a: (2e-6, 7e-6) if a.kind == "linear" else (4 * ARCSEC, 15 * ARCSEC), neutral=0.0, logarithmic=True,
+        ),
+        Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
+    ),
+    rivals="An eccentric encoder comes back every table turn, a cyclic error every motor turn.",
+    picture=Picture("Once a motor turn between motor and scale; the speed loop shakes the axis with it.", "constant speed", axis="X"),
+)  # fmt: skip
+def cyclic_error(change: Change, axis: Axis, amplitude: float, phase_rad: float) -> None:
+    """Error between motor and load that comes back every motor turn (wobble of the screw, worm).
+
+    Motor position = q - amplitude (sin(q / r + phase) - sin(q0 / r + phase)); motor speed is its derivative.
+    """
+    change.add_term(every_motor_turn, MEASURE, axis, [amplitude, 1.0 / axis.ratio, phase_rad])
+
+
+@term
+def wrong_lead(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Motor encoder: q0 + (q - q0)(1 - p[0])."""
+    p, s, x = arrays(parameters, state, signals)
+    if s[1] == 0.0:
+        s[0] = x[axis, X_ROTOR_POSITION]
+        s[1] = 1.0
+    x[axis, X_MOTOR_POSITION] -= p[0] * (x[axis, X_ROTOR_POSITION] - s[0])
+    x[axis, X_MOTOR_SPEED] -= p[0] * x[axis, X_ROTOR_SPEED]
+
+
+@term
+def every_motor_turn(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Motor encoder: q - p[0] (sin(p[1] q + p[2]) - sin(p[1] q0 + p[2]))."""
+    p, s, x = arrays(parameters, state, signals)
+    angle = p[1] * x[axis, X_ROTOR_POSITION] + p[2]
+    if s[1] == 0.0:
+        s[0] = math.sin(angle)
+        s[1] = 1.0
+    x[axis, X_MOTOR_POSITION] -= p[0] * (math.sin(angle) - s[0])
+    x[axis, X_MOTOR_SPEED] -= p[0] * p[1] * math.cos(angle) * x[axis, X_ROTOR_SPEED]

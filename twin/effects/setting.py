@@ -1,0 +1,123 @@
+"""An effect on an axis with checked parameters: one `[[effect]]` table of a machine file, or one `--effect`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from twin.effects.effect import Effect, find_effect
+from twin.errors import InputError, nearest
+from twin.machine.machine import Machine
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An effect on an axis with checked parameters; `from_axis` is the other axis, for an effect that has one."""
+
+    effect: Effect
+    axis: str
+    parameters: Mapping[str, float]
+    from_axis: str | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str | None]:
+        """Effect, axis and from_axis: what a machine can have once."""
+        return self.effect.name, self.axis, self.from_axis
+
+    def table(self) -> dict[str, Any]:
+        """As it stands in a machine file."""
+        source = {"from_axis": self.from_axis} if self.from_axis else {}
+        return {"name": self.effect.name, "axis": self.axis, **source, **self.parameters}
+
+    def factor_on(self, field: str) -> float:
+        """The factor by which it multiplies a field of the axis, its motor or its loops; 1 where it leaves that as it is."""
+        return math.prod(self.parameters[p.name] for p in self.effect.parameters if p.multiplies == field and p.name in self.parameters)
+
+    @property
+    def size(self) -> float:
+        """Value of the effect's size parameter."""
+        return self.parameters[self.effect.size.name]
+
+    @property
+    def is_nil(self) -> bool:
+        """True where a parameter has the value at which the effect does nothing."""
+        return any(p.neutral is not None and self.parameters.get(p.name) == p.neutral for p in self.effect.parameters)
+
+
+def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Setting:
+    """A Setting from a table {name, axis, parameters...}; every fault is an InputError."""
+    if not isinstance(table, Mapping) or "name" not in table:
+        raise InputError(f'{where}: an effect needs a name; write name = "backlash"')
+    found = find_effect(table["name"], where)
+    where = f"{where}: {found.name}"
+    if "axis" not in table:
+        raise InputError(f"{where}: 'axis' is missing; name one of {', '.join(machine.axis_names)}")
+    if table["axis"] not in machine.axis_names:
+        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(str(table['axis']), machine.axis_names)}")
+    axis = machine.axis(table["axis"])
+    if not found.can_have(machine, axis):
+        able = ", ".join(a.name for a in found.axes(machine)) or "no axis of this machine"
+        raise InputError(f"{where}: axis {axis.name} cannot have it: it is for {found.which_axes}; use {able}")
+    from_axis = table.get("from_axis")
+    if found.from_axis:
+        able_names = [a.name for a in found.axes(machine) if a.name != axis.name]
+        if from_axis not in able_names:
+            fault = "is missing" if from_axis is None else f"= {from_axis!r} cannot be"
+            able = ", ".join(able_names) or "this machine has none"
+            raise InputError(f"{where}: from_axis {fault}; name another of the {found.which_axes}: {able}")
+    elif from_axis is not None:
+        raise InputError(f"{where}: has no from_axis; leave it out")
+    values: dict[str, float] = {}
+    for key, value in table.items():
+        if key in ("name", "axis", "from_axis"):
+            continue
+        parameter = found.parameter(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise InputError(f"{where}: {key} = {value!r}: expected a number in {parameter.unit(axis)}")
+        if not parameter.low <= value <= parameter.high and value != parameter.neutral:
+            raise InputError(
+                f"{where}: {key} = {value:g} {parameter.unit(axis)} is out of bounds; give {parameter.low:g} to {parameter.high:g} {parameter.unit(axis)}"
+            )
+        values[key] = float(value)
+    for parameter in found.parameters:
+        if parameter.name not in values:
+            if parameter.default is not None:
+                values[parameter.name] = parameter.default
+            elif not parameter.shape:
+                raise InputError(f"{where}: '{parameter.name}' is missing; give it in {parameter.unit(axis)}")
+    return Setting(found, axis.name, values, from_axis)
+
+
+def settings_of(machine: Machine) -> tuple[Setting, ...]:
+    """The machine's `[[effect]]` tables, checked; the same effect twice on an axis is an error."""
+    where = str(machine.path or machine.name)
+    settings = tuple(check_setting(table, machine, f"{where}: effect {i + 1}") for i, table in enumerate(machine.effects))
+    seen: set[tuple[str, str, str | None]] = set()
+    for setting in settings:
+        key = setting.key
+        if key in seen:
+            raise InputError(f"{where}: effect {setting.effect.name} stands twice on axis {setting.axis}; keep one")
+        seen.add(key)
+    return settings
+
+
+def parse_setting(text: str, machine: Machine) -> Setting:
+    """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'."""
+    where = f"--effect {text}"
+    parts = text.split(":", 2)
+    if len(parts) < 2:
+        raise InputError(f"{where}: write NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE], e.g. backlash:X:clearance=15e-6")
+    table: dict[str, Any] = {"name": parts[0], "axis": parts[1]}
+    for assignment in filter(None, (parts[2] if len(parts) > 2 else "").split(",")):
+        key, equals, value = assignment.partition("=")
+        if not equals:
+            raise InputError(f"{where}: '{assignment}' is no PARAMETER=VALUE")
+        if key.strip() in table:
+            raise InputError(f"{where}: '{key.strip()}' stands twice; give it once")
+        try:
+            table[key.strip()] = value.strip() if key.strip() == "from_axis" else float(value)
+        except ValueError:
+            raise InputError(f"{where}: {key} = '{value}' is no number") from None
+    return check_setting(table, machine, where)

@@ -1,0 +1,116 @@
+"""Effects in the speed controller: gain, integral time, torque feedforward, current filter and limit are not what the machine file says."""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.change import Change, held_force
+from twin.effects.effect import Parameter, effect
+from twin.effects.picture import Picture
+from twin.effects.scan import LargestCurrent
+from twin.machine.machine import Axis, Machine
+from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT, arrays, term
+
+
+@effect(
+    block="speed controller",
+    parameters=(Parameter("factor", "factor", -1.0, 3.0, (0.5, 1.5), neutral=1.0, logarithmic=True, multiplies="torque_feedforward"),),
+    separating_move="accelerations",
+    rivals="An inertia that is off also asks for torque in proportion to acceleration, but with feedforward off as well.",
+    picture=Picture("Errors where acceleration changes, which the speed controller has to make up for.", axis="X", sizes={"factor": 0.6}),
+)
+def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
+    """Torque feedforward weight off nominal.
+
+    a_t = factor x nominal: the speed controller has to make the missing (1 - a_t) J_ff a. Source: paper, section 2.
+    """
+    change.scale(axis, torque_feedforward=factor)
+
+
+@effect(
+    block="speed controller",
+    parameters=(Parameter("factor", "factor", 0.2, 2.5, (0.6, 1.4), neutral=1.0, logarithmic=True, multiplies="speed_gain_nm_s_per_rad"),),
+    separating_move="chirp",
+    rivals="A current filter or another integral time also changes how disturbances are met; a chirp parts them by frequency.",
+    picture=Picture(
+        "Reversals and jerks are followed less tightly; constant speed shows nothing.", "reversal", axis="X", sizes={"factor": 0.65}
+    ),
+)
+def speed_gain(change: Change, axis: Axis, factor: float) -> None:
+    """Speed controller gain off nominal.
+
+    Kp = factor x nominal; Kp / Tn follows. Source: drive datum MD1407.
+    """
+    change.scale(axis, speed_gain_nm_s_per_rad=factor)
+
+
+@effect(
+    block="speed controller",
+    axes="integral",
+    parameters=(Parameter("factor", "factor", 0.3, 10.0, (0.5, 2.2), neutral=1.0, logarithmic=True, multiplies="speed_integral_time_s"),),
+    separating_move="chirp",
+    rivals="A speed gain that is off acts at once, the integral time only some milliseconds after a disturbance.",
+    picture=Picture("The friction's jump at a reversal is made up for more slowly.", "reversal", axis="X", sizes={"factor": 2.0}),
+)
+def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
+    """Integral time of the speed controller off nominal.
+
+    Tn = factor x nominal. Source: drive datum MD1409.
+    """
+    change.scale(axis, speed_integral_time_s=factor)
+
+
+@effect(
+    block="speed controller",
+    parameters=(
+        Parameter("time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle"),
+    ),
+    separating_move="chirp",
+    rivals="A loop delay is constant over frequency; the filter costs phase above 100 Hz first.",
+    picture=Picture("The speed loop loses phase: a reversal rings.", "reversal", axis="X", sizes={"time_constant_s": 1.5e-3}),
+)
+def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
+    """First-order lag on the current set point.
+
+    y += (i* - y)(1 - exp(-Ti / T)) at every current cycle: phase loss in the speed loop. Source: current set point filters
+    of the drive (611D has four).
+    """
+    change.add_term(lagged_current, CURRENT, axis, [-math.expm1(-change.machine.current_cycle / time_constant_s)])
+
+
+def _reached_when_accelerating(machine: Machine, axis: Axis) -> tuple[float, float]:
+    # what holds the axis against gravity is not there to accelerate
+    holding = abs(held_force(machine, axis)) * axis.ratio / axis.motor.torque_constant_nm_per_a
+    return (holding + 0.1 * axis.motor.peak_current_a, 0.5 * axis.motor.peak_current_a)
+
+
+@effect(
+    block="speed controller",
+    parameters=(
+        Parameter(
+            "limit_a", "current", 0.1, 1000.0, _reached_when_accelerating, neutral=math.inf, logarithmic=True,
+            scan=LargestCurrent(), any_size=True,
+        ),
+    ),
+    separating_move="accelerations",
+    rivals="Nothing else cuts the current off at one level in both directions.",
+    picture=Picture("The current is cut off, the axis falls behind and catches up.", axis="X", sizes={"limit_a": 9.5}),
+)  # fmt: skip
+def current_limit(change: Change, axis: Axis, limit_a: float) -> None:
+    """Current set point clipped lower than the data sheet says.
+
+    i* = clip(i*, +-limit_a): acceleration is not reached, the following error grows while it lasts. Source: drive power
+    module derating.
+    """
+    change.set(axis, peak_current_a=min(limit_a, axis.motor.peak_current_a))
+
+
+@term
+def lagged_current(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """y += p[0] (i* - y); y starts on the first current set point."""
+    p, s, x = arrays(parameters, state, signals)
+    if s[1] == 0.0:
+        s[0] = x[axis, X_CURRENT_SETPOINT]
+        s[1] = 1.0
+    s[0] += p[0] * (x[axis, X_CURRENT_SETPOINT] - s[0])
+    x[axis, X_CURRENT_SETPOINT] = s[0]
