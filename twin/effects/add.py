@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.effects.change import with_effects
-from twin.effects.effect import Setting, parse_setting, settings_of
+from twin.effects.setting import Setting, parse_setting, settings_of
 from twin.machine.machine import Machine
 
 
