@@ -68,7 +68,7 @@ def test_the_whole_way(read, mikron) -> None:
         ("FEDRAT/100\nFOO/3", "line 2: statement 'FOO' is not known"),
         ("FEDRAT/100\nGOTO/1,2,X", "not all values are numbers"),
         ("FEDRAT/100\nGOTO/1,2", "2 values"),
-        ("FEDRAT/1,MMPR\n", "per revolution"),
+        ("FEDRAT/1,MMPR\n", "needs a spindle speed"),
         ("FROM/10,0,150\nFEDRAT/6\nCIRCLE/0,0,150,0,0,1,5\nGOTO/0,10,150", "does not close"),
         ("FEDRAT/100\nGOTO/1,2,150,0,0,0", "no length"),
         ("PARTNO/NOTHING", "moves no axis"),
@@ -81,3 +81,49 @@ def test_the_whole_way(read, mikron) -> None:
 def test_bad_input(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(text)
+
+
+def test_an_arc_as_catia_writes_it(read) -> None:
+    """INDIRV says the sense, the line through centre and end point the end; beyond half a turn it is the second meeting."""
+    head = "UNIT/MM\nTLAXIS/0,0,1\nFROM/10,0,150\nFEDRAT/600,MMPM\nINDIRV/0,1,0\n"
+    quarter = read(head + "TLON,GOFWD/ (CIRCLE/ 0,0,150,$\n 10),ON,(LINE/ 0,0,150,$\n 0,10,150)\nGOTO/0,20,150\n")
+    assert quarter.moves.kind.tolist() == [ARC, LINE]
+    assert quarter.moves.angle[0] == pytest.approx(math.pi / 2)
+    assert np.allclose(quarter.moves.target[0, :3] * 1e3, [0, 10, 150])
+    wide = read(head + "TLON,GOFWD/(CIRCLE/0,0,150,10),ON,2,INTOF,(LINE/0,0,150,0,-10,150)\nGOTO/0,20,150\n")
+    assert wide.moves.angle[0] == pytest.approx(1.5 * math.pi)
+    other = read(head.replace("0,1,0", "0,-1,0") + "TLON,GOFWD/(CIRCLE/0,0,150,10),ON,(LINE/0,0,150,0,-10,150)\nGOTO/0,20,150\n")
+    assert other.moves.angle[0] == pytest.approx(math.pi / 2)
+    assert np.allclose(other.moves.normal[0], [0, 0, -1])
+    plane = read(head + "TLON,GOFWD/(CIRCLE/CANON,0,0,150,0,0,1,10),ON,(PLANE/0,1,0,6)\nGOTO/0,20,150\n")
+    assert np.allclose(plane.moves.target[0, :3] * 1e3, [8, 6, 150])
+
+
+def test_a_frame_places_what_follows(read) -> None:
+    """MSYS turned by 90 degrees about z and shifted: x of the data is y of the part, and so for the tool axis and arcs."""
+    program = read(
+        "FROM/0,0,150\nFEDRAT/600\nMSYS/5,0,0,0,1,0,-1,0,0\nGOTO/10,0,150,0,1,10\nCIRCLE/0,0,150,0,0,1,10\nGOTO/0,10,150,0,0,1\n"
+    )
+    assert np.allclose(program.moves.target[:, :3] * 1e3, [[5, 10, 150], [-5, 0, 150]])
+    assert np.allclose(program.moves.centre[1] * 1e3, [5, 0, 150])
+    assert any("MSYS" in note for note in program.notes)
+    plain = read("FROM/0,0,150\nFEDRAT/600\nMSYS/0,0,0,1,0,0,0,1,0\nGOTO/10,0,150\n")
+    assert not any("MSYS" in note for note in plain.notes)
+
+
+def test_a_drilling_cycle_strokes_along_the_tool_axis(read) -> None:
+    for cycle in ("CYCLE/DRILL,20,300,MMPM,5", "CYCLE/DRILL,FEDTO,-20,RTRCTO,5,MMPM,300", "CYCLE/DRILL,DEPTH,20,MMPM,300,CLEAR,5"):
+        program = read(f"FROM/0,0,250\nFEDRAT/600\n{cycle}\nGOTO/10,0,150\nGOTO/20,0,150\nCYCLE/OFF\nGOTO/20,0,200\n")
+        assert program.moves.kind.tolist() == [RAPID, LINE, RAPID, RAPID, LINE, RAPID, LINE]
+        assert np.allclose(program.moves.target[:3, 2] * 1e3, [155, 130, 155])
+        assert program.moves.feed[1] == pytest.approx(0.005)
+
+
+def test_a_feed_per_revolution_takes_the_spindle_speed(read) -> None:
+    program = read("FROM/0,0,150\nSPINDL/2000,RPM,CLW\nFEDRAT/0.1,MMPR\nGOTO/10,0,150\n")
+    assert program.moves.feed[0] == pytest.approx(0.2 / 60)
+
+
+def test_text_for_people_is_no_statement(read) -> None:
+    program = read("PPRINT OPERATION NAME : Tool Change.1\nTPRINT/T1 End Mill D 10\nFROM/0,0,150\nFEDRAT/600\nGOTO/10,0,150\nEND\n")
+    assert program.moves.kind.tolist() == [LINE]

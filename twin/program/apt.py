@@ -1,8 +1,8 @@
-"""APT / CL data (.apt .cls) into moves: GOTO with tool axis, RAPID, FEDRAT, FROM, GODLTA, CIRCLE, UNITS.
+"""APT / CL data (.apt .cls .ncl .aptsource) into moves: what CATIA, NX and Creo write between CAM system and postprocessor.
 
 CL data describe the tool tip and the tool axis in the part frame, so everything runs under TRAORI with corner rounding (G642).
-A line that ends in `$` continues on the next, `$$` starts a comment. CIRCLE/ x,y,z,i,j,k,r gives centre, axis and
-radius of the arc to the next GOTO, right-handed about its axis (as NX writes it). RAPID holds for the next move only.
+A line that ends in `$` continues on the next, `$$` starts a comment. RAPID holds for the next move only; a GOTO with three
+values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS place what follows in the part frame.
 """
 
 from __future__ import annotations
@@ -11,29 +11,32 @@ from collections.abc import Iterator
 from dataclasses import replace
 import math
 from pathlib import Path
-import re
 
 import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program import arcs
+from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
+from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
 from twin.program.flow import Source
 
 INCH = 0.0254
-_STATEMENT = re.compile(r"\s*([A-Z][A-Z0-9_-]*(?:\s+[A-Z-]+)*)\s*(?:/\s*(.*?))?\s*\Z", re.S | re.A)
-_NO_EFFECT = {
-    "PARTNO", "PPRINT", "MULTAX", "SPINDL", "COOLNT", "LOADTL", "LOAD", "CUTTER", "TLCOM", "INTOL", "OUTTOL", "TOLER", "CUTCOM", "MACHIN",
-    "TOOL PATH", "END-OF-PATH", "TLDATA", "MSYS", "PAINT", "SELECT", "CLEARP", "REMARK", "INSERT", "OPSKIP", "TPRINT", "CALSUB",
-    "SET", "MODE",
-}  # fmt: skip
-_FEED_UNITS = {"MMPM": 1.0, "IPM": 25.4, "PERMIN": None, "MMPR": 1.0, "IPR": 25.4, "PERREV": None}
+UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
+LONGEST_STATEMENT = 20_000
+"""Characters of one statement over all its lines."""
+
+PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
+PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}
+"""Feed units -> metre; None: the unit of the file."""
+
+OFF_AXIS = 1e-3
+"""A frame whose axes are further from a right angle or from unit length than this is no frame."""
 
 
 def read_apt(path: Path, machine: Machine) -> mv.Program:
-    """Read CL data; every fault names line and statement."""
+    """Read CL data; every fault is an InputError that names line and statement."""
     return AptReader(path, machine).read()
 
 
@@ -46,11 +49,24 @@ class AptReader:
         self.out.change_frame(replace(self.out.modes, traori=True))
         self.unit = 1e-3
         self.feed = math.nan
+        self.spindle = math.nan  # rev/min
         self.rapid = False
-        self.axis = (0.0, 0.0, 1.0)
+        self.rapid_feed = False
+        self.axis = np.array([0.0, 0.0, 1.0])
+        self.rotation = np.eye(3)  # part frame from the frame of the data
+        self.shift = np.zeros(3)
         self.arc: tuple[np.ndarray, np.ndarray, float] | None = None
+        self.direction: tuple[str, np.ndarray] | None = None
+        self.cycle: tuple[float, float, float] | None = None  # depth, clearance [m], feed as in FEDRAT
         self.ended = False
         self.line = 0
+        self.words = {
+            "GOTO": self._goto, "FROM": self._from, "GODLTA": self._step, "RAPID": self._rapid, "FEDRAT": self._feed, "CIRCLE": self._circle,
+            "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay, "FINI": self._fini, "TLAXIS": self._tool_axis,
+            "INDIRV": self._direction, "INDIRP": self._direction, "TLON,GOFWD": self._driven, "GOFWD": self._driven, "CYCLE": self._cycle,
+            "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._machine_system, "CSYS": self._coordinate_system,
+            "PSIS": self._part_surface,
+        }  # fmt: skip
 
     def read(self) -> mv.Program:
         """All statements in order."""
@@ -74,7 +90,7 @@ class AptReader:
             if not part.endswith("$"):
                 yield first, text.strip()
                 text, first = "", 0
-            elif len(text) > 20_000:
+            elif len(text) > LONGEST_STATEMENT:
                 raise self.out.fail(first, -1, "a statement goes on over too many lines; remove the '$' at their ends")
             else:
                 text += " "
@@ -84,44 +100,23 @@ class AptReader:
         return self.out.fail(self.line, -1, text)
 
     def _statement(self, text: str) -> None:
-        if not text:
+        if not text or text == "%":
             return
-        match = _STATEMENT.match(text)
-        if not match:
+        found = word_and_values(text)
+        if found is None:
             raise self._fail(f"'{text[:40]}' is no APT statement; expected WORD/ values")
-        word, values = match[1], match[2] or ""
-        if word in ("GOTO", "FROM"):
-            self._goto(word, self._numbers(values, word, (3, 6)))
-        elif word == "GODLTA":
-            step = self._numbers(values, word, (3,))
-            self._move(np.array(self.out.position[:3]) + np.array(step) * self.unit)
-        elif word == "RAPID":
-            self.rapid = True
-        elif word == "FEDRAT":
-            self._feed(values)
-        elif word == "CIRCLE":
-            numbers = self._numbers(values, word, (7, 8, 9, 10, 11))
-            normal = np.array(numbers[3:6])
-            if not np.linalg.norm(normal) > 0.0:
-                raise self._fail("CIRCLE needs the axis of the circle as 4th to 6th value; correct it")
-            self.arc = np.array(numbers[:3]) * self.unit, normal / np.linalg.norm(normal), numbers[6] * self.unit
-        elif word == "UNITS":
-            if values.strip() not in ("MM", "INCH", "INCHES"):
-                raise self._fail(f"UNITS/{values}: use UNITS/MM or UNITS/INCHES")
-            self.unit = 1e-3 if values.strip() == "MM" else INCH
-            self.out.set_modes(replace(self.out.modes, feed_unit=self.unit))
-        elif word == "DELAY":
-            self.out.pauses[len(self.out.kinds)] = self._numbers(values, word, (1,))[0]
-            self.out.add(mv.DWELL, (*self.out.position[:3], math.nan, math.nan), None, math.inf, self.line, -1)
-        elif word in ("FINI", "END", "STOP"):
-            self.ended = word == "FINI"
-        elif word == "CUTCOM" and values.strip() != "OFF":
-            raise self._fail(f"{text[:40]} is not supported: {NO_RADIUS_COMPENSATION}")
-        elif word in _NO_EFFECT or word.split()[0] in _NO_EFFECT:
+        word, values = found
+        first = word.split()[0].split(",")[0]
+        if word in self.words:
+            self.words[word](word, values)
+        elif word in NOT_SIMULATED or first in NOT_SIMULATED:
+            raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
+        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in ("PARTNO", "PPRINT", "TPRINT", "REMARK", "INSERT"):
             self.out.notes[f"{word}: understood, without effect on the motion"] = None
+        elif found[0] in ("LETTER", "TITLES", "DISPLY", "PROGRAM"):
+            self.out.notes[f"{word}: text"] = None
         else:
-            known = {*_NO_EFFECT, "GOTO", "FROM", "GODLTA", "RAPID", "FEDRAT", "CIRCLE", "UNITS", "DELAY", "FINI"}
-            hint = nearest(word, known)
+            hint = nearest(word, {*WITHOUT_EFFECT, *self.words})
             if not hint.startswith("did you"):
                 hint = "let the CAM system put out points (GOTO) instead, or remove it if it moves nothing"
             raise self._fail(f"statement '{word}' is not known; {hint}")
@@ -135,47 +130,211 @@ class AptReader:
             raise self._fail(f"{word}/ has {len(numbers)} values, expected {' or '.join(map(str, counts))} finite numbers; correct it")
         return numbers
 
-    def _feed(self, values: str) -> None:
-        """FEDRAT/ value [, unit], or unit first; MMPR and IPR need a spindle speed, which CL data seldom carry."""
-        parts = [v.strip() for v in values.split(",") if v.strip()]
-        units = [v for v in parts if v in _FEED_UNITS]
-        numbers = [v for v in parts if v not in _FEED_UNITS]
-        if any(u in ("MMPR", "IPR", "PERREV") for u in units):
-            raise self._fail("a feed per revolution is not supported in CL data; give FEDRAT/ in MMPM or IPM")
-        value = self._numbers(",".join(numbers), "FEDRAT", (1,))[0]
-        scale = next((_FEED_UNITS[u] for u in units if _FEED_UNITS[u]), None)
-        self.feed = value if scale is None else value * scale * 1e-3 / self.unit
-        self.rapid = False
+    # frames and modes
 
-    def _goto(self, word: str, numbers: list[float]) -> None:
+    def _units(self, word: str, values: str) -> None:
+        if values.strip() not in UNITS:
+            raise self._fail(f"{word}/{values}: use {word}/MM or {word}/INCHES")
+        self.unit = UNITS[values.strip()]
+        self.out.set_modes(replace(self.out.modes, feed_unit=self.unit))
+
+    def _machine_system(self, word: str, values: str) -> None:
+        """MSYS/ origin, x axis, y axis of the frame in which the following points stand (NX)."""
+        n = self._numbers(values, word, (9,))
+        self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
+
+    def _coordinate_system(self, word: str, values: str) -> None:
+        """CSYS/ three rows of a 3 x 4 matrix (Creo)."""
+        m = np.array(self._numbers(values, word, (12,))).reshape(3, 4)
+        self._frame(word, m[:, 0], m[:, 1], m[:, 3])
+
+    def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
+        if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
+            raise self._fail(f"{word}/ is no frame: its axes are not of length 1 and at a right angle; correct it")
+        x = x / np.linalg.norm(x)
+        y = y - x * (x @ y)
+        self.rotation = np.column_stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
+        self.shift = origin * self.unit
+        if not np.allclose(self.rotation, np.eye(3), atol=1e-9) or np.any(np.abs(self.shift) > 1e-12):
+            self.out.notes[f"{word}: the points that follow stand in this frame; they are brought to the part frame"] = None
+
+    def _tool_axis(self, word: str, values: str) -> None:
+        self.axis = np.array(self._numbers(values, word, (3,)))
+
+    def _spindle(self, _word: str, values: str) -> None:
+        """SPINDL/ speed, RPM, CLW in any order: for feeds per revolution."""
+        parts = listed(values)
+        numbers = [v for v in parts if v.replace(".", "", 1).replace("-", "", 1).isdigit()]
+        if numbers and not {"SFM", "SMM"} & set(parts):
+            self.spindle = float(numbers[0])
+        self.out.notes["SPINDL: the speed counts for feeds per revolution only"] = None
+
+    def _compensation(self, word: str, values: str) -> None:
+        if values.strip() not in ("OFF", ""):
+            raise self._fail(f"{word}/{values[:30]} is not supported: {NO_RADIUS_COMPENSATION}")
+
+    def _part_surface(self, word: str, _values: str) -> None:
+        self.out.notes[f"{word}: understood, without effect on the motion"] = None
+
+    def _fini(self, _word: str, _values: str) -> None:
+        self.ended = True
+
+    # feeds
+
+    def _rapid(self, _word: str, _values: str) -> None:
+        self.rapid = True
+
+    def _feed(self, word: str, values: str) -> None:
+        """FEDRAT/ value [, unit], or unit first; FEDRAT/RAPID until the next one."""
+        parts = listed(values)
+        if parts == ["RAPID"]:
+            self.rapid_feed = True
+            return
+        self.feed = self._feed_of(parts, word)
+        self.rapid = self.rapid_feed = False
+
+    def _feed_of(self, parts: list[str], word: str) -> float:
+        """A feed in units of the file per minute, as the collector wants it."""
+        units = [v for v in parts if v in PER_MINUTE or v in PER_REVOLUTION]
+        value = self._numbers(",".join(v for v in parts if v not in units), word, (1,))[0]
+        unit = units[0] if units else "PERMIN"
+        metres = {**PER_MINUTE, **PER_REVOLUTION}[unit]
+        if unit in PER_REVOLUTION:
+            if math.isnan(self.spindle):
+                raise self._fail("a feed per revolution needs a spindle speed; give SPINDL/ in RPM before it, or a feed per minute")
+            value *= self.spindle
+        return value if metres is None else value * metres / self.unit
+
+    # moves
+
+    def _place(self, numbers: list[float]) -> np.ndarray:
+        return np.asarray(self.shift + self.rotation @ (np.array(numbers) * self.unit))
+
+    def _here(self) -> np.ndarray:
+        return np.array(self.out.position[:3])
+
+    def _goto(self, word: str, values: str) -> None:
+        numbers = self._numbers(values, word, (3, 6))
         if len(numbers) == 6:
-            self.axis = (numbers[3], numbers[4], numbers[5])
-        self.rapid = self.rapid or word == "FROM"
-        self._move(np.array(numbers[:3]) * self.unit)
+            self.axis = np.array(numbers[3:])
+        if self.cycle:
+            self._drill(self._place(numbers[:3]))
+        else:
+            self._move(self._place(numbers[:3]))
+
+    def _from(self, word: str, values: str) -> None:
+        self.rapid = True
+        self._goto(word, values)
+
+    def _step(self, word: str, values: str) -> None:
+        step = self._numbers(values, word, (1, 3))
+        way = np.array(step) if len(step) == 3 else step[0] * self.axis / np.linalg.norm(self.axis)
+        self._move(self._here() + self.rotation @ way * self.unit)
 
     def _move(self, target: np.ndarray) -> None:
         out = self.out
-        kind = mv.RAPID if self.rapid else mv.LINE
-        if self.arc and not self.rapid:
-            kind = mv.ARC
-            out.arcs[len(out.kinds)] = self._arc_to(target)
-        if kind != mv.RAPID and math.isnan(self.feed):
-            raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO")
-        feed = math.inf if kind == mv.RAPID else self.feed
-        out.add(kind, (*map(float, target), math.nan, math.nan), self.axis, feed, self.line, -1)
+        rapid = self.rapid or self.rapid_feed
+        arc = None
+        if self.arc and not rapid:
+            arc = apt_arcs.arc_to(self._here(), target, *self.arc)
+        self._add(mv.RAPID if rapid else mv.ARC if arc else mv.LINE, target, arc, self.feed)
         out.position[:] = [*map(float, target), math.nan, math.nan]
         self.rapid, self.arc = False, None
 
-    def _arc_to(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Centre, axis and angle of the arc from here to the target."""
-        assert self.arc
-        centre, normal, radius = self.arc
-        arms = [p - centre - normal * ((p - centre) @ normal) for p in (np.array(self.out.position[:3]), target)]
-        for arm, place in zip(arms, ("start", "end")):
-            if abs(np.linalg.norm(arm) - radius) > arcs.CLOSING_TOLERANCE:
-                raise arcs.ArcError(
-                    f"the arc does not close: its {place} lies {np.linalg.norm(arm) * 1e3:.4f} mm from the axis of CIRCLE/, "
-                    f"the radius is {radius * 1e3:.4f} mm; correct it"
-                )
-        angle = math.atan2(float(np.cross(arms[0], arms[1]) @ normal), float(arms[0] @ arms[1])) % (2.0 * math.pi)
-        return centre, normal, angle if angle > 1e-9 else 2.0 * math.pi
+    def _add(self, kind: int, target: np.ndarray, arc: apt_arcs.Arc | None, feed: float) -> None:
+        out = self.out
+        if kind != mv.RAPID and math.isnan(feed):
+            raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO")
+        if arc:
+            out.arcs[len(out.kinds)] = arc
+        x, y, z = map(float, self.rotation @ self.axis)
+        feed = math.inf if kind == mv.RAPID else feed
+        out.add(kind, (*map(float, target), math.nan, math.nan), (x, y, z), feed, self.line, -1)
+        out.position[:] = [*map(float, target), math.nan, math.nan]
+
+    def _circle(self, word: str, values: str) -> None:
+        numbers = self._numbers(values, word, (7, 8, 9, 10, 11))
+        normal = np.array(numbers[3:6])
+        if not np.linalg.norm(normal) > 0.0:
+            raise self._fail("CIRCLE needs the axis of the circle as 4th to 6th value; correct it")
+        self.arc = self._place(numbers[:3]), self.rotation @ normal / np.linalg.norm(normal), numbers[6] * self.unit
+
+    def _direction(self, word: str, values: str) -> None:
+        self.direction = word, np.array(self._numbers(values, word, (3,)))
+
+    def _driven(self, word: str, values: str) -> None:
+        if self.direction is None:
+            raise self._fail(f"{word}/ needs the direction in which the tool leaves; give INDIRV/ before it")
+        kind, given = self.direction
+        to_data = self.rotation.T
+        start = to_data @ (self._here() - self.shift)
+        direction = given if kind == "INDIRV" else given * self.unit - start
+        (centre, normal, angle), end = apt_arcs.driven_arc(values, start, direction, self.axis, self.unit)
+        arc = self.shift + self.rotation @ centre, self.rotation @ normal, angle
+        self._add(mv.ARC, self.shift + self.rotation @ end, arc, self.feed)
+        self.rapid, self.direction = False, None
+
+    def _delay(self, word: str, values: str) -> None:
+        parts = listed(values)
+        turns = "REV" in parts
+        seconds = self._numbers(",".join(v for v in parts if v not in ("REV", "SEC")), word, (1,))[0]
+        if turns:
+            if not self.spindle > 0.0:
+                raise self._fail(f"{word}/ in revolutions needs a spindle speed; give SPINDL/ before it")
+            seconds *= 60.0 / self.spindle
+        self.out.pauses[len(self.out.kinds)] = seconds
+        self.out.add(mv.DWELL, (*self.out.position[:3], math.nan, math.nan), None, math.inf, self.line, -1)
+
+    # drilling
+
+    def _cycle(self, word: str, values: str) -> None:
+        """CYCLE/ kind, depth, feed, unit, clearance (CATIA), or with words FEDTO, RTRCTO, RAPTO, CLEAR (NX, Creo); OFF, ON."""
+        parts = listed(values)
+        kind = parts[0] if parts else ""
+        if kind == "OFF" or kind == "NOMORE":
+            self.cycle = None
+            return
+        if kind == "ON":
+            return
+        if kind not in ("DRILL", "DEEP", "BRKCHP", "FACE", "CSINK", "BORE", "REAM", "SPDRL", "THRU"):
+            raise self._fail(f"{word}/{kind} is not simulated; let the CAM system put out points (GOTO) instead")
+        feed_units = {**PER_MINUTE, **PER_REVOLUTION}
+        named: dict[str, float] = {}
+        plain: list[float] = []
+        at = 1
+        while at < len(parts):
+            text, after = parts[at], parts[at + 1] if at + 1 < len(parts) else ""
+            if _is_number(text):
+                plain.append(float(text))
+                if after in feed_units:
+                    named["FEED"] = self._feed_of([text, after], word)
+                    plain.pop()
+                    at += 1
+            elif _is_number(after):
+                named["FEED" if text in feed_units else text] = self._feed_of([after, text], word) if text in feed_units else float(after)
+                at += 1
+            at += 1
+        depth = abs(named.get("FEDTO", named.get("DEPTH", plain[0] if plain else math.nan)))
+        clear = named.get("CLEAR", named.get("RAPTO", named.get("RTRCTO", plain[-1] if len(plain) > 1 else 0.0)))
+        feed = named.get("FEED", self.feed)
+        if not math.isfinite(depth) or not math.isfinite(feed):
+            raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
+        self.out.notes[f"CYCLE/{kind}: one straight stroke to its depth; pecks and dwells are left out"] = None
+        self.cycle = depth * self.unit, abs(clear) * self.unit, feed
+
+    def _drill(self, hole: np.ndarray) -> None:
+        assert self.cycle
+        depth, clear, feed = self.cycle
+        up = self.rotation @ self.axis / np.linalg.norm(self.axis)
+        above, bottom = hole + clear * up, hole - depth * up
+        self._add(mv.RAPID, above, None, math.inf)
+        self._add(mv.LINE, bottom, None, feed)
+        self._add(mv.RAPID, above, None, math.inf)
+        self.rapid = False
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

@@ -9,7 +9,7 @@ from twin.machine.machine import Machine
 from twin.program.moves import Program
 
 GCODE = (".mpf", ".spf", ".ngc", ".nc", ".iso")
-APT = (".apt", ".cls", ".cl", ".aptsource")
+APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
 PROGRAM_ENDINGS = (*GCODE, *APT)
 """What a file that is a part program ends in."""
 

@@ -1,0 +1,66 @@
+"""The statements of CL data that move nothing here, those that do and are not simulated, and the parts of a statement.
+
+Words are those of the CL data standard (ISO 4343) and of what CATIA, NX and Creo write beside it.
+"""
+
+from __future__ import annotations
+
+import re
+
+FREE_TEXT = ("PARTNO", "PPRINT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
+"""Statements whose rest is text for people."""
+
+WITHOUT_EFFECT = frozenset({
+    "AIR", "ARCSLP", "AUTOPS", "AUXFUN", "BREAK", "CHECK", "CLAMP", "CLEARP", "CLRSRF", "COOLNT", "COUPLE", "CUTTER", "DEBUG", "DELETE",
+    "END", "END-OF-PATH", "HEAD", "INTOL", "LEADER", "LINTOL", "LOAD", "LOADTL", "MACHIN", "MAXDPM", "MAXVEL", "MCHTOL", "MODE", "MULTAX",
+    "OPSKIP", "OPSTOP", "OUTTOL", "PAINT", "PIVOTZ", "PLABEL", "PLOT", "POSTN", "PPFUN", "PREFUN", "REWIND", "SAFETY", "SELCTL", "SELECT",
+    "SELECTL", "SEQNO", "SET", "SLOWDN", "SPINDL", "STOP", "SYN", "TLCOM", "TLDATA", "TMARK", "TOLER", "TOOL PATH", "TOOLNO", "TURRET",
+    "UNCLMP", "UNLOAD", "VERIFY", "ZERO", "CONTRL", "TAPKUL", "CALSUB", "SWITCH",
+})  # fmt: skip
+"""Statements that are read and move nothing here; each is a note."""
+
+NOT_SIMULATED = {
+    **dict.fromkeys(
+        (
+            "GOFWD",
+            "GOBACK",
+            "GOLFT",
+            "GORGT",
+            "GOUP",
+            "GODOWN",
+            "GO",
+            "TLLFT",
+            "TLRGT",
+            "TLON",
+            "PROFIL",
+            "POCKET",
+            "PCKET",
+            "SCON",
+            "THRUST",
+        ),
+        "let the CAM system put out points (GOTO) instead",
+    ),
+    **dict.fromkeys(
+        ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
+        "let the CAM system put out the transformed points",
+    ),
+    **dict.fromkeys(("GOHOME", "RETRCT", "RETURN"), "give the place as a GOTO"),
+    "THREAD": "threads cut with a turning spindle are not simulated",
+}
+"""Statements that move the tool in a way that is not simulated: what to do instead."""
+
+_STATEMENT = re.compile(r"\s*([A-Z][A-Z0-9_-]*(?:\s+[A-Z-]+)*(?:\s*,\s*[A-Z]+)*)\s*(?:/\s*(.*?))?\s*\Z", re.S | re.A)
+
+
+def word_and_values(text: str) -> tuple[str, str] | None:
+    """Major words of a statement ('TLON,GOFWD') and what stands behind its '/'; None for what is no statement."""
+    for word in FREE_TEXT:
+        if text.startswith(word):
+            return word, text[len(word) :].lstrip(" /")
+    match = _STATEMENT.match(text)
+    return None if match is None else (re.sub(r"\s*,\s*", ",", match[1]), match[2] or "")
+
+
+def listed(values: str) -> list[str]:
+    """The values of a statement, without blanks around them."""
+    return [v.strip() for v in values.split(",")] if values.strip() else []
