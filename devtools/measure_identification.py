@@ -95,7 +95,7 @@ def draw(seed: int, folder: Path) -> None:
 def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, float], list[str]]:
     """Judge one drawn campaign; the machine file's tolerance is what it was drawn with."""
     draw(seed, folder)
-    machine = replace(load_machine(), parameter_tolerance=SPREAD)
+    machine = load_machine().with_values({"parameter_tolerance": SPREAD})
     result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=False, torque_constant_tolerance=KNOWN)
     return routes_of(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
 

@@ -8,7 +8,6 @@ Writes docs/pictures/identify_*.png; with --keep the campaign is drawn there onc
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 import tempfile
 
@@ -27,7 +26,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=9000)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps drawn campaigns")
     args = parser.parse_args()
-    machine = replace(load_machine(), parameter_tolerance=SPREAD)
+    machine = load_machine().with_values({"parameter_tolerance": SPREAD})
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.keep / str(args.seed) if args.keep else Path(scratch)
         draw(args.seed, folder)

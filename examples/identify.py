@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/identify"), metavar="DIR")
     args = parser.parse_args()
     document = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
-    machine = replace(load_machine().with_axes(list(args.axes)), parameter_tolerance=OFF)
+    machine = load_machine().with_axes(list(args.axes)).with_values({"parameter_tolerance": OFF})
 
     plan = plan_campaign(machine, args.precision)
     write_plan(plan, machine, args.out)

@@ -52,7 +52,7 @@ def machine(request, mikron: Machine, tmp_path) -> Machine:
         return mikron
     path = tmp_path / "skew.xml"
     path.write_text(SKEW)
-    return replace(mikron, model_path=path, geometry={})  # the lengths of its MJCF
+    return replace(mikron, model_path=path, document={**mikron.document, "geometry": {}})  # the lengths of its MJCF
 
 
 def test_forward_kinematics_are_those_of_the_model(machine: Machine) -> None:
@@ -74,7 +74,7 @@ def test_lengths_of_the_machine_file_move_the_frames(mikron: Machine) -> None:
         "table_top_above_a_axis_m": 0.08,
     }
     lengths["spindle_nose_at_home_m"] = [0.0, 0.01, 0.6]
-    changed = replace(mikron, geometry={**mikron.geometry, **lengths})
+    changed = mikron.with_values({f"geometry.{key}": value for key, value in lengths.items()})
     q = np.array([0.1, -0.05, 0.08, 0.4, 1.1])
     tip, direction = kinematics_of(changed).forward(q)
     for model in (compile_model(changed), scene_of(changed).model):

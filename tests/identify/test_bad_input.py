@@ -229,7 +229,7 @@ def test_a_period_that_does_not_fit_the_cycle_is_an_error(machine: Machine, runs
 def test_samples_between_the_ticks_are_an_error(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
     """16 ticks a cycle are no three samples; a machine of 4 ms is told its own periods."""
     for cycle_ms, known in ((2, "2, 1, 0.5, 0.25, 0.125 ms"), (4, "4, 2, 1, 0.5, 0.25, 0.125 ms")):
-        other = replace(machine, position_cycle=cycle_ms * 1e-3)
+        other = machine.with_values({"control.position_cycle_us": cycle_ms * 1e3})
         period = other.position_cycle / samples
         odd = replace(runs[0], trace=replace(runs[0].trace, time=np.arange(len(runs[0].trace.time)) * period))
         words = (

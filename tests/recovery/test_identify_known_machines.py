@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 import json
 from pathlib import Path
 import subprocess
@@ -72,7 +71,7 @@ def test_a_machine_thirty_percent_off_with_a_richer_plant(study: ModuleType, tmp
 
 def test_refinement_closes_the_gap_and_keeps_what_is_known(mikron: Machine, tmp_path: Path) -> None:
     """X 4 % off in friction, 3 % in inertia: the re-simulated machine is within noise of the measured one."""
-    machine = replace(mikron.with_axes(["X"]), parameter_tolerance=0.05)
+    machine = mikron.with_axes(["X"]).with_values({"parameter_tolerance": 0.05})
     axis = machine.axis("X")
     true = machine.with_axis("X", coulomb_friction_nm=1.04 * axis.coulomb_friction_nm, rotor_inertia_kg_m2=1.03 * axis.rotor_inertia_kg_m2)
     runs = [*usual_runs(true), recorded(true, "check", QUICK, "velocity+torque", 7)]

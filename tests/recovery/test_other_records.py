@@ -58,7 +58,7 @@ def test_a_speed_alone_is_diagnosed_and_drawn(tmp_path):
 
 def test_a_machine_without_tolerance_is_searched(tmp_path):
     campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
-    machine = replace(load_machine(), parameter_tolerance=0.0)
+    machine = load_machine().with_values({"parameter_tolerance": 0.0})
     group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
     found = search(group, machine, FOLDS, lambda f, items: list(map(f, items)), lambda _: None)
     assert found.fit.settings[0].effect.name == "backlash"

@@ -112,7 +112,7 @@ def test_the_control_keeps_the_nominal_torque_constant(tmp_path: Path, recommiss
     study = read_study(without_told_constants(tmp_path, f"recommission = {str(recommission).lower()}\n"))
     axis = machine_of(study, np.array([1.0])).axis("X")
     assert axis.motor.torque_constant_nm_per_a == 1.0
-    assert axis.told_torque_constant == constant
+    assert axis.commissioned_torque_constant == constant
 
 
 def test_what_the_control_was_told_can_be_varied_itself(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia
 from twin.machine.machine import Axis, Machine
-from twin.machine.toleranced import OF_MOTOR, TOLERANCED, field_value, toleranced
+from twin.machine.toleranced import TOLERANCED, field_value, path_of, toleranced
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
@@ -43,11 +43,7 @@ class Nuisance:
     def apply(self, machine: Machine, factor: float) -> Machine:
         """The machine with this parameter multiplied."""
         if self.quantity == "body":
-            bodies = tuple(
-                replace(b, mass_kg=b.mass_kg * factor, inertia_kg_m2=_scaled(b.inertia_kg_m2, factor)) if b.name == self.owner else b
-                for b in machine.bodies
-            )
-            return replace(machine, bodies=bodies)
+            return machine.with_body(self.owner, factor)
         if self.owner not in machine.axis_names:
             return machine
         axis = machine.axis(self.owner)
@@ -71,14 +67,9 @@ class Nuisance:
         """Paths of the machine file that carry it."""
         if self.quantity == "body":
             return [f"body.{self.owner}.mass_kg", f"body.{self.owner}.inertia_kg_m2"]
-        table = machine.document["axis"][self.owner]
         if self.quantity in NORMAL:
             return []
-        if self.quantity == "rotor_inertia":
-            return [f"axis.{self.owner}.{key}" for key in table if key.startswith("rotor_")]
-        name = TOLERANCED[self.quantity]
-        part = "motor." if name in OF_MOTOR else ""
-        return [machine.in_file(f"axis.{self.owner}.{part}{name}", 0.0)[0]]
+        return [machine.in_file(path_of(machine.axis(self.owner), self.quantity), 0.0)[0]]
 
 
 def _damped(machine: Machine, owner: str, factor: float) -> Machine:
@@ -108,11 +99,6 @@ def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds
 def _stiffest(machine: Machine, axis: Axis) -> float:
     """Stiffness that a tick of the loop still follows."""
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)
-
-
-def _scaled(inertia: tuple[float, float, float], factor: float) -> tuple[float, float, float]:
-    x, y, z = inertia
-    return factor * x, factor * y, factor * z
 
 
 def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:

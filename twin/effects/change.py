@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
 from typing import Any
 
@@ -38,8 +38,8 @@ class Change:
     def __post_init__(self) -> None:
         # the control keeps what it was commissioned with, whatever the effects make of the motor
         for axis in self.machine.axes:
-            if axis.commissioned_torque_constant is None:
-                self.machine = self.machine.with_axis(axis.name, commissioned_torque_constant=axis.motor.torque_constant_nm_per_a)
+            if axis.effort != "torque" and not self.machine.has(f"axis.{axis.name}.commissioned.torque_constant_nm_per_a"):
+                self.machine = self.machine.with_axis(axis.name, commissioned_torque_constant=axis.commissioned_torque_constant)
         self.scale_offset = np.zeros(len(self.machine.axes))
         self.constant_force = np.zeros(len(self.machine.axes))
 
@@ -189,7 +189,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
 def with_effects(machine: Machine, effects: Sequence[Setting | dict[str, Any]]) -> Machine:
     """The machine with exactly these effects, as Settings or as tables {name, axis, parameters}."""
     tables = [e.table() if isinstance(e, Setting) else dict(e) for e in effects]
-    changed = replace(machine, document={**machine.document, "effect": tables})
+    changed = machine.with_values({"effect": tables})
     settings_of(changed)
     return changed
 

@@ -12,16 +12,7 @@ from typing import Any
 
 from twin.effects.change import with_effects
 from twin.machine.machine import Machine
-
-_AXIS_KEYS = {
-    "torque_constant": ("motor.torque_constant_nm_per_a",),
-    "resistance": ("motor.resistance_ohm",),
-    "inductance": ("motor.inductance_h",),
-    "rotor_inertia": ("rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2"),
-    "coulomb_friction": ("coulomb_friction_nm",),
-    "viscous_friction": ("viscous_friction_nm_s_per_rad",),
-    "moving_mass": ("moving_mass_kg",),
-}
+from twin.machine.parameters import SPREAD, key_of
 
 
 def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Machine:
@@ -38,11 +29,11 @@ def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Mac
                     values[f"body.{body}.{key}"] = [factor * v for v in old] if isinstance(old, list) else factor * old
             continue
         for name, factor in factors.items():
-            for key in _AXIS_KEYS[name]:
-                table = machine.document["axis"][axis]
-                *parents, leaf = key.split(".")
-                for parent in parents:
-                    table = table[parent]
-                if leaf in table:
-                    values[f"axis.{axis}.{key}"] = factor * table[leaf]
+            key = key_of(SPREAD[name], machine.axis(axis).kind)
+            *tables, leaf = key.split(".")
+            at = machine.document["axis"][axis]
+            for table in tables:
+                at = at[table]
+            if leaf in at:
+                values[f"axis.{axis}.{key}"] = factor * at[leaf]
     return with_effects(machine.with_values(values), document.get("effect", []))

@@ -62,7 +62,7 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     return FastLoop(
         speed_gain=axis.loops.speed_gain_nm_s_per_rad,
         integral_time=axis.loops.speed_integral_time_s,
-        control_torque_constant=axis.told_torque_constant,
+        control_torque_constant=axis.commissioned_torque_constant,
         torque_constant=axis.motor.torque_constant_nm_per_a,
         current_gain=axis.loops.current_gain_v_per_a,
         current_integral_time=axis.loops.current_integral_time_s,

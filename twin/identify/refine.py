@@ -127,13 +127,7 @@ def turned(machine: Machine, knob: Knob, amount: float) -> Machine:
     """The machine with one knob turned by `amount` (relative; delays in seconds)."""
     if knob.field.startswith("body."):
         name = knob.field[5:]
-        bodies = [
-            replace(b, mass_kg=b.mass_kg * (1 + amount), inertia_kg_m2=tuple(i * (1 + amount) for i in b.inertia_kg_m2))  # type: ignore[arg-type]
-            if b.name == name
-            else b
-            for b in machine.bodies
-        ]
-        return replace(machine, bodies=tuple(bodies))
+        return machine.with_body(name, 1.0 + amount)
     axis = machine.axis(knob.axis)
     value = float(next(getattr(part, knob.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, knob.field)))
     changed = max(value + amount, 0.0) if knob.field.endswith("delay_s") else value * (1.0 + amount)

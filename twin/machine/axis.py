@@ -1,6 +1,6 @@
 """One axis of a machine file: its typed view in SI, and how it is read from its table.
 
-An axis has one of the structures of `machine_keys.STRUCTURES`. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`;
+An axis has one of the structures of `keys.STRUCTURES`. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`;
 P/PI and P/P end in a speed controller whose command an ideal actuator turns into torque, `[axis.N.actuator]`. A linear
 axis with `drive = "direct"` (linear motor, or a screw that nobody knows) has all its numbers at the axis: metre, N and kg
 stand in for motor radian, Nm and kg m2, so that `ratio` is 1. Machine data of a Sinumerik may stand for plain keys.
@@ -9,12 +9,13 @@ stand in for motor radian, Nm and kg m2, so that `ratio` is 1. Machine data of a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import Any
 
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
+from twin.machine.parameters import PARAMETERS, si_from_key, typed_from_file
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ class Axis:
     """One axis in SI: positions in m or rad at the axis, torques and inertias at the motor.
 
     `ratio` is axis units per motor radian: lead / 2 pi for a screw, 1 / gear ratio for a gear, 1 for a direct drive.
-    `commissioned_torque_constant` and `commissioned_inertia` are what the control was told (None: the motor's own,
-    and the model's inertia at the motor in the home pose); the control keeps them whatever the load really is.
+    `commissioned_torque_constant` [Nm/A] is what the control divides torques by: the file's, or the motor's own where the file has
+    none. `commissioned_inertia` [kg m2 at the motor] is that of the torque feedforward; None: the model's in the home pose.
     `effort` names the signal that the speed controller commands: current, voltage or torque. `encoder` says which measuring
     system closes the position loop: scale (at the load) or motor.
     """
@@ -80,7 +81,7 @@ class Axis:
     viscous_friction_nm_s_per_rad: float
     motor: Motor
     loops: Loops
-    commissioned_torque_constant: float | None = None
+    commissioned_torque_constant: float
     commissioned_inertia: float | None = None
     structure: str = keys.STRUCTURES[0]
     effort: str = "current"
@@ -116,14 +117,12 @@ class Axis:
         """Rotor and screw or gear as seen at the axis [kg or kg m2]."""
         return self.rotor_inertia_kg_m2 / self.ratio**2
 
-    @property
-    def told_torque_constant(self) -> float:
-        """Torque constant by which the control turns torques into currents [Nm/A]: what it was told, or the motor's own."""
-        return self.commissioned_torque_constant or self.motor.torque_constant_nm_per_a
 
+def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Axis:
+    """The Axis of `[axis.NAME]`; every fault is an InputError that names table and key.
 
-def axis_of_table(name: str, table: Any, where: str) -> Axis:
-    """A checked Axis from `[axis.NAME]`; every fault is an InputError that names table and key."""
+    Without `checked` the numbers may lie outside their bounds: a fit may pass through values that no file may hold.
+    """
     if not isinstance(table, dict):
         raise InputError(f"{where}: must be a table")
     kind = table.get("kind")
@@ -134,9 +133,48 @@ def axis_of_table(name: str, table: Any, where: str) -> Axis:
     structure = _word(table, "structure", keys.STRUCTURES, where)
     encoder = _word(table, "encoder", keys.ENCODERS, where)
     direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"
+    if checked:
+        _check_keys(name, kind, direct, structure, table, where)
+    plain = keys.canonical(table) if direct else table
+    typed = _typed_numbers(plain, "screw" if kind == "linear" else "gear")
+
+    commissioned = plain.get("commissioned", {})
+    if structure == keys.STRUCTURES[0]:
+        effort, motor = "current", Motor(**typed["motor"])
+        constant = commissioned.get("torque_constant_nm_per_a")
+    else:
+        effort, motor = _actuator(plain["actuator"])
+        constant = commissioned.get(keys.EFFORTS[effort].constant)
+    constant = motor.torque_constant_nm_per_a if constant is None else float(constant)
+    loops = dict(typed["loops"])
+    if structure != keys.STRUCTURES[0]:
+        # a gain that stands there per unit of the command stays what it is, whatever the actuator makes of it
+        given = {k: float(v) for k, v in plain["loops"].items() if k.startswith("speed_gain_")}
+        ratio = 1.0 if direct else typed[""]["ratio"]
+        loops["speed_gain_nm_s_per_rad"] = _speed_gain(given, effort, constant, ratio, f"{where[:-1]}.loops]")
+    if loops.get("speed_mean_cycles", 0.0) % 1.0:
+        raise InputError(f"{where[:-1]}.loops]: speed_mean_cycles = {loops['speed_mean_cycles']:g}: expected a whole number")
+    loops["speed_mean_cycles"] = int(loops.get("speed_mean_cycles", 0))
+    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
+    return Axis(
+        name=name,
+        kind=kind,
+        travel=_travel(table, kind, where),
+        motor=motor,
+        loops=Loops(**loops),
+        commissioned_torque_constant=constant,
+        commissioned_inertia=typed["commissioned"].get("commissioned_inertia"),
+        structure=structure,
+        effort=effort,
+        encoder=encoder,
+        **own,
+    )
+
+
+def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str) -> None:
+    """Every key of an axis and of its tables known, present and possible."""
     own, parts = keys.tables_of_axis(kind, direct, structure, table, where)
-    endless = table.get("travel_deg") == "endless"
-    if endless:
+    if table.get("travel_deg") == "endless":
         del own["travel_deg"]
     keys.check_table(table, own, where, ("kind", "travel_deg", "structure", "encoder", "drive", *parts))
     for part, part_keys in parts.items():
@@ -147,49 +185,16 @@ def axis_of_table(name: str, table: Any, where: str) -> Axis:
         also = ("command",) if part == "actuator" else ()
         keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]", also)
 
-    plain = keys.canonical(table) if direct else dict(table)
-    si = {k: plain[k] * keys.si_from_key(k) for k, v in plain.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    if kind == "linear":
-        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_m_per_min", "max_acceleration_m_per_s2", "max_jerk_m_per_s3"))}
-        ratio = 1.0 if direct else si["screw_lead_m_per_rev"] / (2.0 * math.pi)
-        rotor = si.get("rotor_and_screw_inertia_kg_m2", 0.0)
-    else:
-        motion = {q: si[k] for q, k in zip(_MOTION, ("max_velocity_rev_per_min", "max_acceleration_rev_per_s2", "max_jerk_rev_per_s3"))}
-        ratio, rotor = 1.0 / si["gear_ratio"], si["rotor_and_gear_inertia_kg_m2"]
 
-    loops = {k: float(v) for k, v in plain["loops"].items()}
-    commissioned = plain.get("commissioned", {})
-    if structure == keys.STRUCTURES[0]:
-        effort, motor = "current", Motor(**{k: float(v) for k, v in plain["motor"].items()})
-        told = commissioned.get("torque_constant_nm_per_a")
-    else:
-        effort, motor = _actuator(plain["actuator"])
-        # a gain that stands there per unit of the command stays what it is, whatever the actuator makes of it
-        told = float(commissioned.get(keys.EFFORTS[effort].constant, motor.torque_constant_nm_per_a))
-        loops = _speed_gain(loops, effort, told, ratio, f"{where[:-1]}.loops]")
-    if loops.get("speed_mean_cycles", 0.0) % 1.0:
-        raise InputError(f"{where[:-1]}.loops]: speed_mean_cycles = {loops['speed_mean_cycles']:g}: expected a whole number")
-    return Axis(
-        name=name,
-        kind=kind,
-        travel=(-math.inf, math.inf) if endless else _travel(table, kind, where),
-        **motion,
-        ratio=ratio,
-        moving_mass_kg=si.get("moving_mass_kg"),
-        rotor_inertia_kg_m2=rotor,
-        coulomb_friction_nm=si["coulomb_friction_nm"],
-        viscous_friction_nm_s_per_rad=si["viscous_friction_nm_s_per_rad"],
-        motor=motor,
-        loops=replace(Loops(**loops), speed_mean_cycles=int(loops.get("speed_mean_cycles", 0))),  # type: ignore[arg-type]
-        commissioned_torque_constant=told,
-        commissioned_inertia=commissioned.get("inertia_kg_m2"),
-        structure=structure,
-        effort=effort,
-        encoder=encoder,
-    )
-
-
-_MOTION = ("max_velocity", "max_acceleration", "max_jerk")
+def _typed_numbers(plain: Mapping[str, Any], drive: str) -> dict[str, dict[str, Any]]:
+    """Numbers of an axis table by typed field, for each of its tables ('' for the axis itself), in the units of `Axis`."""
+    out: dict[str, dict[str, Any]] = {"": {}, "motor": {}, "loops": {}, "commissioned": {}}
+    for p in PARAMETERS:
+        part, _, leaf = p.key(drive).rpartition(".")
+        value = (plain.get(part, {}) if part else plain).get(leaf)
+        if value is not None and p.field != "travel":
+            out[part][p.field.rsplit(".", 1)[-1]] = typed_from_file(leaf, float(value))
+    return out
 
 
 def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str) -> str:
@@ -206,22 +211,27 @@ def _actuator(table: Mapping[str, Any]) -> tuple[str, Motor]:
     return str(table["command"]), Motor(constant, peak_current_a=float(table[effort.peak]))
 
 
-def _speed_gain(loops: dict[str, float], effort: str, told: float, ratio: float, where: str) -> dict[str, float]:
-    """The speed gain in Nm s/rad, whichever of its units the file has: per motor radian or per axis unit, torque or command."""
-    factors = {k: (1.0 if torque else told) * (ratio if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
-    given = [k for k in factors if k in loops]
-    if len(given) != 1:
-        told_twice = (
-            f"{' and '.join(given)} both stand there; keep one" if given else f"the speed gain is missing; give {next(iter(factors))}"
+def _speed_gain(given: Mapping[str, float], effort: str, constant: float, ratio: float, where: str) -> float:
+    """The speed gain in Nm s/rad, whichever of its units the file has: per motor radian or per axis unit, torque or command.
+
+    `constant` is the torque per unit of the command by which the control divides.
+    """
+    factors = {k: (1.0 if torque else constant) * (ratio if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
+    units = [k for k in factors if k in given]
+    if len(units) != 1:
+        raise InputError(
+            f"{where}: {' and '.join(units)} both stand there; keep one"
+            if units
+            else f"{where}: the speed gain is missing; give {next(iter(factors))}"
         )
-        raise InputError(f"{where}: {told_twice}")
-    value = loops.pop(given[0])
-    return {**loops, keys.SPEED_GAIN: value * factors[given[0]]}
+    return given[units[0]] * factors[units[0]]
 
 
 def _travel(table: Mapping[str, Any], kind: str, where: str) -> tuple[float, float]:
     key = "travel_m" if kind == "linear" else "travel_deg"
-    low, high = (v * keys.si_from_key(key) for v in table[key])
+    if table[key] == "endless":
+        return -math.inf, math.inf
+    low, high = (v * si_from_key(key) for v in table[key])
     if low >= high:
         raise InputError(f"{where}: {key} = {table[key]}: the first limit must lie below the second")
     return low, high

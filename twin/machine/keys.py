@@ -1,7 +1,7 @@
-"""The keys of a machine file: what may stand where, within which bounds, and how it becomes SI.
+"""The keys of a machine file: what may stand in which table, and within which bounds.
 
-The unit stands in the key (`max_velocity_m_per_min`); `si_from_key` reads it from there, so that a conversion is
-typed once. A key that is missing, misspelt or impossible is reported with its table and the nearest match.
+Those of an axis come from the table in `twin.machine.parameters`. A key that is missing, misspelt or impossible is reported
+with its table and the nearest match.
 """
 
 from __future__ import annotations
@@ -12,28 +12,7 @@ import math
 from typing import Any
 
 from twin.errors import InputError, nearest
-
-INFINITE = math.inf
-
-
-@dataclass(frozen=True)
-class Key:
-    """One number of a machine file: bounds in the file's own unit, and whether it may be left out."""
-
-    low: float = -INFINITE
-    high: float = INFINITE
-    required: bool = True
-    above: bool = False  # the lower bound itself is impossible (a mass of 0)
-    count: int = 1  # how many numbers
-
-
-def positive(required: bool = True) -> Key:
-    return Key(low=0.0, above=True, required=required)
-
-
-def not_negative(required: bool = True) -> Key:
-    return Key(low=0.0, required=required)
-
+from twin.machine.parameters import INFINITE, PARAMETERS, Key, not_negative, positive
 
 STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
 """Position, speed and current controller of an axis; the first is a servo drive, the others end in an ideal actuator."""
@@ -77,74 +56,23 @@ GEOMETRY = {
     "tool_length_m": not_negative(required=False),
 }
 
-AXIS_COMMON = {"coulomb_friction_nm": not_negative(), "viscous_friction_nm_s_per_rad": not_negative()}
 
-AXIS = {
-    "linear": {
-        "travel_m": Key(count=2),
-        "max_velocity_m_per_min": positive(),
-        "max_acceleration_m_per_s2": positive(),
-        "max_jerk_m_per_s3": positive(),
-        "screw_lead_m_per_rev": positive(),
-        "moving_mass_kg": positive(),
-        "rotor_and_screw_inertia_kg_m2": positive(),
-        **AXIS_COMMON,
-    },
-    "rotary": {
-        "travel_deg": Key(count=2),  # or "endless"
-        "max_velocity_rev_per_min": positive(),
-        "max_acceleration_rev_per_s2": positive(),
-        "max_jerk_rev_per_s3": positive(),
-        "gear_ratio": positive(),
-        "rotor_and_gear_inertia_kg_m2": positive(),
-        **AXIS_COMMON,
-    },
-}
+def _below(table: str, drive: str = "screw") -> dict[str, Key]:
+    """Keys of `[axis.N.table]` ('' for `[axis.N]` itself) with their bounds."""
+    keys = [(p.key(drive), p.bounds) for p in PARAMETERS]
+    return {key.rsplit(".", 1)[-1]: bounds for key, bounds in keys if key and key.rpartition(".")[0] == table}
 
-MOTOR = {
-    "torque_constant_nm_per_a": positive(),
-    "back_emf_v_s_per_rad": not_negative(),
-    "resistance_ohm": positive(),
-    "inductance_h": positive(),
-    "peak_current_a": positive(),
-    "bus_limit_v": positive(),
-}
 
-MOST_MEAN_CYCLES = 16
-"""Speed cycles over which a position may be differentiated."""
-
-LOOPS = {
-    "position_gain_per_s": positive(),
-    "speed_gain_nm_s_per_rad": positive(),
-    "speed_integral_time_s": positive(),
-    "current_gain_v_per_a": positive(),
-    "current_integral_time_s": positive(),
-    "velocity_feedforward": Key(-2.0, 2.0),
-    "torque_feedforward": Key(-5.0, 5.0),
-    "position_delay_s": Key(0.0, 1.0),
-    "feedforward_delay_s": Key(0.0, 1.0),
-    "dsc_delay_s": Key(0.0, 1.0, required=False),
-    "speed_mean_cycles": Key(0.0, MOST_MEAN_CYCLES, required=False),
-    "speed_filter_time_s": Key(0.0, 1.0, required=False),
-}
-
-# what the control was told when it was commissioned; it keeps these whatever motor and load really are
-COMMISSIONED = {"torque_constant_nm_per_a": positive(required=False), "inertia_kg_m2": positive(required=False)}
+AXIS = {"linear": _below(""), "rotary": _below("", "gear")}
+MOTOR, LOOPS, COMMISSIONED = (_below(table) for table in ("motor", "loops", "commissioned"))
 
 SPEED_GAIN = "speed_gain_nm_s_per_rad"
 
-# a linear axis with a direct drive has its numbers at the axis; the same numbers under these names
-DIRECT = {
-    "coulomb_friction_nm": "coulomb_friction_n",
-    "viscous_friction_nm_s_per_rad": "viscous_friction_n_s_per_m",
-    "rotor_and_screw_inertia_kg_m2": "rotor_mass_kg",
-    "torque_constant_nm_per_a": "force_constant_n_per_a",
-    "torque_constant_nm_per_v": "force_constant_n_per_v",
-    "peak_torque_nm": "peak_force_n",
-    "back_emf_v_s_per_rad": "back_emf_v_s_per_m",
-    SPEED_GAIN: "speed_gain_n_s_per_m",
-    "inertia_kg_m2": "mass_kg",
+DIRECT = {"torque_constant_nm_per_v": "force_constant_n_per_v", "peak_torque_nm": "peak_force_n"} | {
+    p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS if p.direct and p.direct != p.screw
 }
+"""Names of numbers at the axis that a directly driven axis has instead of those at the motor."""
+
 _CANONICAL = {direct: plain for plain, direct in DIRECT.items()}
 
 
@@ -197,21 +125,6 @@ def tables_of_axis(
     return own, parts
 
 
-def path_in_file(document: Mapping[str, Any], path: str) -> str:
-    """Where a number of an axis stands in this file: a direct drive and an actuator have other names for it."""
-    parts = path.split(".")
-    axis = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
-    if not isinstance(axis, Mapping):
-        return path
-    if parts[2] == "motor" and "actuator" in axis:
-        effort = EFFORTS[axis["actuator"]["command"]]
-        parts[2] = "actuator"
-        parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
-    if axis.get("drive") == "direct":
-        parts[-1] = DIRECT.get(parts[-1], parts[-1])
-    return ".".join(parts)
-
-
 BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2": Key(low=0.0, above=True, count=3)}
 
 TOOL = {"length_m": not_negative()}
@@ -230,25 +143,6 @@ MEASUREMENT = {
     "speed_noise_deg_per_s": not_negative(required=False),
     "current_noise_a": not_negative(required=False),
 }
-
-# longest first: '_rev_per_s2' must not be read as '_per_s'
-_SUFFIX_TO_SI = {
-    "_deg_per_s": math.pi / 180.0,
-    "_rev_per_min": 2.0 * math.pi / 60.0,
-    "_rev_per_s2": 2.0 * math.pi,
-    "_rev_per_s3": 2.0 * math.pi,
-    "_m_per_min": 1.0 / 60.0,
-    "_deg": math.pi / 180.0,
-    "_us": 1e-6,
-}
-
-
-def si_from_key(key: str) -> float:
-    """Factor to SI that the unit at the end of a key asks for (1 where the unit is SI already)."""
-    for suffix, factor in _SUFFIX_TO_SI.items():
-        if key.endswith(suffix):
-            return factor
-    return 1.0
 
 
 def check_table(table: Mapping[str, Any], keys: Mapping[str, Key], where: str, also: tuple[str, ...] = ()) -> None:

@@ -120,7 +120,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
             raise InputError(f"machine {machine.name}: {what}; the loops cannot be seen one inside the other: change the cycles")
     total = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]) if inertia is None else inertia
     a, b, speed, motor, load = _mechanics(machine, axis, total)
-    told = axis.told_torque_constant
+    told = axis.commissioned_torque_constant
     loops = []
     if axis.has_current_loop:
         a, b, c = _winding(axis, a, b, speed)

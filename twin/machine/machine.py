@@ -1,35 +1,28 @@
 """A machine is data: an MJCF model and a TOML of drives, loops, friction, limits and measuring systems.
 
-`load_machine` reads and checks the file; `Machine.with_values` makes a variant by paths such as
-`axis.X.moving_mass_kg`; `write_machine` writes it back with its MJCF beside it. The tables of the file are kept as
-they are (`document`), the typed views below are made from them in SI.
+`load_machine` reads and checks the file, `write_machine` writes it back with its MJCF beside it. The tables of the file
+(`Machine.document`) are the one truth; axes, bodies and cycles are derived from them, in SI. Every variant (`with_values`,
+`with_axis`, `with_axes`, `with_feedforward`) changes the tables, so that it is the same machine when written and read again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import copy
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import InitVar, dataclass, field
 import functools
-import math
 from pathlib import Path
 import tomllib
 from typing import Any
 
-import numpy as np
-
 from twin.errors import InputError, nearest
-from twin.machine import keys, sinumerik
-from twin.machine.axis import Axis, Loops, Motor, axis_of_table
+from twin.machine import keys
+from twin.machine.axis import Axis
+from twin.machine.document import axis_in, changed, check_cycles, check_document, cycles_of, place
 from twin.machine.model_file import check_mjcf, copy_model
+from twin.machine.parameters import file_from_typed, key_of, si_from_key
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
-LONGEST_TICK = 125e-6
-"""Tick of a machine without current loops, whose file names none [s]: friction that sticks needs a short one."""
-
-OPTIONAL = ("dsc_delay_s", "setpoint_interpolation")
-"""Keys that `with_values` adds where the file lacks them."""
-
 FEEDFORWARD = ("off", "velocity", "velocity+torque")
 
 
@@ -57,26 +50,72 @@ class Noise:
 
 @dataclass(frozen=True)
 class Machine:
-    """A checked machine: axes in the order of the file, and where its MJCF lies.
+    """A machine: the tables of its file, and where file and MJCF lie. `dataclasses.replace` takes only these three.
 
-    `path` is the machine file (None for one made in memory), `model_path` its MJCF.
+    document    tables of the machine file, in its keys and units; never changed in place
+    model_path  the MJCF
+    path        the machine file, None for one made in memory
+
+    Derived from the document, in SI: `axes` (the driven ones, in the file's order), `bodies`, `geometry`, `gravity` [m/s2],
+    `parameter_tolerance`, the cycles [s] of current, speed and position controller and of the interpolation, `sample_period` [s]
+    of the record, `setpoint_interpolation`. Making one raises InputError for a value that is impossible, unless `checked` is False.
+    `like` is a machine whose typed axes are taken over where the tables are the same objects.
     """
 
-    name: str
-    axes: tuple[Axis, ...]
-    bodies: tuple[Body, ...]
-    geometry: Mapping[str, Any]
-    gravity: float
-    parameter_tolerance: float
-    current_cycle: float
-    speed_cycle: float
-    position_cycle: float
-    interpolation_cycle: float
-    sample_period: float
-    model_path: Path
     document: Mapping[str, Any] = field(repr=False)
+    model_path: Path
     path: Path | None = None
-    setpoint_interpolation: str = keys.INTERPOLATIONS[0]
+    checked: InitVar[bool] = True
+    like: InitVar[Machine | None] = None
+    name: str = field(init=False, compare=False)
+    axes: tuple[Axis, ...] = field(init=False, compare=False, repr=False)
+    bodies: tuple[Body, ...] = field(init=False, compare=False, repr=False)
+    geometry: Mapping[str, Any] = field(init=False, compare=False, repr=False)
+    gravity: float = field(init=False, compare=False, repr=False)
+    parameter_tolerance: float = field(init=False, compare=False, repr=False)
+    current_cycle: float = field(init=False, compare=False, repr=False)
+    speed_cycle: float = field(init=False, compare=False, repr=False)
+    position_cycle: float = field(init=False, compare=False, repr=False)
+    interpolation_cycle: float = field(init=False, compare=False, repr=False)
+    sample_period: float = field(init=False, compare=False, repr=False)
+    setpoint_interpolation: str = field(init=False, compare=False, repr=False)
+    _axis_of: dict[str, tuple[Any, Axis]] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self, checked: bool, like: Machine | None) -> None:
+        document, where = self.document, self.where
+        if checked:
+            check_document(document, where)
+        known = like._axis_of if like is not None else {}
+        parsed: dict[str, tuple[Any, Axis]] = {}
+        for name in document.get("axis_order", document["axis"]):
+            table = document["axis"][name]
+            same = known[name][1] if name in known and known[name][0] is table else None
+            parsed[name] = (table, same or axis_in(document, name, where, checked))
+        if checked:
+            check_cycles(document, tuple(axis for _, axis in parsed.values()), where)
+        driven = document.get("driven_axes", list(parsed))
+        derived = {
+            "name": str(document.get("name", self.path.stem if self.path else "machine")),
+            "axes": tuple(axis for name, (_, axis) in parsed.items() if name in driven),
+            "bodies": tuple(
+                Body(name, float(table["mass_kg"]), tuple(table["centre_of_mass_m"]), tuple(table["inertia_kg_m2"]))
+                for name, table in document.get("body", {}).items()
+            ),
+            "geometry": document.get("geometry", {}),
+            "gravity": float(document["gravity_m_per_s2"]),
+            "parameter_tolerance": float(document.get("parameter_tolerance", 0.0)),
+            **cycles_of(document),
+            "sample_period": document["measurement"]["sample_period_us"] * si_from_key("sample_period_us"),
+            "setpoint_interpolation": document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0]),
+            "_axis_of": parsed,
+        }
+        for key, value in derived.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def where(self) -> str:
+        """What messages call this machine: its file, or its name."""
+        return str(self.path or self.document.get("name", "machine"))
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -109,7 +148,7 @@ class Machine:
         table = self.document.get("measurement", {})
 
         def value(key: str) -> float:
-            return float(table.get(key, 0.0)) * keys.si_from_key(key)
+            return float(table.get(key, 0.0)) * si_from_key(key)
 
         if axis.kind == "linear":
             scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
@@ -121,20 +160,23 @@ class Machine:
         return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))
 
     def with_axes(self, names: Sequence[str]) -> Machine:
-        """The same machine with only these axes driven; the others stand still."""
+        """The same machine with only these axes driven (`driven_axes` of the file); the others stand still."""
         for name in names:
             self.axis(name)
-        return replace(self, axes=tuple(axis for axis in self.axes if axis.name in names))
+        return self._changed({"driven_axes": [name for name in self.axis_names if name in names]})
 
-    def with_axis(self, name: str, **changes: Any) -> Machine:
-        """A variant in which the fields of one axis, its `motor` or `loops` are replaced (by field name)."""
-        axis = self.axis(name)
-        parts = {part: {k: changes.pop(k) for k in list(changes) if k in _names(cls)} for part, cls in (("motor", Motor), ("loops", Loops))}
-        for part, values in parts.items():
-            if values:
-                changes[part] = replace(getattr(axis, part), **values)
-        changed = replace(axis, **changes)
-        return replace(self, axes=tuple(changed if a.name == name else a for a in self.axes))
+    def with_axis(self, name: str, **numbers: Any) -> Machine:
+        """A variant by typed fields of one axis, its motor or loops, in SI: with_axis("X", max_velocity=0.5, peak_current_a=20.0).
+
+        Unlike `with_values` it takes impossible numbers, through which a fit may pass; such a machine can be simulated, not written.
+        """
+        kind = self.axis(name).kind
+        values = {}
+        for typed, value in numbers.items():
+            key = typed if typed == "encoder" else key_of(typed, kind)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            values[f"axis.{name}.{key}"] = file_from_typed(key, value) if number else value
+        return self._changed(values, checked=False)
 
     def with_feedforward(self, feedforward: str | None) -> Machine:
         """The machine with feedforward 'off', 'velocity' or 'velocity+torque' on all axes; None leaves the file's weights.
@@ -145,55 +187,47 @@ class Machine:
             return self
         if feedforward not in FEEDFORWARD:
             raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}")
-        machine = self
+        values = {}
         for axis in self.axes:
-            weights = {
-                "velocity_feedforward": (axis.loops.velocity_feedforward or 1.0) if "velocity" in feedforward else 0.0,
-                "torque_feedforward": (axis.loops.torque_feedforward or 1.0) if "torque" in feedforward else 0.0,
-            }
-            machine = machine.with_axis(axis.name, **weights)
-        return machine
+            for word in ("velocity", "torque"):
+                now = getattr(axis.loops, f"{word}_feedforward")
+                wanted = (now or 1.0) if word in feedforward else 0.0
+                if wanted != now:
+                    values[f"axis.{axis.name}.loops.{word}_feedforward"] = wanted
+        return self._changed(values, checked=False)
 
     def with_values(self, values: Mapping[str, Any]) -> Machine:
         """A variant by paths into the file, in the file's units: {'axis.X.moving_mass_kg': 690.0}.
 
-        `effect` replaces the list of effects. Raises InputError for a path that does not exist.
+        `effect` replaces the list of effects. A number that the file leaves out is added. Raises InputError for a path that no
+        machine file has and for a value that is impossible.
         """
-        # tables on the way get copies of their own, the others are shared
-        document = dict(self.document)
-        for asked, value in values.items():
-            path, value = self.in_file(asked, value)
-            *tables, key = path.split(".")
-            table: Any = document
-            for i, name in enumerate(tables):
-                if not isinstance(table, dict) or name not in table:
-                    known = table if isinstance(table, dict) else {}
-                    raise InputError(f"machine {self.name}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
-                if isinstance(table[name], dict):
-                    table[name] = dict(table[name])
-                table = table[name]
-            if not isinstance(table, dict) or (key not in table and key not in ("effect", "commissioned", *OPTIONAL)):
-                raise InputError(f"machine {self.name}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
-            table[key] = value
-        driven = self.axis_names
-        return machine_from_document(document, self.model_path, self.path, str(self.path or self.name)).with_axes(driven)
+        return self._changed(values)
+
+    def _changed(self, values: Mapping[str, Any], checked: bool = True) -> Machine:
+        document = changed(self.document, values, self.name)
+        return Machine(document, self.model_path, self.path, checked=checked, like=self)
+
+    def with_body(self, name: str, factor: float) -> Machine:
+        """A variant in which mass and inertia of a body are multiplied."""
+        for body in self.bodies:
+            if body.name == name:
+                values = {"mass_kg": factor * body.mass_kg, "inertia_kg_m2": [factor * i for i in body.inertia_kg_m2]}
+                return self._changed({f"body.{name}.{key}": value for key, value in values.items()}, checked=False)
+        raise InputError(f"machine {self.name}: no body {name}; {nearest(name, [b.name for b in self.bodies])}")
+
+    def has(self, path: str) -> bool:
+        """Does the file itself have the number at this path?"""
+        at: Any = self.document
+        for key in self.in_file(path, 1.0)[0].split("."):
+            if not isinstance(at, Mapping) or key not in at:
+                return False
+            at = at[key]
+        return True
 
     def in_file(self, path: str, value: Any) -> tuple[str, Any]:
         """Path and value of a number as this file has it: 'axis.X.coulomb_friction_nm' of a direct drive is its `coulomb_friction_n`."""
-        path = keys.path_in_file(self.document, path)
-        *tables, key = path.split(".")
-        if tables[:1] == ["axis"] and len(tables) > 1:
-            datum = sinumerik.place(self.document["axis"].get(tables[1], {}), path.split(".", 2)[2], value)
-            if datum is not None:
-                return f"axis.{tables[1]}.{datum[0]}", datum[1]
-        if key in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and tables[:1] == ["axis"] and tables[-1] == "loops":
-            axis = self.axis(tables[1])
-            have = self.document["axis"][axis.name]["loops"]
-            for other, torque, at_axis in keys.speed_gains(axis.effort):
-                if key not in have and other in have and not torque:
-                    told = axis.told_torque_constant
-                    return ".".join([*tables, other]), value / told / (axis.ratio if at_axis else 1.0)
-        return path, value
+        return place(self.document, path, value)
 
 
 def default_machine_path() -> Path:
@@ -232,17 +266,18 @@ def load_machine(path: str | Path | None = None) -> Machine:
     if not model_path.is_file():
         raise InputError(f"{path}: model '{model}': no such file beside the machine file; correct 'model' or copy the MJCF there")
     _check_model(model_path, model_path.stat().st_mtime_ns)
-    return machine_from_document(copy.deepcopy(document), model_path, path, str(path))
+    return Machine(copy.deepcopy(document), model_path, path)
 
 
 def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
     """Write a machine file and copy its MJCF beside it.
 
     Comments of the file that the machine came from are kept; `comments` maps paths ('axis.X.moving_mass_kg') to the
-    comment behind that value (grade, interval, source).
+    comment behind that value (grade, interval, source). Raises InputError for a machine that could not be read again.
     """
     import tomlkit
 
+    Machine(machine.document, machine.model_path, machine.path)  # impossible values are refused here, not by the next reader
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     source = machine.path.read_text(encoding="utf-8") if machine.path and machine.path.is_file() else ""
@@ -256,95 +291,6 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
         table[key].comment(comment)
     path.write_text(tomlkit.dumps(written), encoding="utf-8")
     copy_model(machine.model_path, path.parent)
-
-
-def machine_from_document(document: Mapping[str, Any], model_path: Path, path: Path | None, where: str) -> Machine:
-    """A checked Machine from the tables of a machine file."""
-    also = (
-        "name",
-        "structure",
-        "model",
-        "axis_order",
-        "control",
-        "geometry",
-        "axis",
-        "body",
-        "measurement",
-        "effect",
-        "frame",
-        "tool",
-        "identified",
-    )
-    keys.check_table(document, keys.TOP, where, also)
-    for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
-        if table not in document and table != "geometry":
-            raise InputError(f"{where}: table [{table}] is missing; add it")
-        keys.check_table(document.get(table, {}), known, f"{where}: [{table}]", ("setpoint_interpolation",) if table == "control" else ())
-    interpolation = document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0])
-    if interpolation not in keys.INTERPOLATIONS:
-        raise InputError(
-            f"{where}: [control]: setpoint_interpolation = {interpolation!r}; {nearest(str(interpolation), keys.INTERPOLATIONS)}"
-        )
-    axes = document.get("axis")
-    if not isinstance(axes, dict) or not axes:
-        raise InputError(f"{where}: no [axis.NAME] table; describe at least one axis")
-    order = document.get("axis_order", list(axes))
-    if not isinstance(order, list) or sorted(map(str, order)) != sorted(axes):
-        raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
-    if not isinstance(document.get("effect", []), list):
-        raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
-    tools = document.get("tool", {})
-    if not isinstance(tools, dict) or not all(isinstance(tool, dict) for tool in tools.values()):
-        raise InputError(f"{where}: 'tool' must hold one table for each tool; write [tool.T1] and below it length_m")
-    for name, tool in tools.items():
-        keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
-    parsed = tuple(axis_of_table(name, axes[name], f"{where}: [axis.{name}]") for name in order)
-    control = {k: v * keys.si_from_key(k) for k, v in document["control"].items() if k in keys.CONTROL}
-    if "current_cycle_us" not in control:
-        looped = [axis.name for axis in parsed if axis.has_current_loop]
-        if looped:
-            raise InputError(f"{where}: [control]: 'current_cycle_us' is missing; add it, axis {looped[0]} has a current loop")
-        control["current_cycle_us"] = control["speed_cycle_us"] / math.ceil(control["speed_cycle_us"] / LONGEST_TICK - 1e-9)
-    machine = Machine(
-        name=str(document.get("name", path.stem if path else "machine")),
-        axes=parsed,
-        bodies=tuple(_body(name, table, f"{where}: [body.{name}]") for name, table in document.get("body", {}).items()),
-        geometry=dict(document.get("geometry", {})),
-        gravity=float(document["gravity_m_per_s2"]),
-        parameter_tolerance=float(document.get("parameter_tolerance", 0.0)),
-        current_cycle=control["current_cycle_us"],
-        speed_cycle=control["speed_cycle_us"],
-        position_cycle=control["position_cycle_us"],
-        interpolation_cycle=control.get("interpolation_cycle_us", control["position_cycle_us"]),
-        sample_period=document["measurement"]["sample_period_us"] * 1e-6,
-        model_path=model_path,
-        document=document,
-        path=path,
-        setpoint_interpolation=interpolation,
-    )
-    for key in ("current_cycle", "speed_cycle", "position_cycle"):
-        cycles = getattr(machine, key) / machine.base_tick
-        if abs(cycles - round(cycles)) > 1e-6:
-            raise InputError(
-                f"{where}: [control]: {key}_us is no whole multiple of the shortest cycle ({machine.base_tick * 1e6:g} us); change it"
-            )
-    return machine
-
-
-def _body(name: str, table: Any, where: str) -> Body:
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: must be a table")
-    keys.check_table(table, keys.BODY, where)
-    i = np.array(table["inertia_kg_m2"], float)
-    if np.any(i > i.sum() - i + 1e-12):
-        raise InputError(
-            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others"
-        )
-    return Body(name, float(table["mass_kg"]), tuple(table["centre_of_mass_m"]), tuple(table["inertia_kg_m2"]))
-
-
-def _names(cls: type) -> set[str]:
-    return {f.name for f in fields(cls)}
 
 
 def _update(target: Any, source: Mapping[str, Any]) -> None:

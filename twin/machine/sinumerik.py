@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import copy
-from dataclasses import dataclass
 import math
 from pathlib import Path
 import re
@@ -23,57 +22,11 @@ import tomllib
 from typing import Any
 
 from twin.errors import InputError, nearest
+from twin.machine.parameters import Datum, machine_data_of
 from twin.tables import is_number
 
-
-@dataclass(frozen=True)
-class Datum:
-    """One machine datum: number, name, unit on the control, the plain key that it stands for and the factor to it."""
-
-    number: int
-    name: str
-    unit: str
-    key: str  # below the axis, e.g. loops.position_gain_per_s; travel_m.0 is the first of two numbers
-    factor: float
-
-    @property
-    def label(self) -> str:
-        return f"MD{self.number}"
-
-
-_COMMON = (
-    Datum(32200, "POSCTRL_GAIN", "1000/min", "loops.position_gain_per_s", 1000.0 / 60.0),
-    Datum(32610, "VELO_FFW_WEIGHT", "1", "loops.velocity_feedforward", 1.0),
-    Datum(32650, "AX_INERTIA", "kgm2", "commissioned.inertia_kg_m2", 1.0),
-    Datum(32644, "STIFFNESS_DELAY_TIME", "s", "loops.dsc_delay_s", 1.0),
-    Datum(32810, "EQUIV_SPEEDCTRL_TIME", "s", "loops.position_delay_s", 1.0),
-    Datum(1104, "MOTOR_MAX_CURRENT", "A", "motor.peak_current_a", 1.0),
-    Datum(1113, "TORQUE_CURRENT_RATIO", "Nm/A", "motor.torque_constant_nm_per_a", 1.0),
-    Datum(1120, "CURRCTRL_GAIN", "V/A", "loops.current_gain_v_per_a", 1.0),
-    Datum(1121, "CURRCTRL_INTEGRATOR_TIME", "us", "loops.current_integral_time_s", 1e-6),
-    Datum(1407, "SPEEDCTRL_GAIN_1", "Nms/rad", "loops.speed_gain_nm_s_per_rad", 1.0),
-    Datum(1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", "loops.speed_integral_time_s", 1e-3),
-)
-DATA = {
-    "linear": (
-        Datum(31030, "LEADSCREW_PITCH", "mm/rev", "screw_lead_m_per_rev", 1e-3),
-        Datum(32000, "MAX_AX_VELO", "mm/min", "max_velocity_m_per_min", 1e-3),
-        Datum(32300, "MAX_AX_ACCEL", "m/s2", "max_acceleration_m_per_s2", 1.0),
-        Datum(32431, "MAX_AX_JERK", "m/s3", "max_jerk_m_per_s3", 1.0),
-        Datum(36100, "POS_LIMIT_MINUS", "mm", "travel_m.0", 1e-3),
-        Datum(36110, "POS_LIMIT_PLUS", "mm", "travel_m.1", 1e-3),
-        *_COMMON,
-    ),
-    "rotary": (
-        Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "gear_ratio", 1.0),
-        Datum(32000, "MAX_AX_VELO", "rev/min", "max_velocity_rev_per_min", 1.0),
-        Datum(32300, "MAX_AX_ACCEL", "rev/s2", "max_acceleration_rev_per_s2", 1.0),
-        Datum(32431, "MAX_AX_JERK", "rev/s3", "max_jerk_rev_per_s3", 1.0),
-        Datum(36100, "POS_LIMIT_MINUS", "deg", "travel_deg.0", 1.0),
-        Datum(36110, "POS_LIMIT_PLUS", "deg", "travel_deg.1", 1.0),
-        *_COMMON,
-    ),
-}
+DATA = {kind: machine_data_of(kind) for kind in ("linear", "rotary")}
+"""Machine data by kind of axis, from the table of parameters."""
 
 # not by axis: cycles of control and drive; on the control in units of 31.25 us, in s, or as multiples
 CYCLE_UNIT_US = 31.25
@@ -174,23 +127,24 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     return plain
 
 
-def place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
-    """Where in an axis table with machine data a plain key stands: (key below the axis, value there), None where it is plain."""
+def datum_place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
+    """The machine datum of an axis table that alone gives a plain key, as (key below the axis, value there); None where there is none."""
     given = table.get("sinumerik")
     if not isinstance(given, Mapping) or table.get("kind") not in DATA:
-        return None
-    target: Any = table
-    for name in key.split("."):
-        target = target.get(name) if isinstance(target, Mapping) else None
-    if target is not None:
         return None
     for datum in DATA[table["kind"]]:
         for written in given:
             match = _KEY.match(written)
             same = int(match[1]) == datum.number if match else written.upper() == datum.name
-            if datum.key == key and same and datum.number != GEAR_NUMERATOR.number:
+            alone = datum.number != GEAR_NUMERATOR.number and not (key.endswith("_feedforward") and _has(given, FFW_MODE))
+            alone = alone and not (key == "screw_lead_m_per_rev" and (_has(given, GEAR_NUMERATOR) or _has(given, GEAR_DENOMINATOR)))
+            if datum.key == key and same and alone and isinstance(value, int | float):
                 return f"sinumerik.{written}", value / datum.factor
     return None
+
+
+def _has(given: Mapping[str, Any], datum: Datum) -> bool:
+    return any(int(m[1]) == datum.number if (m := _KEY.match(w)) else w.upper() == datum.name for w in given)
 
 
 def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:

@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 from twin.machine.axis import Axis
+from twin.machine.parameters import SPREAD, key_of
 
-TOLERANCED = {
-    "torque_constant": "torque_constant_nm_per_a",
-    "resistance": "resistance_ohm",
-    "inductance": "inductance_h",
-    "rotor_inertia": "rotor_inertia_kg_m2",
-    "moving_mass": "moving_mass_kg",
-    "coulomb_friction": "coulomb_friction_nm",
-    "viscous_friction": "viscous_friction_nm_s_per_rad",
-}
+TOLERANCED = {name: field.rsplit(".", 1)[-1] for name, field in SPREAD.items()}
 """Name of each toleranced parameter, and the field of the axis or its motor that holds it."""
-
-OF_MOTOR = ("torque_constant_nm_per_a", "resistance_ohm", "inductance_h")
-"""Fields of the motor; the others are of the axis."""
 
 
 def has(axis: Axis, parameter: str) -> bool:
@@ -41,10 +31,6 @@ def field_value(axis: Axis, parameter: str) -> float:
     return float(getattr(axis.motor if hasattr(axis.motor, field) else axis, field))
 
 
-def file_keys(axis_table: dict[str, object], parameter: str) -> list[str]:
-    """Keys of a machine file's [axis.NAME] table that hold a toleranced parameter, as far as the table has them."""
-    if parameter == "rotor_inertia":
-        return [key for key in axis_table if key.startswith("rotor_")]
-    field = TOLERANCED[parameter]
-    part = axis_table.get("motor", {}) if field in OF_MOTOR else axis_table
-    return [f"motor.{field}" if field in OF_MOTOR else field] if isinstance(part, dict) and field in part else []
+def path_of(axis: Axis, parameter: str) -> str:
+    """Path of a toleranced parameter under the names of a screw or gear; `Machine.in_file` says where a file has it."""
+    return f"axis.{axis.name}.{key_of(SPREAD[parameter], axis.kind)}"

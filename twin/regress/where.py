@@ -180,7 +180,7 @@ def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) ->
     forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
     integral = _speed_integral(axis, cycle, trace) / loops.speed_integral_time_s
     torque = loops.speed_gain_nm_s_per_rad * (error + integral) + forward
-    told = torque / axis.told_torque_constant
+    told = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
     return told - (told[0] if axis.has_speed_integral else 0.0), command, free
 

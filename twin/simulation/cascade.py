@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.machine.keys import MOST_MEAN_CYCLES
 from twin.machine.machine import Machine
+from twin.machine.parameters import MOST_MEAN_CYCLES
 
 WHOLE_CYCLE = 1e-9
 """A delay this close to a whole number of speed cycles is whole."""
@@ -98,7 +98,7 @@ def drives_of(machine: Machine) -> Drives:
         position_gain=column(lambda a: a.loops.position_gain_per_s),
         speed_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad),
         speed_integral_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad * machine.speed_cycle / a.loops.speed_integral_time_s),
-        control_torque_constant=column(lambda a: a.told_torque_constant),
+        control_torque_constant=column(lambda a: a.commissioned_torque_constant),
         peak_current=column(lambda a: a.motor.peak_current_a),
         current_gain=column(lambda a: a.loops.current_gain_v_per_a),
         current_integral_gain=column(lambda a: a.loops.current_gain_v_per_a * machine.current_cycle / a.loops.current_integral_time_s),

@@ -58,7 +58,7 @@ class ReferenceCascade:
         self.L = column([m.inductance_h for m in motors])
         self.Ke = column([m.back_emf_v_s_per_rad for m in motors])
         self.Kt = column([m.torque_constant_nm_per_a for m in motors])
-        self.control_Kt = column([axis.told_torque_constant for axis in axes])
+        self.control_Kt = column([axis.commissioned_torque_constant for axis in axes])
         self.i_peak = column([m.peak_current_a for m in motors])
         self.u_bus = column([m.bus_limit_v for m in motors])
         self.has_loop = np.array([axis.has_current_loop for axis in axes])

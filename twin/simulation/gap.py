@@ -186,7 +186,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     """
     noise = machine.noise(axis)
     if signal == axis.effort and not axis.has_current_loop:
-        told = axis.told_torque_constant
+        told = axis.commissioned_torque_constant
         gain = axis.loops.speed_gain_nm_s_per_rad / (told * axis.ratio)
         n = axis.loops.speed_mean_cycles
         steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (

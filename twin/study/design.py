@@ -136,7 +136,7 @@ def told(machine: Machine, *, anew: bool = False) -> Machine:
     for axis, inertia in zip(machine.axes, inertias.tolist()):
         numbers = {"inertia_kg_m2": inertia}
         if constant := EFFORTS[axis.effort].constant:
-            numbers[constant] = axis.motor.torque_constant_nm_per_a if anew else axis.told_torque_constant
+            numbers[constant] = axis.motor.torque_constant_nm_per_a if anew else axis.commissioned_torque_constant
         where, table = f"axis.{axis.name}.commissioned", {}
         for key, number in numbers.items():
             path, value = machine.in_file(f"{where}.{key}", number)

@@ -1,0 +1,203 @@
+"""A machine has one truth, its document: any chain of changes, written and read again, is the same machine and simulates the same."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from tests.builders.other_structures import slides
+from tests.conftest import swings
+from tests.machine.test_sinumerik import with_machine_data
+from twin.errors import InputError
+from twin.machine.axis import Axis, Loops, Motor
+from twin.machine.machine import FEEDFORWARD, Machine, load_machine, write_machine
+from twin.machine.parameters import PARAMETERS, SPREAD, file_from_typed, key_of, parameter, typed_from_file
+from twin.simulation.run import simulate
+
+NUMBERS = {
+    "max_velocity": (0.1, 0.5),
+    "max_jerk": (3.0, 50.0),
+    "coulomb_friction_nm": (0.1, 2.5),
+    "viscous_friction_nm_s_per_rad": (0.001, 0.01),
+    "peak_current_a": (20.0, 60.0),
+    "torque_constant_nm_per_a": (0.8, 1.6),
+    "position_gain_per_s": (20.0, 60.0),
+    "speed_gain_nm_s_per_rad": (0.3, 3.0),
+    "position_delay_s": (0.0, 0.004),
+    "dsc_delay_s": (0.0, 0.006),
+    "velocity_feedforward": (0.5, 1.2),
+    "torque_feedforward": (0.5, 1.2),
+    "commissioned_inertia": (0.001, 0.02),
+}
+"""Fields that a change may set, with the range of their values."""
+
+
+def changes(machine: Machine) -> st.SearchStrategy[tuple[str, Any]]:
+    """One change: a word of feedforward, some of the axes, a typed field of an axis, or the same number by its path."""
+    one = st.sampled_from(machine.axis_names).flatmap(
+        lambda axis: st.sampled_from(sorted(NUMBERS)).flatmap(
+            lambda field: st.floats(*NUMBERS[field]).map(lambda value: (axis, field, float(f"{value:.6g}")))
+        )
+    )
+    return st.one_of(
+        st.tuples(st.just("feedforward"), st.sampled_from(FEEDFORWARD)),
+        st.tuples(st.just("axes"), st.sets(st.sampled_from(machine.axis_names), min_size=2).map(lambda s: s | {machine.axis_names[0]})),
+        st.tuples(st.sampled_from(["axis", "values"]), one),
+        st.tuples(st.just("nothing"), st.none()),
+    )
+
+
+def value_of(axis: Axis, field: str) -> Any:
+    return next(getattr(part, field) for part in (axis, axis.motor, axis.loops) if hasattr(part, field))
+
+
+class Expected:
+    """What a machine must be after a chain of changes, kept beside it by the plainest means: driven axes and numbers by (axis, field)."""
+
+    def __init__(self, machine: Machine):
+        self.machine = machine
+        self.driven = set(machine.axis_names)
+        self.numbers: dict[tuple[str, str], float] = {}
+
+    def change(self, what: str, how: Any) -> None:
+        if what == "feedforward":
+            for axis in self.machine.axes:
+                for word in ("velocity", "torque"):
+                    now = value_of(axis, f"{word}_feedforward")
+                    self.numbers[axis.name, f"{word}_feedforward"] = (now or 1.0) if word in how else 0.0
+            self.machine = self.machine.with_feedforward(how)
+        elif what == "axes":
+            self.driven &= how
+            self.machine = self.machine.with_axes([a for a in self.machine.axis_names if a in how])
+        elif what == "nothing":
+            self.machine = self.machine.with_values({})
+        elif how[0] in self.driven:
+            axis, field, value = how
+            self.numbers[axis, field] = value
+            if what == "axis":
+                self.machine = self.machine.with_axis(axis, **{field: value})
+            else:
+                key = key_of(field, self.machine.axis(axis).kind)
+                self.machine = self.machine.with_values({f"axis.{axis}.{key}": file_from_typed(key, value)})
+
+    def holds(self, machine: Machine) -> None:
+        assert set(machine.axis_names) == self.driven
+        for (axis, field), value in self.numbers.items():
+            if axis in self.driven:
+                assert value_of(machine.axis(axis), field) == pytest.approx(value, rel=1e-12), f"{axis}.{field}"
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_any_chain_of_changes_written_and_read_is_the_same_machine(mikron: Machine, data: st.DataObject) -> None:
+    check_chain(mikron, data)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.data())
+def test_also_where_machine_data_stand_for_numbers(mikron: Machine, data: st.DataObject) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        check_chain(load_machine(with_machine_data(Path(folder), take=data.draw(st.booleans()))), data)
+
+
+def check_chain(machine: Machine, data: st.DataObject) -> None:
+    expected = Expected(machine)
+    for what, how in data.draw(st.lists(changes(machine), max_size=8)):
+        expected.change(what, how)
+        expected.holds(expected.machine)
+    now = expected.machine
+    with tempfile.TemporaryDirectory() as folder:
+        write_machine(now, Path(folder) / "m.toml")
+        again = load_machine(Path(folder) / "m.toml")
+        expected.holds(again)
+        assert again.axes == now.axes
+        assert (again.bodies, again.geometry, again.gravity) == (now.bodies, now.geometry, now.gravity)
+        a, b = (simulate(m, swings(m, 0.01)).trace for m in (now, again))
+        for key, values in a.signals.items():
+            np.testing.assert_array_equal(values, b.signals[key])
+
+
+def test_feedforward_stays_off(mikron: Machine) -> None:
+    machine = mikron.with_feedforward("off").with_values({"axis.X.moving_mass_kg": 690.0})
+    assert {axis.loops.velocity_feedforward for axis in machine.axes} == {0.0}
+
+
+def test_a_weight_that_the_file_has_is_kept(mikron: Machine) -> None:
+    machine = mikron.with_values({"axis.X.loops.velocity_feedforward": 0.8}).with_feedforward("velocity")
+    assert machine.axis("X").loops.velocity_feedforward == 0.8
+    assert machine.with_feedforward("off").with_feedforward("velocity").axis("X").loops.velocity_feedforward == 1.0
+
+
+def test_a_typed_change_is_written(mikron: Machine, tmp_path: Path) -> None:
+    write_machine(mikron.with_axis("X", position_gain_per_s=99.0), tmp_path / "m.toml")
+    assert "position_gain_per_s = 99.0 " in (tmp_path / "m.toml").read_text(encoding="utf-8")
+
+
+def test_the_undriven_axes_stay_in_the_file(mikron: Machine, tmp_path: Path) -> None:
+    write_machine(mikron.with_axes(["Z", "X"]), tmp_path / "m.toml")
+    machine = load_machine(tmp_path / "m.toml")
+    assert machine.axis_names == ("X", "Z")
+    assert machine.with_values({"driven_axes": ["Y"]}).axis_names == ("Y",)
+    with pytest.raises(InputError, match=r"driven_axes = .*W.*name axes of this machine: X, Y, Z, A, C"):
+        mikron.with_values({"driven_axes": ["W"]})
+
+
+def test_a_body_is_scaled_in_the_document(mikron: Machine) -> None:
+    machine = mikron.with_body("table", 1.1).with_values({})
+    assert machine.bodies[1].mass_kg == pytest.approx(1.1 * 95.0)
+    assert machine.bodies[1].inertia_kg_m2 == pytest.approx((2.86, 2.86, 5.06))
+
+
+def test_an_impossible_machine_can_be_simulated_and_is_not_written(mikron: Machine, tmp_path: Path) -> None:
+    machine = mikron.with_axis("X", coulomb_friction_nm=-0.1)
+    assert machine.axis("X").coulomb_friction_nm == -0.1
+    with pytest.raises(InputError, match=r"\[axis.X\]: coulomb_friction_nm = -0.1: impossible"):
+        write_machine(machine, tmp_path / "m.toml")
+    assert not (tmp_path / "m.toml").exists()
+    with pytest.raises(InputError, match="impossible"):
+        mikron.with_values({"axis.X.coulomb_friction_nm": -0.1})
+
+
+def test_nothing_typed_can_be_replaced_past_the_document(mikron: Machine) -> None:
+    with pytest.raises((TypeError, ValueError)):
+        dataclasses.replace(mikron, gravity=1.0)  # type: ignore[call-arg]
+
+
+def test_a_change_leaves_the_first_machine_alone(mikron: Machine) -> None:
+    before = mikron.document["axis"]["X"]["loops"]["position_gain_per_s"]
+    mikron.with_axis("X", position_gain_per_s=99.0).with_values({"geometry.a_axis_to_c_axis_z_m": 0.1})
+    assert mikron.document["axis"]["X"]["loops"]["position_gain_per_s"] == before
+    assert mikron.geometry["a_axis_to_c_axis_z_m"] == 0.0
+
+
+def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
+    """And nothing else: the typed view has no number that the table does not know."""
+    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", "encoder"}
+    typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
+    assert {p.field for p in PARAMETERS} == typed
+    assert all(parameter(field).field == field for field in SPREAD.values())
+
+
+@pytest.mark.parametrize("key", [k for p in PARAMETERS for k in {p.screw, p.gear, p.direct} if k])
+def test_units_there_and_back(key: str) -> None:
+    assert file_from_typed(key, typed_from_file(key, 3.7)) == pytest.approx(3.7, rel=1e-15)
+
+
+def test_other_structures_take_typed_numbers_in_their_own_keys(tmp_path: Path) -> None:
+    machine = slides(tmp_path).with_axis("X", coulomb_friction_nm=21.0, peak_current_a=9.0, torque_constant_nm_per_a=36.0)
+    table = machine.document["axis"]["X"]
+    assert (table["coulomb_friction_n"], table["actuator"]["peak_voltage_v"], table["actuator"]["force_constant_n_per_v"]) == (
+        21.0,
+        9.0,
+        36.0,
+    )
+    doubled = machine.with_axis("X", speed_gain_nm_s_per_rad=2.0 * machine.axis("X").loops.speed_gain_nm_s_per_rad)
+    assert doubled.document["axis"]["X"]["loops"]["speed_gain_v_s_per_m"] == pytest.approx(486.0)
+    assert doubled.axis("X").loops.speed_gain_nm_s_per_rad == pytest.approx(2.0 * 243.0 * 36.0)

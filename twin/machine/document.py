@@ -1,0 +1,198 @@
+"""The tables of a machine file as the one truth about a machine: checked, and changed by path.
+
+A path names a number under the names of a screw or gear with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `place`
+finds where this file has that number: an actuator, a direct drive and machine data of a SINUMERIK have names and units of their own.
+Tables are never changed in place: a changed document shares every table that stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.machine import keys, sinumerik
+from twin.machine.axis import Axis, axis_of_table
+from twin.machine.parameters import si_from_key, typed_from_file
+
+TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified")  # fmt: skip
+"""Keys and tables of a machine file beside `keys.TOP`."""
+
+ADDED = ("effect", "driven_axes", "identified", "frame", "tool")
+"""Of those, what `changed` may add."""
+
+
+def check_document(document: Mapping[str, Any], where: str) -> None:
+    """Every table but those of the axes: keys known, numbers possible. Raises InputError with table, key and remedy."""
+    keys.check_table(document, keys.TOP, where, TABLES)
+    for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
+        if table not in document and table != "geometry":
+            raise InputError(f"{where}: table [{table}] is missing; add it")
+        also = ("setpoint_interpolation",) if table == "control" else ()
+        keys.check_table(document.get(table, {}), known, f"{where}: [{table}]", also)
+    interpolation = document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0])
+    if interpolation not in keys.INTERPOLATIONS:
+        raise InputError(
+            f"{where}: [control]: setpoint_interpolation = {interpolation!r}; {nearest(str(interpolation), keys.INTERPOLATIONS)}"
+        )
+    axes = document.get("axis")
+    if not isinstance(axes, dict) or not axes:
+        raise InputError(f"{where}: no [axis.NAME] table; describe at least one axis")
+    order = document.get("axis_order", list(axes))
+    if not isinstance(order, list) or sorted(map(str, order)) != sorted(axes):
+        raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
+    driven = document.get("driven_axes", order)
+    if not isinstance(driven, list) or not set(map(str, driven)) <= set(axes):
+        raise InputError(f"{where}: driven_axes = {driven}; name axes of this machine: {', '.join(axes)}")
+    if not isinstance(document.get("effect", []), list):
+        raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
+    tools = document.get("tool", {})
+    if not isinstance(tools, dict) or not all(isinstance(tool, dict) for tool in tools.values()):
+        raise InputError(f"{where}: 'tool' must hold one table for each tool; write [tool.T1] and below it length_m")
+    for name, tool in tools.items():
+        keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
+    for name, table in document.get("body", {}).items():
+        _check_body(table, f"{where}: [body.{name}]")
+
+
+def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str) -> None:
+    """A current loop has a cycle, and every cycle is a whole multiple of the shortest one."""
+    control = document["control"]
+    looped = [axis.name for axis in axes if axis.has_current_loop]
+    if "current_cycle_us" not in control and looped:
+        raise InputError(f"{where}: [control]: 'current_cycle_us' is missing; add it, axis {looped[0]} has a current loop")
+    cycles = cycles_of(document)
+    shortest = min(cycles[name] for name in ("current_cycle", "speed_cycle", "position_cycle"))
+    for name in ("current_cycle", "speed_cycle", "position_cycle"):
+        if abs(cycles[name] / shortest - round(cycles[name] / shortest)) > 1e-6:
+            raise InputError(f"{where}: [control]: {name}_us is no whole multiple of the shortest cycle ({shortest * 1e6:g} us); change it")
+
+
+LONGEST_TICK = 125e-6
+"""Tick of a machine without current loops, whose file names none [s]: friction that sticks needs a short one."""
+
+
+def cycles_of(document: Mapping[str, Any]) -> dict[str, float]:
+    """Cycles of the control [s], those left out included: current_cycle, speed_cycle, position_cycle, interpolation_cycle."""
+    control = {k: v * si_from_key(k) for k, v in document["control"].items() if k in keys.CONTROL}
+    speed, position = control["speed_cycle_us"], control["position_cycle_us"]
+    current = control.get("current_cycle_us", speed / math.ceil(speed / LONGEST_TICK - 1e-9))
+    return {
+        "current_cycle": current,
+        "speed_cycle": speed,
+        "position_cycle": position,
+        "interpolation_cycle": control.get("interpolation_cycle_us", position),
+    }
+
+
+def _check_body(table: Any, where: str) -> None:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: must be a table")
+    keys.check_table(table, keys.BODY, where)
+    i = np.array(table["inertia_kg_m2"], float)
+    if np.any(i > i.sum() - i + 1e-12):
+        raise InputError(
+            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others"
+        )
+
+
+def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The document with other values by path; InputError for a path that no machine file of this kind has."""
+    out = dict(document)
+    for asked, value in values.items():
+        if asked.startswith("axis.") and asked.count(".") > 1:
+            out = _without_contradicting_data(out, asked)
+        path, number = place(out, asked, value)
+        *tables, key = path.split(".")
+        table: Any = out
+        for i, name in enumerate(tables):
+            if not isinstance(table, dict) or name not in table:
+                known = table if isinstance(table, dict) else {}
+                if not isinstance(table, dict) or not _may_stand(out, path):
+                    raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
+                table[name] = {}
+            if isinstance(table[name], dict):
+                table[name] = dict(table[name])
+            table = table[name]
+        if not isinstance(table, dict) or (key not in table and not _may_stand(out, path)):
+            raise InputError(f"machine {where}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
+        table[key] = number
+    return out
+
+
+def _may_stand(document: Mapping[str, Any], path: str) -> bool:
+    """May a machine file of this kind have this path, which is not there?"""
+    parts = path.split(".")
+    if len(parts) == 1:
+        return path in ADDED or path in keys.TOP
+    if len(parts) == 2 and parts[0] in ("control", "geometry", "measurement"):
+        known = {"control": (*keys.CONTROL, "setpoint_interpolation"), "geometry": keys.GEOMETRY, "measurement": keys.MEASUREMENT}
+        return parts[1] in known[parts[0]]
+    table = document["axis"].get(parts[1]) if parts[0] == "axis" else None
+    if not isinstance(table, Mapping) or len(parts) > 4:
+        return False
+    kind, direct = table.get("kind"), table.get("drive") == "direct"
+    own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", keys.STRUCTURES[0]), table, f"[axis.{parts[1]}]")
+    if len(parts) == 3:
+        return parts[2] in own or parts[2] in ("encoder", "commissioned")
+    return parts[3] in below.get(parts[2], {})
+
+
+def place(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
+    """Path and value of a number as this file has it: `axis.X.coulomb_friction_nm` of a direct drive is its `coulomb_friction_n`."""
+    parts = path.split(".")
+    table = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
+    if not isinstance(table, Mapping):
+        return path, value
+    if parts[2] in ("motor", "commissioned") and "actuator" in table:
+        effort = keys.EFFORTS[table["actuator"]["command"]]
+        if parts[2] == "motor":
+            parts[2] = "actuator"
+        parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
+    if table.get("drive") == "direct":
+        parts[-1] = keys.DIRECT.get(parts[-1], parts[-1])
+    datum = sinumerik.datum_place(table, ".".join(parts[2:]), value)
+    if datum is not None:
+        return f"axis.{parts[1]}.{datum[0]}", datum[1]
+    if parts[-1] in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and parts[2] == "loops" and "actuator" in table:
+        return _speed_gain_place(table, parts, value)
+    return ".".join(parts), value
+
+
+def _speed_gain_place(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
+    """Where the speed gain stands if the file has it per unit of the command, and its value there."""
+    command = table["actuator"]["command"]
+    plain = keys.canonical(table) if table.get("drive") == "direct" else table
+    constant_key = keys.EFFORTS[command].constant
+    constant = plain.get("commissioned", {}).get(constant_key, plain["actuator"].get(constant_key, 1.0))
+    leads = [(key, table[key]) for key in ("screw_lead_m_per_rev", "gear_ratio") if key in table]
+    ratio = typed_from_file(*leads[0]) if leads else 1.0
+    for other, torque, at_axis in keys.speed_gains(command):
+        if parts[-1] not in table["loops"] and other in table["loops"] and not torque:
+            return ".".join([*parts[:-1], other]), value / constant / (ratio if at_axis else 1.0)
+    return ".".join(parts), value
+
+
+def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str, Any]:
+    """The document in which an axis has plain keys instead of machine data, where these would contradict a new plain value."""
+    _, axis, key = path.split(".", 2)
+    table = document["axis"].get(axis)
+    if not isinstance(table, Mapping) or not isinstance(table.get("sinumerik"), Mapping):
+        return document
+    given = sinumerik.plain_values(sinumerik.by_number(table["sinumerik"], table["kind"], f"[axis.{axis}.sinumerik]"), table["kind"])
+    there: Any = table
+    for name in key.split("."):
+        there = there.get(name) if isinstance(there, Mapping) else None
+    of_data = key in given or f"{key}.0" in given
+    if not of_data or (there is None and sinumerik.datum_place(table, key, 1.0) is not None):
+        return document
+    plain = sinumerik.completed(table, f"[axis.{axis}]")
+    return {**document, "axis": {**document["axis"], axis: plain}}
+
+
+def axis_in(document: Mapping[str, Any], name: str, where: str, checked: bool) -> Axis:
+    """The typed view of `[axis.NAME]`."""
+    return axis_of_table(name, document["axis"][name], f"{where}: [axis.{name}]", checked)

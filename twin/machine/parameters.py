@@ -1,0 +1,207 @@
+"""The numbers of an axis in one table: typed field, key in the machine file, bounds, and machine datum of a SINUMERIK.
+
+The key carries the unit (`max_velocity_m_per_min`). An axis has one of three drives, and each drive has its own keys:
+
+    screw    linear axis with a ball screw: numbers at the motor
+    gear     rotary axis
+    direct   linear axis with a linear motor, or with a screw that nobody knows: numbers at the axis, in N, kg and m/s
+
+Everything that reads or writes a number of an axis by its name (file, typed view, variants, tolerance, identification, truth)
+takes the name from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+INFINITE = math.inf
+MOST_MEAN_CYCLES = 16
+"""Speed cycles over which a position may be differentiated."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """Bounds of a number in the file's own unit, and whether it may be left out."""
+
+    low: float = -INFINITE
+    high: float = INFINITE
+    required: bool = True
+    above: bool = False  # the lower bound itself is impossible (a mass of 0)
+    count: int = 1  # how many numbers
+
+
+def positive(required: bool = True) -> Key:
+    return Key(low=0.0, above=True, required=required)
+
+
+def not_negative(required: bool = True) -> Key:
+    return Key(low=0.0, required=required)
+
+
+@dataclass(frozen=True)
+class Datum:
+    """One machine datum: number, name, unit on the control, the plain key that it stands for and the factor to it."""
+
+    number: int
+    name: str
+    unit: str
+    key: str  # below the axis, e.g. loops.position_gain_per_s; travel_m.0 is the first of two numbers
+    factor: float
+
+    @property
+    def label(self) -> str:
+        return f"MD{self.number}"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an axis. `field` is its place in `twin.machine.axis.Axis`, the keys its places below `[axis.N]` ('' where there is none).
+
+    `data` are machine data (number, name, unit, factor to the key's unit) of a linear and of a rotary axis.
+    """
+
+    field: str
+    screw: str
+    gear: str
+    direct: str
+    bounds: Key
+    data: tuple[tuple[int, str, str, float] | None, tuple[int, str, str, float] | None] = (None, None)
+
+    def key(self, drive: str) -> str:
+        """Key below `[axis.N]` of an axis with this drive."""
+        return {"screw": self.screw, "gear": self.gear, "direct": self.direct}[drive]
+
+
+def _same(key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "") -> Parameter:
+    """A number whose key does not depend on the kind of the axis; `direct` is its leaf where that is another one."""
+    *tables, leaf = key.split(".")
+    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum))
+
+
+_SPEED = ((32000, "MAX_AX_VELO", "mm/min", 1e-3), (32000, "MAX_AX_VELO", "rev/min", 1.0))
+_ACCELERATION = ((32300, "MAX_AX_ACCEL", "m/s2", 1.0), (32300, "MAX_AX_ACCEL", "rev/s2", 1.0))
+_JERK = ((32431, "MAX_AX_JERK", "m/s3", 1.0), (32431, "MAX_AX_JERK", "rev/s3", 1.0))
+_RATIO = ((31030, "LEADSCREW_PITCH", "mm/rev", 1e-3), (31060, "DRIVE_AX_RATIO_NUMERA", "1", 1.0))
+
+PARAMETERS = (
+    Parameter("travel", "travel_m", "travel_deg", "travel_m", Key(count=2)),
+    Parameter("max_velocity", "max_velocity_m_per_min", "max_velocity_rev_per_min", "max_velocity_m_per_min", positive(), _SPEED),
+    Parameter(
+        "max_acceleration",
+        "max_acceleration_m_per_s2",
+        "max_acceleration_rev_per_s2",
+        "max_acceleration_m_per_s2",
+        positive(),
+        _ACCELERATION,
+    ),
+    Parameter("max_jerk", "max_jerk_m_per_s3", "max_jerk_rev_per_s3", "max_jerk_m_per_s3", positive(), _JERK),
+    Parameter("ratio", "screw_lead_m_per_rev", "gear_ratio", "", positive(), _RATIO),
+    Parameter("moving_mass_kg", "moving_mass_kg", "", "moving_mass_kg", positive()),
+    Parameter("rotor_inertia_kg_m2", "rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2", "rotor_mass_kg", positive()),
+    _same("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
+    _same("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
+    _same("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
+    _same("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
+    _same("motor.resistance_ohm", positive()),
+    _same("motor.inductance_h", positive()),
+    _same("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
+    _same("motor.bus_limit_v", positive()),
+    _same("loops.position_gain_per_s", positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0)),
+    _same("loops.speed_gain_nm_s_per_rad", positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m"),
+    _same("loops.speed_integral_time_s", positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3)),
+    _same("loops.current_gain_v_per_a", positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0)),
+    _same("loops.current_integral_time_s", positive(), (1121, "CURRCTRL_INTEGRATOR_TIME", "us", 1e-6)),
+    _same("loops.velocity_feedforward", Key(-2.0, 2.0), (32610, "VELO_FFW_WEIGHT", "1", 1.0)),
+    _same("loops.torque_feedforward", Key(-5.0, 5.0)),
+    _same("loops.position_delay_s", Key(0.0, 1.0), (32810, "EQUIV_SPEEDCTRL_TIME", "s", 1.0)),
+    _same("loops.feedforward_delay_s", Key(0.0, 1.0)),
+    _same("loops.dsc_delay_s", Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0)),
+    _same("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
+    _same("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
+    # what the control was commissioned with; it keeps these whatever motor and load really are
+    _same(
+        "commissioned.torque_constant_nm_per_a",
+        positive(required=False),
+        field="commissioned_torque_constant",
+        direct="force_constant_n_per_a",
+    ),
+    _same(
+        "commissioned.inertia_kg_m2",
+        positive(required=False),
+        (32650, "AX_INERTIA", "kgm2", 1.0),
+        field="commissioned_inertia",
+        direct="mass_kg",
+    ),
+)
+
+SPREAD = {
+    "torque_constant": "motor.torque_constant_nm_per_a",
+    "resistance": "motor.resistance_ohm",
+    "inductance": "motor.inductance_h",
+    "rotor_inertia": "rotor_inertia_kg_m2",
+    "moving_mass": "moving_mass_kg",
+    "coulomb_friction": "coulomb_friction_nm",
+    "viscous_friction": "viscous_friction_nm_s_per_rad",
+}
+"""Quantities that differ from machine to machine within `parameter_tolerance`, by their name in a truth, and their fields."""
+
+_BY_FIELD = {p.field: p for p in PARAMETERS} | {p.field.rsplit(".", 1)[-1]: p for p in PARAMETERS}
+
+
+def parameter(field: str) -> Parameter:
+    """The parameter of a typed field, with or without its table (`motor.resistance_ohm`, `resistance_ohm`); KeyError where there is none."""
+    return _BY_FIELD[field]
+
+
+def key_of(field: str, kind: str) -> str:
+    """Key below `[axis.N]` of a field, under the names of a screw or a gear: 'motor.resistance_ohm'."""
+    return parameter(field).key("screw" if kind == "linear" else "gear")
+
+
+def machine_data_of(kind: str) -> tuple[Datum, ...]:
+    """Machine data of a linear or rotary axis with the keys that they stand for."""
+    out = []
+    for p in PARAMETERS:
+        datum = p.data[kind != "linear"]
+        if datum is not None:
+            number, name, unit, factor = datum
+            out.append(Datum(number, name, unit, key_of(p.field, kind), factor))
+        if p.field == "travel":
+            key, unit, factor = ("travel_m", "mm", 1e-3) if kind == "linear" else ("travel_deg", "deg", 1.0)
+            out += [Datum(36100, "POS_LIMIT_MINUS", unit, f"{key}.0", factor), Datum(36110, "POS_LIMIT_PLUS", unit, f"{key}.1", factor)]
+    return tuple(out)
+
+
+# longest first: '_rev_per_s2' must not be read as '_per_s'
+_SUFFIX_TO_SI = {
+    "_deg_per_s": math.pi / 180.0,
+    "_rev_per_min": 2.0 * math.pi / 60.0,
+    "_rev_per_s2": 2.0 * math.pi,
+    "_rev_per_s3": 2.0 * math.pi,
+    "_m_per_min": 1.0 / 60.0,
+    "_deg": math.pi / 180.0,
+    "_us": 1e-6,
+}
+
+
+def si_from_key(key: str) -> float:
+    """Factor to SI that the unit at the end of a key asks for (1 where the unit is SI already)."""
+    for suffix, factor in _SUFFIX_TO_SI.items():
+        if key.endswith(suffix):
+            return factor
+    return 1.0
+
+
+def typed_from_file(key: str, value: float) -> float:
+    """A number of the file as its typed field has it: SI; a lead or gear ratio becomes axis units per motor radian."""
+    if key == "screw_lead_m_per_rev":
+        return value / (2.0 * math.pi)
+    return 1.0 / value if key == "gear_ratio" else value * si_from_key(key)
+
+
+def file_from_typed(key: str, value: float) -> float:
+    """The number that stands in the file for a typed one."""
+    if key == "screw_lead_m_per_rev":
+        return value * 2.0 * math.pi
+    return 1.0 / value if key == "gear_ratio" else value / si_from_key(key)
