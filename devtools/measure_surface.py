@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.simulation.summary import table
 from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.levels import levels_of_program
@@ -103,9 +103,8 @@ def measure_speed() -> int:
     return missed
 
 
-def measure_parts(only: list[str]) -> None:
+def measure_parts(only: list[str], machine: Machine) -> None:
     """The paper's parts at every level, feedforward on and off, and how long it took."""
-    machine = load_machine()
     folder = Path(__file__).resolve().parent.parent / "examples" / "parts"
     rows, rotary = [], []
     for name in only:
@@ -160,14 +159,14 @@ def measure_geometry() -> None:
     """How the mark depends on what the paper does not print: radius, slope, corner, rounding."""
     machine = load_machine()
     shapes: list[tuple[str, TangentPlanes | VerticalCorner]] = []
-    base = TangentPlanes(passes=0)
+    base = TangentPlanes(passes=0, tolerance=0.005)
     shapes += [(f"part 1: radius {r:g} mm, slope 20 deg", replace(base, radius=r)) for r in (5.0, 10.0, 20.0, 40.0, 80.0)]
     shapes += [(f"part 1: radius 20 mm, slope {s:g} deg", replace(base, slope_deg=s)) for s in (5.0, 10.0, 30.0)]
     shapes += [(f"part 1: radius 20 mm, rounding {t * 1e3:g} um", replace(base, tolerance=t)) for t in (0.001, 0.02)]
-    shapes += [(f"part 2: outer corner {a:g} deg", VerticalCorner(turn_deg=a)) for a in (45.0, 90.0, 120.0)]
+    shapes += [(f"part 2: outer corner {a:g} deg", VerticalCorner(turn_deg=a, tolerance=0.005)) for a in (45.0, 90.0, 120.0)]
     shapes += [
         ("part 2: outer corner 90 deg, rounding 1 um", VerticalCorner(tolerance=0.001)),
-        ("part 2: inner corner 90 deg", VerticalCorner(inner=True)),
+        ("part 2: inner corner 90 deg", VerticalCorner(inner=True, tolerance=0.005)),
     ]
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -189,12 +188,13 @@ def measure_geometry() -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("speed", "parts", "geometry"))
+    parser.add_argument("--machine", metavar="FILE", help="--only parts: on this machine")
     parser.add_argument("--part", action="append", choices=list(PARTS), help="only this part (may be given several times)")
     args = parser.parse_args()
     if args.only in (None, "speed"):
         measure_speed()
     if args.only in (None, "parts"):
-        measure_parts(args.part or list(PARTS))
+        measure_parts(args.part or list(PARTS), load_machine(args.machine))
     if args.only in (None, "geometry"):
         measure_geometry()
     return 0

@@ -46,7 +46,7 @@ def changed(machine: Machine, what: str, factor: float) -> Machine:
 
 def marks(machine: Machine, folder: Path) -> dict[str, float]:
     """Depth of the mark [um] by level, slow passes left out (they do not change what the fast pass cuts deepest)."""
-    shape = TangentPlanes(passes=0)
+    shape = TangentPlanes(passes=0, tolerance=0.005)
     (folder / "part.mpf").write_text(shape.program(), encoding="utf-8")
     (folder / "part.toml").write_text(shape.part(zone_um=40.0), encoding="utf-8")
     part = read_part(folder / "part.toml")

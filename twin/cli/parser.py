@@ -50,6 +50,11 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
         Command("plan", "plan", "propose a measuring campaign that identifies each parameter to a wanted precision"),
         Command("identify", "identify", "identify a machine's parameters, with intervals, from its own traces"),
     ),
+    "judge": (
+        Command(
+            "iso", "iso", "positioning by ISO 230-2 and circles by ISO 230-4, of a table, a trace, a run or a campaign, with the usual plot"
+        ),
+    ),
     "diagnose": (
         Command("gap", "gap", "simulate every run of a measured campaign and compare signal by signal"),
         Command(

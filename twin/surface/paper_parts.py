@@ -30,7 +30,7 @@ class TangentPlanes:
     passes: int = 12
     slow_feed: float = 100.0
     fast_feed: float = 10_000.0
-    tolerance: float = 0.005
+    tolerance: float = 0.0048
     top: float = 180.0
     fast: bool = True
 
@@ -108,7 +108,7 @@ class VerticalCorner:
     slow_leg: float = 8.0
     slow_feed: float = 100.0
     fast_feed: float = 10_000.0
-    tolerance: float = 0.005
+    tolerance: float = 0.0048
     top: float = 160.0
 
     def program(self) -> str:
@@ -186,7 +186,7 @@ class Dome:
     chord: float = 0.2
     slow_feed: float = 100.0
     fast_feed: float = 4_000.0
-    tolerance: float = 0.005
+    tolerance: float = 0.0048
     centre: float = 130.0
 
     def _polar(self, azimuth: float, offset: float) -> float:

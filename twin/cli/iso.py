@@ -1,0 +1,210 @@
+"""`twin iso 230-2|230-4 INPUT`: the standard's numbers and the plot that everybody in the trade knows."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twin.cli.arguments import add_machine, positive
+from twin.errors import InputError
+from twin.files import write_json
+
+if TYPE_CHECKING:
+    from twin.iso230.circles import CircleTest
+    from twin.machine.machine import Machine
+    from twin.recordings.trace import Trace
+
+STANDARDS = ("230-2", "230-4")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `twin iso`."""
+    parser.add_argument("standard", choices=STANDARDS, metavar="230-2|230-4", help="230-2: positioning of an axis; 230-4: circles")
+    parser.add_argument("input", metavar="INPUT", help="table of readings (.csv), trace, folder of a run, or campaign")
+    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON; the plot stands beside it")
+    parser.add_argument("--plot", metavar="FILE", help="where the plot goes (default: beside --json, or out/iso_STANDARD.png)")
+    parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
+    parser.add_argument(
+        "--no-predict", action="store_true", help="230-4: leave out what the twin of --machine predicts for the same set points"
+    )
+    parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
+    parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
+    parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")
+    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write the circles as a campaign for `twin diagnose`")
+    add_machine(parser)
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Evaluate, print, write numbers and plot."""
+    from twin.machine import load_machine
+
+    if not Path(args.input).exists():
+        raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run or a campaign")
+    machine = load_machine(args.machine)
+    plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
+    document = _positioning(args, machine, plot) if args.standard == "230-2" else _circles(args, machine, plot)
+    if args.json:
+        write_json(document, Path(args.json))
+        print(f"written: {args.json}")
+    print(f"written: {plot}")
+    return 0
+
+
+def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:
+    from twin.iso230.plots import draw_positioning
+    from twin.iso230.positioning import positioning
+    from twin.iso230.readings import is_table, positions_of_trace, read_positions
+    from twin.simulation.summary import table
+
+    source = Path(args.input)
+    readings, kinds = {}, {}
+    if source.is_file() and is_table(source):
+        readings[""], kinds[""] = read_positions(source)
+    else:
+        problems = []
+        for run, trace, _ in _traces(source, machine):
+            for axis in trace.axes:
+                if trace.moves(axis) and args.axis in (None, axis) and axis not in readings:
+                    try:
+                        readings[axis], kinds[axis] = positions_of_trace(trace, axis, run), machine.axis(axis).kind
+                    except InputError as error:
+                        problems.append(str(error))
+        if not readings:
+            raise InputError(problems[0] if problems else f"{source}: no axis moves{f' like {args.axis}' if args.axis else ''}")
+    results = {axis: positioning(one) for axis, one in readings.items()}
+    draw_positioning(results, kinds, plot)
+    scale = {axis: (1e3, "mm") if kind == "linear" else (180.0 / math.pi, "deg") for axis, kind in kinds.items()}
+    names = list(next(iter(results.values())).numbers)
+    rows = [[axis or "-", *(f"{r.numbers[n] * scale[axis][0]:.4g}" for n in names), scale[axis][1]] for axis, r in results.items()]
+    print(f"ISO 230-2, k = 2, {len(next(iter(readings.values())).target)} positions")
+    print(table(["axis", *names, "unit"], rows, left=1))
+    axes = {
+        axis: {
+            "unit": scale[axis][1],
+            **{name: value * scale[axis][0] for name, value in found.numbers.items()},
+            "cycles": readings[axis].forward.shape[1],
+            "positions": [
+                {
+                    "target": float(found.target[i] * scale[axis][0]),
+                    "mean_forward": float(found.mean_forward[i] * scale[axis][0]),
+                    "mean_backward": float(found.mean_backward[i] * scale[axis][0]),
+                    "s_forward": float(found.deviation_forward[i] * scale[axis][0]),
+                    "s_backward": float(found.deviation_backward[i] * scale[axis][0]),
+                    "B": float(found.reversal[i] * scale[axis][0]),
+                }
+                for i in range(len(found.target))
+            ],
+        }
+        for axis, found in results.items()
+    }
+    alone = next(iter(axes.values())) if len(axes) == 1 else {}
+    return {"standard": "ISO 230-2", "k": 2, **alone, "axes": axes}
+
+
+def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:
+    from twin.iso230.circle_of_trace import circles_of_trace
+    from twin.iso230.plots import draw_circles
+    from twin.iso230.readings import is_table, read_ballbar
+    from twin.simulation.summary import table
+
+    source = Path(args.input)
+    tests: list[tuple[str, dict[str, CircleTest]]] = []
+    if source.is_file() and is_table(source):
+        if args.radius_mm is None or len(args.plane) != 2:
+            raise InputError(f"{source}: a ballbar's table needs the radius and the plane of its program; give --radius-mm and --plane XY")
+        plane = (args.plane[0], args.plane[1])
+        for axis in plane:
+            machine.axis(axis)
+        feed = args.feed_mm_per_min / 60e3 if args.feed_mm_per_min else math.nan
+        tests.append((source.stem, {"measured": read_ballbar(source, args.radius_mm * 1e-3, feed, plane).centred()}))
+    else:
+        problems = []
+        for run, trace, feedforward in _traces(source, machine):
+            try:
+                found = circles_of_trace(trace, where=run)
+            except InputError as error:
+                problems.append(str(error))
+                continue
+            for test in found:
+                tests.append((run, {"measured": test}))
+                if not args.no_predict:
+                    tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test)
+        if not tests:
+            raise InputError(problems[0] if problems else f"{source}: no run with a circle")
+    rows, circles = [], []
+    for i, (run, by_name) in enumerate(tests):
+        entry: dict[str, Any] = {"run": run, "plane": by_name["measured"].name, "radius_mm": by_name["measured"].radius * 1e3}
+        for name, test in by_name.items():
+            numbers = _numbers(test)
+            entry |= numbers if name == "measured" else {name: numbers}
+            rows.append([run, test.name, name, *(f"{numbers[k]:.2f}" if k in numbers else "-" for k in _SHOWN)])
+        circles.append(entry)
+        draw_circles(by_name, plot if i == 0 else plot.with_name(f"{plot.stem}_{run}_{by_name['measured'].name}{plot.suffix}"))
+    print("ISO 230-4 [um]; G: about the least-squares centre, F: about the nominal centre")
+    print(table(["run", "plane", "", *_SHOWN], rows, left=3))
+    for entry in circles:
+        for direction, spikes in entry["reversal_spikes"].items():
+            print(
+                f"{entry['run']} {entry['plane']} {direction}: reversal spikes " + ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
+            )
+    if args.campaign:
+        _write_campaign([by_name["measured"] for _, by_name in tests], Path(args.campaign), machine, source)
+    return {"standard": "ISO 230-4", "unit": "um", **(circles[0] if len(circles) == 1 else {}), "circles": circles}
+
+
+_SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")
+
+
+def _numbers(test: CircleTest) -> dict[str, Any]:
+    """The numbers of a circle [um], spikes by direction and quadrant."""
+    from twin.iso230.circles import circle_numbers, reversal_spikes
+
+    numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items() if not k.startswith("radius")}
+    spikes = {d: {str(q): v * 1e6 for q, v in s.items()} for d, s in reversal_spikes(test).items()}
+    return {**numbers, "reversal_spikes": spikes}
+
+
+def _predicted(trace: Trace, machine: Machine, measured: CircleTest) -> CircleTest:
+    """The same circle as the twin runs it."""
+    from twin.iso230.circle_of_trace import circles_of_trace
+    from twin.simulation.run import simulate
+    from twin.simulation.setpoints import setpoints_of
+
+    run = simulate(machine, setpoints_of(trace, machine))
+    return next(test for test in circles_of_trace(run.trace) if test.axes == measured.axes)
+
+
+def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None]]:
+    """Name, trace and feedforward of every run: of a campaign, of the folder of a run, of a trace."""
+    from twin.recordings import read_campaign, read_trace
+
+    if (source / "campaign.toml").is_file():
+        for run in read_campaign(source, machine).runs:
+            yield run.name, run.trace, run.feedforward
+        return
+    file = source / "trace.parquet" if source.is_dir() else source
+    if not file.is_file():
+        raise InputError(f"{source}: neither campaign.toml nor trace.parquet; give a campaign, the folder of a run, a trace or a table")
+    yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None
+
+
+def _write_campaign(tests: list[CircleTest], folder: Path, machine: Machine, source: Path) -> None:
+    """The circles as a campaign of two scales: one run a direction."""
+    from twin.files import write_text
+    from twin.iso230.readings import trace_of_circle
+    from twin.recordings.trace import write_trace
+
+    lines = [
+        f"# circles of {source.name}: radius measured, the way along the circle taken from the program",
+        f'machine = "{machine.model_path.stem}"',
+    ]
+    for test in tests:
+        for direction, trace in trace_of_circle(test).items():
+            name = f"circle_{test.name.lower()}_{direction}.parquet"
+            write_trace(trace, folder / name)
+            lines += ["", "[[run]]", f'file = "{name}"']
+    write_text("\n".join([*lines, ""]), folder / "campaign.toml")
+    print(f"written: {folder}, a campaign for twin diagnose")

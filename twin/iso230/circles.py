@@ -1,0 +1,137 @@
+"""Circles by ISO 230-4: deviations of a path from a circle, in both directions, and what the trade reads from them.
+
+A path is given by its polar angle and its distance from the nominal centre. With the least-squares circle (centre c, radius r) of a path,
+
+    G(cw), G(ccw)   circular deviation: range of the distance from the path's own least-squares centre
+    G(b)            bidirectional: the same range over both paths about the least-squares centre of both
+    F max, F min    radial deviation: greatest and least distance from the nominal centre less the nominal radius, over both paths
+    H               hysteresis: greatest difference between the two paths at one angle (edition of 1996)
+    D               mean bidirectional radial deviation: radius of the least-squares circle of both less the nominal radius
+
+A ballbar does not know where its centre lies: `centred` takes the eccentricity out first, as its software does. Reversal spikes stand where an axis
+turns: the greatest excursion within SPIKE_WINDOW of the quadrant, over the parabola through the path on both sides. Lengths in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from twin.errors import InputError
+
+DIRECTIONS = ("ccw", "cw")
+"""Counter-clockwise: from the first axis to the second one."""
+GRID = 3600
+"""Angles at which two paths are compared."""
+SPIKE_WINDOW = math.radians(8.0)
+"""A reversal spike is sought this far about its quadrant."""
+BESIDE = (math.radians(10.0), math.radians(16.0))
+"""Where the path beside a spike is taken from, on both sides."""
+LEAST_SWEEP = math.radians(345.0)
+"""A path that covers less is no circle of the standard."""
+QUADRANTS = (0, 90, 180, 270)
+
+
+@dataclass(frozen=True)
+class CirclePath:
+    """One path: polar `angle` (sample,) [rad], unwrapped and monotonic, `distance` (sample,) [m] from the nominal centre."""
+
+    angle: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def direction(self) -> str:
+        """'ccw' or 'cw'."""
+        return "ccw" if self.angle[-1] > self.angle[0] else "cw"
+
+    @property
+    def points(self) -> np.ndarray:
+        """(sample, 2) about the nominal centre."""
+        return self.distance[:, None] * np.column_stack([np.cos(self.angle), np.sin(self.angle)])
+
+    def about(self, centre: np.ndarray) -> CirclePath:
+        """The same path seen from another centre (2,)."""
+        x, y = (self.points - centre).T
+        return CirclePath(np.unwrap(np.arctan2(y, x)), np.hypot(x, y))
+
+    def at(self, angle: np.ndarray) -> np.ndarray:
+        """Distances at angles [rad], by linear interpolation around the circle."""
+        order = np.argsort(np.mod(self.angle, 2.0 * math.pi), kind="stable")
+        return np.interp(np.mod(angle, 2.0 * math.pi), np.mod(self.angle, 2.0 * math.pi)[order], self.distance[order], period=2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class CircleTest:
+    """A measured (or predicted) test: `axes` of the plane, nominal `radius` [m], `feed` [m/s] (NaN: not known), paths by direction."""
+
+    axes: tuple[str, str]
+    radius: float
+    feed: float
+    paths: Mapping[str, CirclePath]
+
+    @property
+    def name(self) -> str:
+        return "".join(self.axes)
+
+    def centred(self) -> CircleTest:
+        """Without eccentricity: about the least-squares centre of both paths."""
+        centre, _ = least_squares_circle(np.vstack([p.points for p in self.paths.values()]))
+        return replace(self, paths={direction: path.about(centre) for direction, path in self.paths.items()})
+
+
+def least_squares_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (2,) and radius [m] of the circle with the least sum of squared radial distances to points (n, 2)."""
+    from scipy.optimize import least_squares
+
+    middle = points.mean(axis=0)
+    size = float(np.hypot(*(points - middle).T).mean())
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        return np.hypot(*((points - middle) / size - p[:2]).T) - p[2]
+
+    found = least_squares(residual, [0.0, 0.0, 1.0], xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    return middle + size * found[:2], size * float(found[2])
+
+
+def circle_numbers(test: CircleTest) -> dict[str, float]:
+    """The standard's numbers [m]; those of both directions only where both were run."""
+    numbers: dict[str, float] = {}
+    for direction, path in test.paths.items():
+        if abs(path.angle[-1] - path.angle[0]) < LEAST_SWEEP:
+            raise InputError(
+                f"ISO 230-4: the {direction} path covers {math.degrees(abs(path.angle[-1] - path.angle[0])):.0f} degrees; record a full turn"
+            )
+        centre, radius = least_squares_circle(path.points)
+        numbers[f"G_{direction}"] = float(np.ptp(path.about(centre).distance))
+        numbers[f"radius_{direction}"] = radius
+    everything = np.vstack([path.points for path in test.paths.values()])
+    distance = np.concatenate([path.distance for path in test.paths.values()])
+    numbers["F_max"], numbers["F_min"] = float(distance.max() - test.radius), float(distance.min() - test.radius)
+    centre, radius = least_squares_circle(everything)
+    numbers["D"] = radius - test.radius
+    numbers["centre_1"], numbers["centre_2"] = map(float, centre)
+    if len(test.paths) == 2:
+        numbers["G_b"] = float(np.ptp(np.hypot(*(everything - centre).T)))
+        angle = np.arange(GRID) * (2.0 * math.pi / GRID)
+        numbers["H"] = float(np.abs(test.paths["cw"].at(angle) - test.paths["ccw"].at(angle)).max())
+    return numbers
+
+
+def reversal_spikes(test: CircleTest) -> dict[str, dict[int, float]]:
+    """Height [m] of the spike at each quadrant [deg] of each direction: outwards above 0, inwards below."""
+    spikes: dict[str, dict[int, float]] = {}
+    for direction, path in test.paths.items():
+        spikes[direction] = {}
+        for quadrant in QUADRANTS:
+            off = np.mod(path.angle - math.radians(quadrant) + math.pi, 2.0 * math.pi) - math.pi
+            beside = (np.abs(off) >= BESIDE[0]) & (np.abs(off) <= BESIDE[1])
+            within = np.abs(off) <= SPIKE_WINDOW
+            if beside.sum() < 4 or not within.any() or not (off[beside] < 0.0).any() or not (off[beside] > 0.0).any():
+                continue
+            smooth = np.polyfit(off[beside], path.distance[beside], 2)
+            height = path.distance[within] - np.polyval(smooth, off[within])
+            spikes[direction][quadrant] = float(height[np.argmax(np.abs(height))])
+    return spikes

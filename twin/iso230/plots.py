@@ -1,0 +1,97 @@
+"""The plots that the trade knows: deviations over the axis with their bands, and the circle with its deviation magnified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.iso230.circles import QUADRANTS, CircleTest
+from twin.iso230.positioning import COVERAGE, Positioning
+from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
+
+COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
+
+
+def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str], path: Path) -> None:
+    """One panel an axis: mean deviation of both directions, bands of two standard deviations, A and M marked."""
+    figure, axes = new_figure(len(results), 1, height=4.2)
+    for (name, found), ax in zip(results.items(), axes[:, 0]):
+        length, small = (1e3, 1e6) if kinds[name] == "linear" else (180.0 / math.pi, 3600.0 * 180.0 / math.pi)
+        unit, fine = ("mm", "um") if kinds[name] == "linear" else ("deg", "arcsec")
+        target = found.target * length
+        upper, lower = [], []
+        for direction, mean, spread in (
+            ("forward", found.mean_forward, found.deviation_forward),
+            ("backward", found.mean_backward, found.deviation_backward),
+        ):
+            colour = COLOURS[direction]
+            ax.plot(target, mean * small, "o-", color=colour, lw=1.6, ms=4, label=f"{direction}, mean and 2 standard deviations")
+            ax.fill_between(target, (mean - COVERAGE * spread) * small, (mean + COVERAGE * spread) * small, color=colour, alpha=0.15, lw=0)
+            upper.append((mean + COVERAGE * spread).max())
+            lower.append((mean - COVERAGE * spread).min())
+        middle = 0.5 * (found.mean_forward + found.mean_backward)
+        ax.plot(target, middle * small, color=SOFT, lw=1.0, ls="--", label="mean of both directions")
+        for level in (max(upper), min(lower)):
+            ax.axhline(level * small, color=INK, lw=0.8, ls=(0, (1, 2)))
+        numbers = ",  ".join(f"{k} {found.numbers[k] * small:.3g}" for k in ("A", "R", "E", "M", "B"))
+        ax.set_title(f"ISO 230-2, axis {name}:  {numbers} {fine}" if name else f"ISO 230-2:  {numbers} {fine}")
+        ax.set_xlabel(f"target [{unit}]")
+        ax.set_ylabel(f"deviation [{fine}]")
+        ax.legend(loc="best")
+    save_png(figure, path)
+
+
+def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -> None:
+    """The polar plot: nominal circle, deviations magnified; `tests` by what they are ('measured', 'predicted by ...') of one circle."""
+    figure, axes = new_figure(1, 2, height=5.6)
+    polar, flat = axes[0]
+    deviations = [p.distance - t.radius for t in tests.values() for p in t.paths.values()]
+    worst = max(float(np.abs(d).max()) for d in deviations) * 1e6
+    step = _division(worst)
+    # the nominal circle has the radius of eight divisions, so that the worst deviation stays well inside
+    ring = 8.0
+    turn = np.linspace(0.0, 2.0 * math.pi, 361)
+    for division in range(-4, 5):
+        size = ring + division
+        polar.plot(size * np.cos(turn), size * np.sin(turn), color=INK if division == 0 else "#d5dbe1", lw=1.2 if division == 0 else 0.6)
+    for quadrant in QUADRANTS:
+        polar.plot(*np.outer([np.cos(np.radians(quadrant)), np.sin(np.radians(quadrant))], [0.0, ring + 4.5]), color="#d5dbe1", lw=0.6)
+    styles = {name: (1.5 if i == 0 else 1.0, "-" if i == 0 else ("--", ":", "-.")[(i - 1) % 3]) for i, name in enumerate(tests)}
+    for name, test in tests.items():
+        width, style = styles[name]
+        for direction, one in test.paths.items():
+            colour = COLOURS[direction] if name == next(iter(tests)) else (GREEN if direction == "ccw" else "#d08a1d")
+            size = ring + (one.distance - test.radius) * 1e6 / step
+            label = f"{name}, {direction}"
+            polar.plot(size * np.cos(one.angle), size * np.sin(one.angle), color=colour, lw=width, ls=style, label=label)
+            order = np.argsort(np.mod(one.angle, 2.0 * math.pi))
+            degrees = np.degrees(np.mod(one.angle, 2.0 * math.pi))[order]
+            flat.plot(degrees, (one.distance - test.radius)[order] * 1e6, color=colour, lw=width, ls=style)
+    first = next(iter(tests.values()))
+    polar.set_aspect("equal")
+    polar.grid(False)
+    polar.set_xticks([])
+    polar.set_yticks([])
+    for spine in polar.spines.values():
+        spine.set_visible(False)
+    polar.text(ring + 4.6, 0.0, f"+{first.axes[0]}", ha="left", va="center")
+    polar.text(0.0, ring + 4.6, f"+{first.axes[1]}", ha="center", va="bottom")
+    polar.text(0.0, 0.0, f"{step:g} um\na division", ha="center", va="center", color=SOFT)
+    feed = f", {first.feed * 60:.3g} m/min" if first.feed > 0.0 else ""
+    polar.set_title(title or f"ISO 230-4, {first.name}, radius {first.radius * 1e3:.4g} mm{feed}")
+    polar.legend(loc="lower left", bbox_to_anchor=(-0.05, -0.08), ncols=2)
+    flat.set_title("the same, unrolled")
+    flat.set_xlabel(f"angle from +{first.axes[0]} [deg]")
+    flat.set_ylabel("radius less nominal [um]")
+    flat.set_xticks(range(0, 361, 45))
+    save_png(figure, path)
+
+
+def _division(worst: float) -> float:
+    """Micrometres a division, round, such that four divisions hold the worst deviation."""
+    size = max(worst, 1e-3) / 4.0
+    power = 10.0 ** math.floor(math.log10(size))
+    return float(min(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= size))

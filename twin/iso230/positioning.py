@@ -1,0 +1,84 @@
+"""Positioning of one axis by ISO 230-2: accuracy A, repeatability R, systematic deviation E, its mean range M, reversal value B.
+
+With the deviation x_ij = measured - target of cycle j at position i, its mean x_i and standard deviation s_i (n - 1) of each
+direction, and coverage factor k = 2:
+
+    B_i = x_i> - x_i<                  B = max |B_i|
+    R_i> = 4 s_i>                      R_i = max(2 s_i> + 2 s_i< + |B_i|, R_i>, R_i<)          R = max R_i
+    E> = max x_i> - min x_i>           E = max(x_i>, x_i<) - min(x_i>, x_i<)
+    M = max x_i - min x_i, x_i the mean of both directions
+    A> = max(x_i> + 2 s_i>) - min(x_i> - 2 s_i>)                A the same over both directions
+
+> is the forward, < the backward direction. Lengths in m (angles in rad) as given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.errors import InputError
+
+COVERAGE = 2.0
+"""Coverage factor k of the standard."""
+FEWEST_CYCLES = 2
+"""A standard deviation needs two; the standard asks for five."""
+STANDARD_CYCLES, STANDARD_POSITIONS = 5, 5
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Deviations of one axis: `target` (position,), `forward` and `backward` (position, cycle) measured - target, [m] or [rad]."""
+
+    target: np.ndarray
+    forward: np.ndarray
+    backward: np.ndarray
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """The numbers of the standard for one axis, and means and standard deviations (position,) of each direction behind them."""
+
+    target: np.ndarray
+    mean_forward: np.ndarray
+    mean_backward: np.ndarray
+    deviation_forward: np.ndarray
+    deviation_backward: np.ndarray
+    numbers: dict[str, float]
+
+    @property
+    def reversal(self) -> np.ndarray:
+        """B_i (position,)."""
+        return self.mean_forward - self.mean_backward
+
+
+def positioning(readings: Readings) -> Positioning:
+    """The standard's numbers. Raises InputError where there are too few positions or cycles."""
+    if len(readings.target) < 2:
+        raise InputError(
+            f"ISO 230-2: {len(readings.target)} target position; measure at least 2, the standard asks for {STANDARD_POSITIONS}"
+        )
+    if min(readings.forward.shape[1], readings.backward.shape[1]) < FEWEST_CYCLES:
+        raise InputError(f"ISO 230-2: one cycle in a direction; measure at least {FEWEST_CYCLES}, the standard asks for {STANDARD_CYCLES}")
+    mean = [x.mean(axis=1) for x in (readings.forward, readings.backward)]
+    spread = [x.std(axis=1, ddof=1) for x in (readings.forward, readings.backward)]
+    reversal = mean[0] - mean[1]
+    repeat = [2.0 * COVERAGE * s for s in spread]
+    both = np.maximum(COVERAGE * (spread[0] + spread[1]) + np.abs(reversal), np.maximum(*repeat))
+    upper, lower = ([m + sign * COVERAGE * s for m, s in zip(mean, spread)] for sign in (1.0, -1.0))
+    numbers = {
+        "A": np.max(upper) - np.min(lower),
+        "A_forward": upper[0].max() - lower[0].min(),
+        "A_backward": upper[1].max() - lower[1].min(),
+        "R": both.max(),
+        "R_forward": repeat[0].max(),
+        "R_backward": repeat[1].max(),
+        "E": np.max(mean) - np.min(mean),
+        "E_forward": np.ptp(mean[0]),
+        "E_backward": np.ptp(mean[1]),
+        "M": np.ptp(0.5 * (mean[0] + mean[1])),
+        "B": np.abs(reversal).max(),
+        "B_mean": reversal.mean(),
+    }
+    return Positioning(readings.target, *mean, *spread, {name: float(value) for name, value in numbers.items()})

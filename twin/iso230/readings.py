@@ -1,0 +1,166 @@
+"""What is evaluated: tables of readings and of ballbars, and the standstills of a recorded run.
+
+direction,position,cycle,target_mm,measured_mm      ISO 230-2; direction forward | backward; target_deg, measured_deg for a rotary axis
+direction,angle_deg,deviation_um                    ISO 230-4; direction cw | ccw; what a ballbar exports, radius less nominal radius
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
+from twin.iso230.positioning import Readings
+from twin.recordings.trace import Trace
+
+POSITIONING = ("direction", "position", "cycle", "target", "measured")
+BALLBAR = ("direction", "angle_deg", "deviation_um")
+SHORTEST_REST = 0.2
+"""A standstill shorter than this is no measurement of a position [s]."""
+SETTLED = 0.5
+"""Part of a standstill, its last one, that is averaged."""
+SAME_TARGET = 1e-6
+"""Targets closer than this are one [m or rad]."""
+
+
+def is_table(path: Path, first: str = "direction") -> bool:
+    """Is this a CSV table of readings, not a trace?"""
+    if path.suffix.lower() != ".csv":
+        return False
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return file.readline().split(",")[0].strip().strip('"').lower() == first
+
+
+def read_positions(path: Path) -> tuple[Readings, str]:
+    """Readings of one axis from a table, in m or rad, and the kind of the axis ('linear', 'rotary')."""
+    rows = _rows(path)
+    heading = [name for name in rows[0] if name]
+    unit = "deg" if "target_deg" in heading else "mm"
+    needed = ("direction", "position", "cycle", f"target_{unit}", f"measured_{unit}")
+    for name in needed:
+        if name not in heading:
+            raise InputError(f"{path}: no column '{name}'; {nearest(name, heading)}; a table has {','.join(needed)}")
+    factor = 1e-3 if unit == "mm" else math.pi / 180.0
+    found: dict[tuple[str, float], list[float]] = {}
+    for line, row in enumerate(rows, start=2):
+        direction = str(row["direction"]).strip().lower()
+        if direction not in ("forward", "backward"):
+            raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write forward or backward")
+        target, measured = (_number(row, name, path, line) for name in needed[3:])
+        found.setdefault((direction, target), []).append((measured - target) * factor)
+    return _readings(found, factor, str(path)), "linear" if unit == "mm" else "rotary"
+
+
+def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) -> CircleTest:
+    """A circle test from a ballbar's table; `radius` [m] and `feed` [m/s] of the program."""
+    rows = _rows(path)
+    for name in BALLBAR:
+        if name not in rows[0]:
+            raise InputError(f"{path}: no column '{name}'; {nearest(name, [n for n in rows[0] if n])}; a table has {','.join(BALLBAR)}")
+    paths: dict[str, list[tuple[float, float]]] = {}
+    for line, row in enumerate(rows, start=2):
+        direction = str(row["direction"]).strip().lower()
+        if direction not in DIRECTIONS:
+            raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write cw or ccw")
+        angle, deviation = (_number(row, name, path, line) for name in BALLBAR[1:])
+        paths.setdefault(direction, []).append((math.radians(angle), radius + deviation * 1e-6))
+    out = {}
+    for direction, points in paths.items():
+        angle, distance = np.array(points).T
+        angle = np.unwrap(angle)
+        if len(angle) < 16:
+            raise InputError(f"{path}: {len(angle)} readings {direction}; give at least 16 around the circle")
+        if (direction == "ccw") != (angle[-1] > angle[0]):
+            raise InputError(
+                f"{path}: the angles of the {direction} path run the other way; correct the direction or the order of its lines"
+            )
+        out[direction] = CirclePath(angle, distance)
+    return CircleTest(axes, radius, feed, out)
+
+
+def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
+    """Readings at the standstills of an axis that are reached from both sides, [m] or [rad]."""
+    if not trace.has(axis, "position"):
+        raise InputError(f"{where}: no {axis}.position column; record the scale")
+    setpoint, position = trace.get(axis, "setpoint"), trace.get(axis, "position")
+    still = np.abs(np.diff(setpoint, prepend=setpoint[0])) < 1e-9
+    edges = np.flatnonzero(np.diff(still.astype(int))) + 1
+    found: dict[tuple[str, float], list[float]] = {}
+    targets: list[float] = []
+    for rows in np.split(np.arange(len(still)), edges):
+        if not still[rows[0]] or len(rows) * trace.period < SHORTEST_REST or rows[0] == 0:
+            continue
+        target = float(setpoint[rows[-1]])
+        direction = "forward" if target > setpoint[max(rows[0] - 2, 0)] else "backward"
+        near = next((t for t in targets if abs(t - target) < SAME_TARGET), None)
+        if near is None:
+            targets.append(near := target)
+        settled = rows[int(len(rows) * (1.0 - SETTLED)) :]
+        found.setdefault((direction, near), []).append(float(position[settled].mean() - target))
+    both = {t for d, t in found if ("forward", t) in found and ("backward", t) in found}
+    both = {t for t in both if min(len(found["forward", t]), len(found["backward", t])) >= 2}
+    if len(both) < 2:
+        raise InputError(
+            f"{where}: axis {axis} stands still at {len(both)} positions that it reaches twice from both sides; "
+            f"ISO 230-2 needs at least 2 (better 5, five times), with {SHORTEST_REST:g} s of rest"
+        )
+    return _readings({key: values for key, values in found.items() if key[1] in both}, 1.0, where)
+
+
+def trace_of_circle(test: CircleTest, period: float = 1e-3) -> dict[str, Trace]:
+    """A ballbar's paths as traces of its two axes, by direction: what `twin diagnose` reads.
+
+    The bar knows the radius only: along the circle the tool is taken to be where the program has it at constant feed.
+    """
+    if not test.feed > 0.0:
+        raise InputError("a ballbar's campaign needs the feed of its program; give --feed-mm-per-min")
+    out = {}
+    for direction, path in test.paths.items():
+        sweep = float(path.angle[-1] - path.angle[0])
+        count = max(16, round(abs(sweep) * test.radius / test.feed / period))
+        angle = path.angle[0] + sweep * np.arange(count + 1) / count
+        distance = np.interp(angle * np.sign(sweep), path.angle * np.sign(sweep), path.distance)
+        signals = {}
+        for axis, way in zip(test.axes, (np.cos(angle), np.sin(angle))):
+            signals[axis, "setpoint"], signals[axis, "position"] = test.radius * way, distance * way
+        out[direction] = Trace(np.arange(count + 1) * period, signals, dict.fromkeys(test.axes, "linear"))
+    return out
+
+
+def _readings(found: dict[tuple[str, float], list[float]], factor: float, where: str) -> Readings:
+    targets = sorted({target for _, target in found})
+    columns = {}
+    for direction in ("forward", "backward"):
+        counts = {len(found.get((direction, target), [])) for target in targets}
+        if 0 in counts:
+            raise InputError(f"{where}: not every target has a {direction} reading; measure each from both sides")
+        # with unequal counts the first cycles that all positions have
+        columns[direction] = np.array([found[direction, target][: min(counts)] for target in targets])
+    return Readings(np.array(targets) * factor, columns["forward"], columns["backward"])
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a table of readings (.csv), a trace, a run or a campaign")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [{(k or "").strip().lower(): v for k, v in row.items()} for row in csv.DictReader(file)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable table ({error}); save it as CSV in UTF-8") from None
+    if not rows:
+        raise InputError(f"{path}: the table is empty; give one reading a line below the heading")
+    return rows
+
+
+def _number(row: dict[str, str], name: str, path: Path, line: int) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is no number; correct it") from None
+    if not math.isfinite(value):
+        raise InputError(f"{path}: line {line}: {name} = {value}: no finite number; correct or remove the line")
+    return value
