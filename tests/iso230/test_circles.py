@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -113,6 +114,7 @@ def test_ballbar_and_its_campaign(tmp_path: Path, mikron: Machine) -> None:
     bar = [str(EXAMPLES / "ballbar.csv"), "--radius-mm", "100", "--feed-mm-per-min", "1500"]
     assert main(["iso", "230-4", *bar, "--json", str(tmp_path / "c.json"), "--campaign", str(tmp_path / "campaign")]) == 0
     found = json.loads((tmp_path / "c.json").read_text())
+    jsonschema.validate(found, json.loads((ROOT / "twin" / "report" / "schemas" / "iso230.json").read_text()))
     assert found["G_ccw"] == pytest.approx(2 * math.hypot(4.0, 1.5), abs=0.03)  # 0 and 360 degrees: one point twice
     assert all(abs(height) < 0.05 for by_angle in found["reversal_spikes"].values() for height in by_angle.values())  # an oval has none
     assert found["H"] == pytest.approx(3.0, abs=0.01)

@@ -7,6 +7,7 @@ import json
 import math
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -80,6 +81,7 @@ def test_standstills_of_a_run() -> None:
 def test_command_writes_the_numbers(tmp_path: Path) -> None:
     assert main(["iso", "230-2", str(EXAMPLE), "--json", str(tmp_path / "iso.json")]) == 0
     document = json.loads((tmp_path / "iso.json").read_text())
+    jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "iso230.json").read_text()))
     assert document["unit"] == "mm"
     assert document["B"] == pytest.approx(0.004)
     assert (tmp_path / "iso.png").stat().st_size > 10_000

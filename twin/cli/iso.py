@@ -47,7 +47,7 @@ def carry_out(args: argparse.Namespace) -> int:
     plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
     document = _positioning(args, machine, plot) if args.standard == "230-2" else _circles(args, machine, plot)
     if args.json:
-        write_json(document, Path(args.json))
+        write_json(document, Path(args.json), "iso230")
         print(f"written: {args.json}")
     print(f"written: {plot}")
     return 0

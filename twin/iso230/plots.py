@@ -64,9 +64,9 @@ def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -
         width, style = styles[name]
         for direction, one in test.paths.items():
             colour = COLOURS[direction] if name == next(iter(tests)) else (GREEN if direction == "ccw" else "#d08a1d")
-            size = ring + (one.distance - test.radius) * 1e6 / step
+            shown = ring + (one.distance - test.radius) * 1e6 / step
             label = f"{name}, {direction}"
-            polar.plot(size * np.cos(one.angle), size * np.sin(one.angle), color=colour, lw=width, ls=style, label=label)
+            polar.plot(shown * np.cos(one.angle), shown * np.sin(one.angle), color=colour, lw=width, ls=style, label=label)
             order = np.argsort(np.mod(one.angle, 2.0 * math.pi))
             degrees = np.degrees(np.mod(one.angle, 2.0 * math.pi))[order]
             flat.plot(degrees, (one.distance - test.radius)[order] * 1e6, color=colour, lw=width, ls=style)

@@ -81,4 +81,4 @@ def positioning(readings: Readings) -> Positioning:
         "B": np.abs(reversal).max(),
         "B_mean": reversal.mean(),
     }
-    return Positioning(readings.target, *mean, *spread, {name: float(value) for name, value in numbers.items()})
+    return Positioning(readings.target, mean[0], mean[1], spread[0], spread[1], {name: float(value) for name, value in numbers.items()})
