@@ -11,17 +11,21 @@ from twin.errors import InputError
 from twin.files import write_json
 from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
+from twin.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin machine`."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
-    new = actions.add_parser("new", help="write a commented machine file from an MJCF or a URDF")
-    new.add_argument("model", metavar="MODEL", help="MJCF (.xml) or URDF (.urdf): a tree of slides and hinges with masses")
-    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; the MJCF comes beside it")
+    new = actions.add_parser("new", help="write a commented machine file from an MJCF or a URDF, or from a recording alone")
+    new.add_argument("model", metavar="MODEL", nargs="?", help="MJCF (.xml) or URDF (.urdf): a tree of slides and hinges with masses")
     new.add_argument(
-        "--structure", default=STRUCTURES[0], metavar="S", help=f"control of all axes: {', '.join(STRUCTURES)} (default %(default)s)"
+        "--from-recording",
+        metavar="CAMPAIGN",
+        help="instead of a model: an imported campaign; drive and load become lumps that reproduce it",
     )
+    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; the MJCF comes beside it")
+    new.add_argument("--structure", metavar="S", help=f"control of all axes: {', '.join(STRUCTURES)} (default {STRUCTURES[0]})")
     new.add_argument("--sinumerik", metavar="FILE", help="machine data of a Sinumerik, as TOML or archive, for what they know")
     new.set_defaults(action=_new)
     check = actions.add_parser("check", help="say what is missing, impossible or unusual, with the margins of each loop")
@@ -43,11 +47,33 @@ def _new(args: argparse.Namespace) -> int:
     from twin.machine.new import new_machine
 
     out = Path(args.out)
-    axes, left = new_machine(Path(args.model), out, args.structure, Path(args.sinumerik) if args.sinumerik else None)
+    if (args.model is None) == (args.from_recording is None):
+        raise InputError("twin machine new: give a MODEL, or --from-recording CAMPAIGN")
+    if args.from_recording is not None:
+        return _from_recording(args, out)
+    axes, left = new_machine(Path(args.model), out, args.structure or STRUCTURES[0], Path(args.sinumerik) if args.sinumerik else None)
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
         print(f"machine data without a place in this machine file, left alone: {', '.join(left)}")
     print(f"numbers that were assumed say so; see them with: twin machine check {out}")
+    return 0
+
+
+def _from_recording(args: argparse.Namespace, out: Path) -> int:
+    from twin.machine.from_recording import followed_text, machine_from_recording
+
+    if args.structure or args.sinumerik:
+        raise InputError(
+            "twin machine new --from-recording: structure and numbers come from the recording; leave --structure and --sinumerik out"
+        )
+    with Progress("reproducing the recording") as bar:
+        made = machine_from_recording(Path(args.from_recording), out, bar.say)
+    print(f"written: {out} and {out.with_suffix('.xml').name} with {len(made.lumps)} {'axis' if len(made.lumps) == 1 else 'axes'}")
+    for one in made.lumps:
+        print(f"  {followed_text(one, made.followed[one.name])}")
+        for note in one.notes:
+            print(f"    - {note}")
+    print("drive and load are lumps, counted at the axis in units of the recorded command; each number says what it is")
     return 0
 
 

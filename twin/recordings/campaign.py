@@ -108,8 +108,8 @@ class Campaign:
     runs: tuple[MeasuredRun, ...]
 
 
-def read_campaign(path: str | Path, machine: Machine) -> Campaign:
-    """Read `campaign.toml` and its traces, checked against the machine's axes."""
+def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
+    """Read `campaign.toml` and its traces, checked against the machine's axes (None: no machine is known yet)."""
     path = Path(path)
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; a campaign is a folder with campaign.toml and traces")
@@ -182,7 +182,7 @@ def _labels(table: object, where: str) -> dict[str, float]:
     return {name: float(value) for name, value in table.items()}
 
 
-def _read_run(folder: Path, table: dict, where: str, machine: Machine, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
+def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
     if not isinstance(table, dict):
         raise InputError(f'{where}: {table!r} is no run; write each as [[run]] with file = "circle.parquet"')
     known_keys(table, _RUN_KEYS, where)
@@ -197,7 +197,7 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine, events: M
     started_at = table.get("started_at_s", 0.0)
     if not is_number(started_at):
         raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number of seconds")
-    trace = read_trace(file, axes=machine.kinds, need=("setpoint",))
+    trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(table["file"]).stem
     facts, labels = _facts(table.get("channel", []), where), _labels(table.get("labels", {}), where)
     return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())))

@@ -1,0 +1,361 @@
+"""What a recording says of an axis whose data sheet nobody has: its control law, and lumped mechanics.
+
+    command:   w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 where the speed set point w* and, maybe, the feedforward f are recorded
+    in drive:  w(t + lag) = w*(t - Td) - Kv (x(t) - x(t - Td))       with Td = 0 where the NC closes the position loop
+    mechanics: u = m dv/dt + d sign(v) + b v + c                     u the recorded current, voltage or torque
+
+A machine of unknown lead, ratio and motor shows m, d, b, c only in units of its command: m is inertia over torque constant, counted at the
+axis, in A/(m/s2) or the like. These are the lumps. SI throughout; positions m or rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import lsq_linear
+from scipy.signal import butter, sosfiltfilt
+
+from twin.errors import InputError
+from twin.recordings.campaign import MeasuredRun
+
+BAND_HZ = 40.0
+LONGEST_DELAY_CYCLES = 8
+LONGEST_DSC_S = 0.012
+LONGEST_LAG_S = 0.006
+DSC_BETTER = 0.6
+"""The position loop is taken to be closed in the drive where that leaves less than this part of the speed's error."""
+LAW_HOLDS = 0.02
+"""The command follows the law where less than this part of it (RMS) is left."""
+MOVING = 0.02
+"""Part of the highest speed above which an axis moves."""
+EXPLAINED = 0.5
+"""Part of the command's variance that the balance must explain, or it says nothing about the mechanics."""
+EFFORTS = ("current", "voltage", "torque")
+MOST_MEAN_CYCLES = 4
+
+
+@dataclass(frozen=True)
+class Law:
+    """Position controller as recorded: gain [1/s], delays [s], feedforward weight, what is left of the command [m/s, RMS]."""
+
+    gain: float
+    delay: float
+    feedforward: float
+    feedforward_delay: float
+    left: float = 0.0
+    measured: bool = True
+    dsc_delay: float = 0.0
+    lag: float = 0.0  # of the speed loop
+    integral: bool = True
+    speed_gain: float = 0.0  # command per m/s; 0: from the lag
+    mean_cycles: int = 0
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Lumps in units of the command per axis unit; `explained` is the part of the command's variance that they make."""
+
+    effort: str
+    inertia: float
+    coulomb: float
+    viscous: float
+    constant: float
+    gravity: tuple[float, float]  # of cos q and sin q, rotary axes
+    explained: float
+    peak: float
+
+
+@dataclass(frozen=True)
+class AxisLumps:
+    """All that is known of an axis; `notes` say what could not be seen."""
+
+    name: str
+    kind: str
+    encoder: str
+    travel: tuple[float, float]
+    speed: float
+    acceleration: float
+    period: float
+    law: Law
+    mechanics: Mechanics | None
+    noise: float
+    effort_noise: float
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Signals of one run of an axis (sample,), SI."""
+
+    period: float
+    setpoint: np.ndarray
+    position: np.ndarray
+    command: np.ndarray | None
+    feedforward: np.ndarray | None
+    effort: np.ndarray | None
+
+
+def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
+    """Lumps of one axis from all runs of a campaign. Raises InputError where nothing measured follows its set point."""
+    traces = [run.trace for run in runs if run.trace.has(axis, "setpoint")]
+    kind = traces[0].kinds[axis]
+    encoder = "scale" if all(t.has(axis, "position") for t in traces) else "motor"
+    if kind == "rotary" and all(t.has(axis, "motor_position") for t in traces):
+        encoder = "motor"
+    where = "position" if encoder == "scale" else "motor_position"
+    if not all(t.has(axis, where) for t in traces):
+        raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
+    unsigned = {s for s in EFFORTS if any(run.fact(axis, s).unsigned for run in runs)}
+    effort = next((s for s in EFFORTS if s not in unsigned and all(t.has(axis, s) for t in traces)), "")
+    parts = [
+        _Run(
+            t.period,
+            t.get(axis, "setpoint"),
+            t.get(axis, where),
+            t.signals.get((axis, "velocity_setpoint")),
+            t.signals.get((axis, "velocity_feedforward")),
+            t.signals.get((axis, effort)),
+        )
+        for t in traces
+        if len(t.time) >= 40 and np.ptp(t.get(axis, "setpoint")) > 0.0
+    ]
+    if not parts:
+        raise InputError(f"axis {axis}: no run of 40 samples in which it moves; record a longer move")
+    notes: list[str] = [f"{s} is recorded without a sign: not used" for s in sorted(unsigned)]
+    told = next((run.feedforward for run in runs if run.feedforward), None)
+    mechanics = _mechanics(parts, kind, effort, notes) if effort else None
+    law = (_direct_law(parts) if effort else None) or _position_law(parts, told, notes)
+    if not effort:
+        notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be seen, they are assumed")
+    low, high = min(float(p.setpoint.min()) for p in parts), max(float(p.setpoint.max()) for p in parts)
+    speeds, accelerations = zip(*(_motion(p) for p in parts))
+    return AxisLumps(
+        axis, kind, encoder, (low, high), max(speeds), max(accelerations), parts[0].period, law, mechanics,
+        _noise([p.position for p in parts]), _noise([p.effort for p in parts if p.effort is not None]), tuple(notes),
+    )  # fmt: skip
+
+
+def _at(values: np.ndarray, period: float, delay: float) -> np.ndarray:
+    """Values `delay` [s] ago, on straight lines between samples as a control reads them; constant before the first."""
+    times = np.arange(len(values)) * period
+    return np.interp(times - delay, times, values)
+
+
+def _position_law(parts: Sequence[_Run], told: str | None, notes: list[str]) -> Law:
+    """Gain, delay and feedforward of the position controller, and where the loop is closed."""
+    law = _command_law([p for p in parts if p.command is not None])
+    if law is None:
+        return _lag_law(parts, told, notes)
+    return _where_closed([p for p in parts if p.command is not None], law)
+
+
+def _command_law(parts: Sequence[_Run]) -> Law | None:
+    """w* = Kv (s(t - d) - x) + a f by least squares, d on a grid; None where the command does not follow it."""
+    if not parts:
+        return None
+    tp = parts[0].period
+    cut = LONGEST_DELAY_CYCLES + 2
+    size = np.sqrt(np.mean(np.concatenate([p.command[cut:] for p in parts]) ** 2))  # type: ignore[index]
+
+    def fit(delay: float, ff_delay: float | None) -> tuple[float, np.ndarray]:
+        rows, values = [], []
+        for p in parts:
+            assert p.command is not None
+            error = _at(p.setpoint, tp, delay) - p.position
+            fed = p.feedforward if p.feedforward is not None else _slope(p, ff_delay or 0.0)
+            rows.append(np.column_stack([error, fed, np.ones_like(error)])[cut:])
+            values.append(p.command[cut:])
+        x, y = np.concatenate(rows), np.concatenate(values)
+        b = np.linalg.lstsq(x / (scale := np.maximum(np.abs(x).max(axis=0), 1e-300)), y, rcond=None)[0] / scale
+        return float(np.sqrt(np.mean((y - x @ b) ** 2))), b
+
+    own = all(p.feedforward is not None for p in parts)
+    best = min(
+        ((*fit(d, f), d, f) for d in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4) for f in ((None,) if own else (0.0, d))),
+        key=lambda r: r[0],
+    )
+    for step in (tp / 16, tp / 128):
+        span = 4.0 * step
+        best = min(
+            ((*fit(d, f), d, f) for d in _grid(max(best[2] - span, 0.0), best[2] + span, step) for f in ((None,) if own else (0.0, d))),
+            key=lambda r: r[0],
+        )
+    left, (gain, weight, _), delay, ff_delay = best
+    if not gain > 0.0 or left > LAW_HOLDS * size:
+        return None
+    if own:
+        ff_delay, fed = _feedforward_delay(parts, tp)
+        weight *= fed
+    return Law(float(gain), delay, float(weight), float(ff_delay or 0.0), left)
+
+
+def _slope(p: _Run, delay: float) -> np.ndarray:
+    """Backward difference of the set point over one cycle."""
+    return (_at(p.setpoint, p.period, delay) - _at(p.setpoint, p.period, delay + p.period)) / p.period
+
+
+def _feedforward_delay(parts: Sequence[_Run], tp: float) -> tuple[float, float]:
+    """(delay [s], weight) of the recorded feedforward against the slope of the set point."""
+    best = (np.inf, 0.0, 1.0)
+    cut = LONGEST_DELAY_CYCLES + 3
+    y = np.concatenate([p.feedforward[cut:] for p in parts])  # type: ignore[index]
+    if not np.any(y):
+        return 0.0, 0.0
+    for delay in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4):
+        x = np.concatenate([_slope(p, delay)[cut:] for p in parts])
+        weight = float(x @ y) / max(float(x @ x), 1e-300)
+        best = min(best, (float(np.mean((y - weight * x) ** 2)), delay, weight))
+    return best[1], best[2]
+
+
+def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
+    """Delay of the command to a drive that closes the loop itself (0: the NC does), and lag of the speed loop behind its set point."""
+    tp = parts[0].period
+    shown: dict[float, tuple[float, float]] = {}
+    prepared = []
+    for p in parts:
+        time = np.arange(len(p.position)) * tp
+        inner = time[12:-6] if len(time) > 60 else time[2:-2]
+        position, command = CubicSpline(time, _smooth(p.position, tp)), CubicSpline(time, p.command)
+        prepared.append((inner, position, command))
+    lags = _grid(0.0, LONGEST_LAG_S, 0.25e-3)
+    for dsc in _grid(0.0, LONGEST_DSC_S, 0.25e-3):
+        errors = []
+        for lag in lags:
+            total, count = 0.0, 0
+            for inner, position, command in prepared:
+                t = inner - lag
+                t = t[(t - dsc > 0.0)]
+                wanted = command(t - dsc) - law.gain * (position(t) - position(t - dsc))
+                off = position(t + lag, 1) - wanted
+                total, count = total + float(off @ off), count + len(off)
+            errors.append((np.sqrt(total / max(count, 1)), lag))
+        shown[dsc] = min(errors)
+    best = min(shown, key=lambda d: shown[d][0])
+    if best > 0.0 and shown[best][0] < DSC_BETTER * shown[0.0][0]:
+        return replace(law, dsc_delay=best, lag=shown[best][1])
+    return replace(law, lag=shown[0.0][1])
+
+
+def _direct_law(parts: Sequence[_Run]) -> Law | None:
+    """u = ks (Kv (s - x) - dx_n) where a proportional speed controller commands directly; None where the command is not that."""
+    tp = parts[0].period
+    y = np.concatenate([p.effort[8:] for p in parts])  # type: ignore[index]
+    best: tuple[float, int, np.ndarray] | None = None
+    for n in range(1, MOST_MEAN_CYCLES + 1):
+        x = np.concatenate(
+            [np.column_stack([p.setpoint - p.position, _difference(p.position, n) / (n * tp), np.ones_like(p.position)])[8:] for p in parts]
+        )
+        limited = np.abs(y) > 0.995 * np.abs(y).max()
+        scale = np.maximum(np.abs(x).max(axis=0), 1e-300)
+        b = np.linalg.lstsq(x[~limited] / scale, y[~limited], rcond=None)[0] / scale
+        left = float(np.sqrt(np.mean((y - x @ b)[~limited] ** 2)))
+        if best is None or left < best[0]:
+            best = (left, n, b)
+    assert best is not None
+    left, n, (error_gain, speed_gain, _) = best
+    if left > LAW_HOLDS * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
+        return None
+    gain = -float(speed_gain)
+    return Law(float(error_gain) / gain, 0.0, 0.0, 0.0, left, integral=False, speed_gain=gain, mean_cycles=n)
+
+
+def _difference(values: np.ndarray, n: int) -> np.ndarray:
+    out = np.zeros_like(values)
+    out[n:] = values[n:] - values[:-n]
+    return out
+
+
+def _lag_law(parts: Sequence[_Run], told: str | None, notes: list[str]) -> Law:
+    """What following says without a recorded speed set point: one lag between set point and position."""
+    notes.append(
+        "no speed set point that follows a position controller is recorded: gain and delays are one number, the lag of the position"
+    )
+    tp = parts[0].period
+    best = (np.inf, 0.0)
+    for lag in _grid(0.0, 0.3, max(tp / 8, 0.25e-3)):
+        best = min(
+            best,
+            (
+                sum(
+                    float(np.sum((p.position - _at(p.setpoint, tp, lag) - np.mean(p.position - _at(p.setpoint, tp, lag))) ** 2))
+                    for p in parts
+                ),
+                lag,
+            ),
+        )
+    lag = max(best[1], 1e-3)
+    if told in ("velocity", "velocity+torque") or (told is None and lag < 12e-3):
+        notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as delay under full velocity feedforward; the gain is assumed")
+        return Law(50.0, max(lag - 1.5e-3, 0.0), 1.0, max(lag - 1.5e-3, 0.0), measured=False, lag=1.5e-3)
+    notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as 1 / gain without feedforward")
+    return Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=min(2e-3, 0.1 * lag))
+
+
+def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) -> Mechanics | None:
+    """Lumps by least squares with signs that bodies have, at the samples where the axis moves."""
+    rows, values = [], []
+    for p in parts:
+        assert p.effort is not None
+        motion, u = _smooth(p.position, p.period), _smooth(p.effort, p.period)
+        speed = np.gradient(motion, p.period)
+        acceleration = np.gradient(speed, p.period)
+        edge = max(4, len(u) // 50)
+        keep = np.abs(speed) > MOVING * np.abs(speed).max()
+        keep[:edge] = keep[-edge:] = False
+        columns = [acceleration, np.sign(speed), speed, np.ones_like(speed)]
+        columns += [np.cos(motion), np.sin(motion)] if kind == "rotary" else []
+        rows.append(np.column_stack(columns)[keep])
+        values.append(u[keep])
+    x, y = np.concatenate(rows), np.concatenate(values)
+    peak = max(float(np.abs(p.effort).max()) for p in parts if p.effort is not None)
+    if len(y) < 40:
+        notes.append(f"the axis hardly moves: the {effort} says nothing about mass and friction")
+        return None
+    # at one speed in one direction friction, weight and viscous friction are one number
+    scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
+    low = np.full(x.shape[1], -np.inf)
+    low[:3] = 0.0
+    one_way = min(np.mean(x[:, 1] > 0), np.mean(x[:, 1] < 0)) < 0.02
+    columns = [i for i in range(x.shape[1]) if not (one_way and i == 1)]
+    if one_way:
+        notes.append(f"the axis moves one way only: Coulomb friction and constant force are one number, told as constant {effort}")
+    found = lsq_linear(x[:, columns] / scale[columns], y, bounds=(low[columns], np.full(len(columns), np.inf)))
+    b = np.zeros(x.shape[1])
+    b[columns] = found.x / scale[columns]
+    explained = 1.0 - float(np.var(y - x @ b)) / max(float(np.var(y)), 1e-300)
+    if explained < EXPLAINED or b[0] <= 0.0:
+        notes.append(f"motion explains {max(explained, 0.0):.0%} of the {effort}: mass and friction cannot be seen, they are assumed")
+        return None
+    gravity = (float(b[4]), float(b[5])) if kind == "rotary" else (0.0, 0.0)
+    return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak)
+
+
+def _smooth(values: np.ndarray, period: float) -> np.ndarray:
+    """Zero-phase low-pass."""
+    band = min(BAND_HZ, 0.15 / period)
+    return np.asarray(sosfiltfilt(butter(2, band, fs=1.0 / period, output="sos"), values))
+
+
+def _motion(p: _Run) -> tuple[float, float]:
+    """Highest speed and acceleration of the set point, without what rounding makes."""
+    s = _smooth(p.setpoint, p.period)
+    speed = np.gradient(s, p.period)
+    return float(np.abs(speed).max()), float(np.abs(np.gradient(speed, p.period)).max())
+
+
+def _noise(columns: Sequence[np.ndarray]) -> float:
+    """Deviation of single samples in the quietest part: third differences of white noise are sqrt(20) times as large."""
+    found = []
+    for values in columns:
+        third = np.diff(values, 3)
+        windows = [float(np.std(w)) for w in np.array_split(third, max(1, len(third) // 50)) if len(w) > 3]
+        found += windows
+    return float(np.percentile(found, 20)) / np.sqrt(20.0) if found else 0.0
+
+
+def _grid(first: float, last: float, step: float) -> list[float]:
+    return [first + i * step for i in range(round((last - first) / step) + 1)]
