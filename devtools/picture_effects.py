@@ -4,7 +4,7 @@
     python devtools/picture_effects.py --only backlash     one picture
     python devtools/picture_effects.py --text              the page alone (a test holds it to the library)
 
-What a picture shows stands on the effect itself (`twin.effects.picture.Picture`); `twin.report.effect_picture` draws it.
+What a picture shows stands on the effect itself (`twin.effects.picture.Picture`); `twin.simulation.effect_picture` draws it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from twin.effects import BLOCKS, EFFECTS, Effect, Parameter
 from twin.machine.machine import Machine, load_machine
-from twin.report.effect_picture import axes_shown, draw_effect, sizes_of
+from twin.simulation.effect_picture import axes_shown, draw_effect, sizes_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "effects.md"

@@ -13,7 +13,7 @@ from tests.conftest import ROOT
 from twin.effects import EFFECTS
 from twin.effects.picture import Picture
 from twin.machine.machine import load_machine
-from twin.report.effect_picture import traces_of
+from twin.simulation.effect_picture import traces_of
 
 
 def test_page_is_what_the_library_says():
