@@ -38,17 +38,18 @@ def test_the_digest_covers_kernels_their_constants_and_included_files(tmp_path: 
     assert {"simulation/loop.py", "program/blend.py", "surface/sweep.py", "effects/friction.py", "compiled_functions.py"} <= names
     assert "program/moves.py" in names  # `from twin.program import moves`: a kernel takes its constants
     monkeypatch.setattr(compiled_functions, "_included", set())
-    before = compiled_functions.digest()
+    before, inside = compiled_functions.digest(outside=True), compiled_functions.digest()
     effect = tmp_path / "effect.py"
     effect.write_text("law = 1\n")
     compiled_functions.include_source(effect)
-    first = compiled_functions.digest()
+    first = compiled_functions.digest(outside=True)
     effect.write_text("law = 2\n")
     compiled_functions.include_source(effect)
-    assert len({before, first, compiled_functions.digest()}) == 3
+    assert len({before, first, compiled_functions.digest(outside=True)}) == 3
+    assert compiled_functions.digest() == inside  # the package's own functions stay in the cache
     monkeypatch.setattr(compiled_functions, "_included", set())
     compiled_functions.digest.cache_clear()
-    assert compiled_functions.digest() == before
+    assert compiled_functions.digest(outside=True) == before
 
 
 MODULE = "from twin.compiled_functions import compiled\n@compiled\ndef square(x):\n    return x * x\n@compiled\ndef cube(x):\n    return x * square(x)\n"

@@ -33,15 +33,18 @@ _SAID = "TWIN_SAID_NO_CACHE"
 
 
 def include_source(file: str | Path) -> None:
-    """Count one more file, such as a user's own effect, among the sources of the compiled functions."""
+    """Count one more file, such as a user's own effect, among the sources of compiled functions outside the package.
+
+    Functions of the package call none of it by name (the loop calls laws by address), so that they stay in the cache.
+    """
     _included.add(Path(file).resolve())
     digest.cache_clear()
 
 
-def sources() -> list[Path]:
-    """The files that decide what compiled functions do."""
+def sources(outside: bool = False) -> list[Path]:
+    """The files that decide what the package's compiled functions do, or those `outside` it."""
     kernels = [f for f in _PACKAGE.rglob("*.py") if _KERNEL.search(f.read_bytes())]
-    found = {Path(__file__), *kernels, *_included}
+    found = {Path(__file__), *kernels, *(f for f in _included if outside and f.is_file())}
     for kernel in kernels:
         for module, in_brackets, in_line in _IMPORT.findall(kernel.read_bytes()):
             base = _PACKAGE.joinpath(*module.decode().split(".")[1:])
@@ -51,9 +54,9 @@ def sources() -> list[Path]:
 
 
 @functools.cache
-def digest() -> str:
+def digest(outside: bool = False) -> str:
     """Digest of `sources`, the stamp of everything in the cache."""
-    return hashlib.sha256(b"\0".join(f.read_bytes() for f in sources())).hexdigest()
+    return hashlib.sha256(b"\0".join(f.read_bytes() for f in sources(outside))).hexdigest()
 
 
 def compiled(
@@ -78,7 +81,7 @@ def compiled(
         options["error_model"] = "numpy"
 
     def wrap(function: Callable) -> Any:
-        return _cached(lambda: njit(nogil=True, **options)(function))
+        return _cached(function, lambda: njit(nogil=True, **options)(function))
 
     return wrap if function is None else wrap(function)
 
@@ -90,7 +93,7 @@ def compiled_callback(signature: Any, function: Callable) -> Any:
     def make() -> CFunc:
         return CFunc(function, (arguments, result), locals={}, options={"nopython": True, "error_model": "numpy"})
 
-    callback = _cached(make)
+    callback = _cached(function, make)
     callback.compile()
     return callback
 
@@ -98,9 +101,11 @@ def compiled_callback(signature: Any, function: Callable) -> Any:
 class _StampedFile(caching.IndexDataCacheFile):
     """A cache file whose stamp holds the digest of all sources; what cannot be read or written is compiled."""
 
+    outside: bool  # True for a function whose file is no part of the package
+
     @property
     def _source_stamp(self) -> tuple[Any, str]:
-        return self.__dict__["_source_stamp"], digest()  # the function's own file may lie outside the sources
+        return self.__dict__["_source_stamp"], digest(self.outside)  # the function's own file may lie outside the sources
 
     def load(self, key: Any) -> Any:
         try:
@@ -117,7 +122,7 @@ class _StampedFile(caching.IndexDataCacheFile):
             _say_no_cache()
 
 
-def _cached(make: Callable[[], Any]) -> Any:
+def _cached(function: Callable, make: Callable[[], Any]) -> Any:
     """The dispatcher with caching under our stamp; without caching where this is not possible."""
     dispatcher = make()
     try:
@@ -129,6 +134,7 @@ def _cached(make: Callable[[], Any]) -> Any:
     if type(file) is not caching.IndexDataCacheFile or "_source_stamp" not in file.__dict__:
         return make()
     file.__class__ = _StampedFile
+    file.__dict__["outside"] = not Path(function.__code__.co_filename).resolve().is_relative_to(_PACKAGE)
     return dispatcher
 
 

@@ -4,28 +4,33 @@ from __future__ import annotations
 
 import argparse
 
-from twin.cli.arguments import add_machine, machine_of
+from twin.cli.arguments import add_machine, machine_of, picture_file
+from twin.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="tell one effect's law, parameters, bounds and usual sizes")
+    parser.add_argument("name", nargs="?", metavar="NAME", help="show one effect: its law, parameters, bounds and usual sizes")
+    parser.add_argument("--picture", metavar="FILE.png", help="draw what the effect NAME does to a short move")
     add_machine(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """List all effects, or tell one of them."""
-    from twin.effects import EFFECTS
-    from twin.effects.effect import find_effect
+    """List all effects, or show one of them."""
+    from twin.effects import BLOCKS, EFFECTS, find_effect
     from twin.simulation.summary import table
 
+    if args.picture and not args.name:
+        raise InputError("--picture: of which effect? Give its name too, e.g. twin effects backlash --picture backlash.png")
     machine = machine_of(args)
     if not args.name:
-        rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in EFFECTS.values()]
+        effects = sorted(EFFECTS.values(), key=lambda e: BLOCKS.index(e.block))
+        rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in effects]
         print(table(["effect", "axes", "block", "what it is"], rows, left=4))
         return 0
     effect = find_effect(args.name, "twin effects")
-    print(f"{effect.name} ({effect.block}; {effect.which_axes})\n\n{effect.law}\n")
+    rivals = f"Rivals: {effect.rivals}\n" if effect.rivals else ""
+    print(f"{effect.name} ({effect.block}; {effect.which_axes})\n\n{effect.law}\n\n{rivals}")
     rows = []
     for axis in effect.axes(machine):
         for p in effect.parameters:
@@ -35,4 +40,8 @@ def carry_out(args: argparse.Namespace) -> int:
                 [axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", "-" if p.shape else f"{low:.3g} .. {high:.3g}", default]
             )
     print(table(["axis", "parameter", "unit", "bounds", "usual size", "default"], rows, left=3))
+    if args.picture:
+        from twin.simulation.effect_picture import draw_effect
+
+        print(f"written: {draw_effect(effect, machine, picture_file(args.picture))}")
     return 0

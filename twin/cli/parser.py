@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import contextlib
 import importlib
 import sys
 from types import ModuleType
@@ -72,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     args = build_parser(_command_in(arguments)).parse_args(arguments)
     try:
-        return int(_module(args.command).carry_out(args) or 0)
+        with _effects_of(args):
+            return int(_module(args.command).carry_out(args) or 0)
     except TwinError as error:
         print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -84,6 +86,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("twin: stopped by the user", file=sys.stderr)
         return 130
+
+
+def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
+    """The library with the effects of the files of `--effects`, while the command is carried out."""
+    if not getattr(args, "effects", None):
+        return contextlib.nullcontext()
+    from twin.effects.user_files import effects_of
+
+    return effects_of(args.effects)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -102,7 +113,23 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, description=command.does[0].upper() + command.does[1:] + ".")
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
+            _add_effect_files(sub)
     return parser
+
+
+def _add_effect_files(parser: argparse.ArgumentParser) -> None:
+    """`--effects FILE` for a command that takes a machine, and for the actions of one that has any."""
+    for action in list(parser._actions):
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                _add_effect_files(sub)
+    if any(action.dest == "machine" for action in parser._actions):
+        parser.add_argument(
+            "--effects",
+            action="append",
+            metavar="FILE.py",
+            help="Python file with effects of your own, which this command knows like those of the library; may be given several times",
+        )
 
 
 def _commands() -> dict[str, Command]:

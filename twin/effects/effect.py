@@ -298,5 +298,5 @@ def _check(name: str, block: str, parameters: tuple[Parameter, ...], axes: str) 
 def find_effect(name: str, where: str) -> Effect:
     """The effect of that name, or an InputError with the nearest one."""
     if not isinstance(name, str) or name not in EFFECTS:
-        raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}")
+        raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}; for one of your own give --effects FILE")
     return EFFECTS[name]

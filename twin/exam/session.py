@@ -63,10 +63,12 @@ def same_examination(out: Path, asked: dict[str, Any]) -> None:
 
 
 def sources() -> str:
-    """Digest of the twin's own files: what diagnoses, and what is diagnosed."""
+    """Digest of the twin's own files and the user's effects: what diagnoses, and what is diagnosed."""
+    from twin.effects.user_files import loaded_files
+
     home = Path(__file__).resolve().parents[1]
-    files = sorted(home.rglob("*.py"))
-    return hashlib.sha256(b"\0".join(f.relative_to(home).as_posix().encode() + f.read_bytes() for f in files)).hexdigest()[:16]
+    parts = [f.relative_to(home).as_posix().encode() + f.read_bytes() for f in sorted(home.rglob("*.py"))]
+    return hashlib.sha256(b"\0".join([*parts, *(f.read_bytes() for f in loaded_files())])).hexdigest()[:16]
 
 
 def seal(text: str, out: Path) -> str:

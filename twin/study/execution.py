@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 import contextlib
 from dataclasses import dataclass
+import functools
 import hashlib
 import logging
 import os
@@ -15,6 +16,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 import twin
+from twin.effects.user_files import loaded_files
+from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
 from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
 from twin.study.spec import Study
@@ -49,7 +52,7 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
         study.constraints,
     ]
     parts += [(run.name, run.feedforward) for run in study.runs]
-    files = [file.read_bytes() for file in files_of_study(study)]
+    files = [file.read_bytes() for file in (*files_of_study(study), *loaded_files())]
     return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()
 
 
@@ -116,6 +119,9 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
             client.wait_for_workers(1, timeout=SECONDS_TO_ANSWER)
         except TimeoutError:
             raise InputError(f"--scheduler {scheduler}: has no worker; start some with 'dask worker {scheduler}'") from None
+
+        if effect_files := loaded_files():  # also workers that come later
+            client.register_worker_callbacks(functools.partial(share_files, effect_files))
 
         def share(work: Work) -> Any:
             # a task of its own: sent once, and made again by the scheduler where the worker that held it is lost

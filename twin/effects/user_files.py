@@ -1,0 +1,111 @@
+"""Effects of a user: `--effects FILE` adds those of a Python file to the library, for one command and all its worker processes.
+
+The file holds one or more functions under `@effect(...)`, each complete in itself (`twin.effects.effect`). Worker processes find the
+files in the environment variable `TWIN_EFFECTS` and load them when they import `twin.effects`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import contextlib
+import hashlib
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+import os
+from pathlib import Path
+import sys
+
+from twin.compiled_functions import include_source
+from twin.effects.effect import EFFECTS
+from twin.errors import InputError
+
+VARIABLE = "TWIN_EFFECTS"
+"""Environment variable with the files, separated as in PATH."""
+
+_loaded: dict[Path, list[str]] = {}
+
+
+@contextlib.contextmanager
+def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
+    """Inside the `with` block the library has the effects of these files too, also in processes that are started there.
+
+    Raises InputError for a file that cannot be imported, holds no effect, or one whose name the library has already.
+    """
+    before = os.environ.get(VARIABLE)
+    added = [path for path in dict.fromkeys(Path(file).resolve() for file in files) if path not in _loaded]
+    try:
+        for path in added:
+            load(path)
+        os.environ[VARIABLE] = os.pathsep.join(str(path) for path in _loaded)
+        yield
+    finally:
+        for path in added:
+            for name in _loaded.pop(path, []):
+                EFFECTS.pop(name, None)
+        os.environ.pop(VARIABLE, None)
+        if before is not None:
+            os.environ[VARIABLE] = before
+
+
+def load(file: str | Path) -> None:
+    """Add the effects of a file to the library; nothing of it is kept where it is faulty."""
+    path = Path(file).resolve()
+    if path in _loaded:
+        return
+    where = f"--effects {file}"
+    if not path.is_file():
+        raise InputError(f"{where}: there is no such file; give a Python file that holds functions under @effect(...)")
+    known = dict(EFFECTS)
+    module_name = f"twin_effects_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    loader = SourceFileLoader(module_name, str(path))
+    spec = spec_from_loader(module_name, loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    sys.modules[module_name] = module
+    include_source(path)
+    try:
+        loader.exec_module(module)
+        new = [name for name in EFFECTS if name not in known]
+        if not new:
+            raise InputError("it holds no effect; write @effect(...) from twin.effects.effect above a function")
+    except BaseException as error:
+        EFFECTS.clear()
+        EFFECTS.update(known)
+        del sys.modules[module_name]
+        if isinstance(error, InputError):
+            raise InputError(f"{where}: {error}") from None
+        if isinstance(error, Exception | SystemExit):
+            raise InputError(
+                f"{where}: cannot be imported{_line_of(error, path)}: {type(error).__name__}: {error}; mend the file"
+            ) from None
+        raise
+    _loaded[path] = new
+
+
+def load_from_environment() -> None:
+    """Load the files that the process which started this one was given."""
+    for file in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        load(file)
+
+
+def loaded_files() -> tuple[Path, ...]:
+    """The files whose effects the library has now."""
+    return tuple(_loaded)
+
+
+def share(files: Sequence[Path]) -> None:
+    """Load these files in this process and name them to the ones that it starts: for workers that another process did not start."""
+    for file in files:
+        load(file)
+    os.environ[VARIABLE] = os.pathsep.join(str(path) for path in _loaded)
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """' in line N' of the file where it failed, '' where that is not known."""
+    line = error.lineno if isinstance(error, SyntaxError) else None
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f" (line {line})" if line else ""
