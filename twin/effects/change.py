@@ -16,7 +16,7 @@ from twin.effects.setting import Setting, settings_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_LOAD_FORCE, Term, arrays, term
-from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia
+from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, inertial_key
 
 FASTEST_MODE = 1.5
 """Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
@@ -146,8 +146,7 @@ def total_inertia(machine: Machine, axis: Axis) -> float:
 
 def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     """Inertia with rotor and bias of every axis in the home pose (axis,); remembered, because fits ask again and again."""
-    axes = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
-    key = (str(machine.model_path), axes, machine.bodies, machine.gravity)
+    key = inertial_key(machine)
     known = _homes.get(key)
     if known is None:
         plant = build_plant(machine)

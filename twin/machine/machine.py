@@ -19,7 +19,7 @@ from twin.errors import InputError, nearest
 from twin.machine import keys
 from twin.machine.axis import Axis
 from twin.machine.document import axis_in, changed, check_cycles, check_document, cycles_of, place
-from twin.machine.model_file import check_mjcf, copy_model
+from twin.machine.model_file import check_mjcf, copy_model, state_of_model
 from twin.machine.parameters import file_from_typed, key_of, si_from_key
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
@@ -236,10 +236,9 @@ def default_machine_path() -> Path:
     return inside if inside.is_file() else Path(__file__).parents[2] / "models" / DEFAULT_MACHINE
 
 
-@functools.lru_cache(maxsize=8)
-def _read_document(path: Path, _modified_ns: int) -> dict[str, Any]:
+def _read_document(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return _parsed(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
     except OSError as error:
@@ -247,7 +246,12 @@ def _read_document(path: Path, _modified_ns: int) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=8)
-def _check_model(path: Path, _modified_ns: int) -> None:
+def _parsed(text: str) -> dict[str, Any]:
+    return tomllib.loads(text)
+
+
+@functools.lru_cache(maxsize=8)
+def _check_model(path: Path, _state: bytes) -> None:
     check_mjcf(path)
 
 
@@ -256,7 +260,7 @@ def load_machine(path: str | Path | None = None) -> Machine:
     path = default_machine_path() if path is None else Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such machine file; give a .toml with the keys of {DEFAULT_MACHINE}")
-    document = _read_document(path, path.stat().st_mtime_ns)
+    document = _read_document(path)
     model = document.get("model")
     if not isinstance(model, str):
         raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
@@ -265,7 +269,7 @@ def load_machine(path: str | Path | None = None) -> Machine:
         raise InputError(f"{path}: model '{model}' leaves the machine's folder; copy the MJCF beside the machine file")
     if not model_path.is_file():
         raise InputError(f"{path}: model '{model}': no such file beside the machine file; correct 'model' or copy the MJCF there")
-    _check_model(model_path, model_path.stat().st_mtime_ns)
+    _check_model(model_path, state_of_model(model_path))
     return Machine(copy.deepcopy(document), model_path, path)
 
 

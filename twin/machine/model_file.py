@@ -8,6 +8,8 @@ joints, closed loops, moving bodies without mass) is told before the engine sees
 from __future__ import annotations
 
 from collections.abc import Iterator
+import functools
+import hashlib
 import math
 from pathlib import Path
 import shutil
@@ -122,6 +124,31 @@ def files_of(path: Path) -> list[Path]:
     _include(root, path, (path.resolve(),), keep=True)
     included = [Path(e.get("file", "")) for e in root.iter("include")]
     return list(dict.fromkeys([*included, *_named_files(root, path)]))
+
+
+def state_of_model(path: Path) -> bytes:
+    """Digest of an MJCF and of all that it names: equal as long as no content changed. Meshes count by their size and time."""
+    text = path.read_bytes() if path.is_file() else b""
+    digest = hashlib.sha256(text)
+    for file in _named_in(path, text):
+        whole = path.parent / file
+        if file.suffix.lower() == ".xml" and whole.is_file():
+            digest.update(whole.read_bytes())
+        elif whole.is_file():
+            about = whole.stat()
+            digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
+    return digest.digest()
+
+
+@functools.lru_cache(maxsize=32)
+def _named_in(path: Path, text: bytes) -> tuple[Path, ...]:
+    """Files that an MJCF with this text names; where an included one changes what is named, it is read again because its text changed."""
+    if b"file" not in text:
+        return ()
+    try:
+        return tuple(files_of(path))
+    except InputError:  # said where the model is checked
+        return ()
 
 
 def copy_model(path: Path, folder: Path) -> None:

@@ -28,7 +28,7 @@ from twin.effects import Change
 from twin.machine.machine import Machine
 from twin.simulation import loop
 from twin.simulation.engine_calls import call_address_2, call_address_3, call_address_4, engine_function_address
-from twin.simulation.plant_spec import Plant, build_plant
+from twin.simulation.plant_spec import Plant, build_plant, full_inertia, inertial_key
 
 # constants: header, then per degree of freedom, then the series
 _H, _COUNT, _ROWS, _ROW_TICKS = range(4)
@@ -158,13 +158,11 @@ _lock = threading.Lock()
 def loads_along(change: Change, motion: Motion, machine: Machine | None = None) -> _Loads:
     """Loads of a changed machine (or of `machine`, with its edits); remembered, because fits ask for the same masses again and again."""
     machine = machine or change.machine
-    # what the loads depend on: neither friction nor drives, and effects only where they edit the model
-    masses = tuple((axis.name, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
+    # the loads depend on neither friction nor drives, and on effects only where they edit the model
     edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)
-    key = (str(machine.model_path), masses, machine.bodies, machine.gravity, edited, machine.base_tick)
-    remembered = motion.loads if any(axis.kind == "rotary" for axis in machine.axes) else _remembered
+    key = (inertial_key(machine), edited, machine.base_tick)
     with _lock:
-        known = remembered.get(key)
+        known = _remembered.get(key) or motion.loads.get(key)
     if known is not None:
         return known
     plant = build_plant(machine, change.model_edits)
@@ -180,6 +178,8 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
         reference=2.0 / (impedance * np.maximum(model.dof_solref[plant.load_dof, 0], 2.0 * machine.base_tick)),
         softness=(1.0 - impedance) / impedance * model.dof_invweight0[plant.load_dof],
     )
+    # axes that move along lines and do not push each other have the same loads on every motion
+    remembered = _remembered if _same_everywhere(plant) else motion.loads
     with _lock:
         remembered[key] = loads
         while len(remembered) > _MEMORY:
@@ -187,9 +187,26 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
     return loads
 
 
+def _same_everywhere(plant: Plant) -> bool:
+    """Are inertia and bias of the loads the same wherever the axes stand and however they move: slides only, no coupling?"""
+    model, data = plant.model, plant.data
+    if np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
+        return False
+    full = full_inertia(model, data)
+    return bool(np.abs(full - np.diag(np.diag(full))).max() <= COUPLED * np.diag(full).max())
+
+
+COUPLED = 1e-9
+"""Inertia between two axes, as a share of the largest, up to which they do not push each other."""
+
+
 def _bodies_of(model: mujoco.MjModel) -> bytes:
     """What an edit of the model can change of the loads."""
-    return b"".join(a.tobytes() for a in (model.body_mass, model.body_ipos, model.body_inertia, model.body_pos, model.dof_armature))
+    parts = (
+        model.body_mass, model.body_inertia, model.body_pos, model.body_quat, model.body_ipos, model.body_iquat,
+        model.jnt_pos, model.jnt_axis, model.dof_armature, model.opt.gravity,
+    )  # fmt: skip
+    return b"".join(part.tobytes() for part in parts)
 
 
 def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np.ndarray]:

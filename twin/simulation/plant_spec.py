@@ -17,6 +17,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
+from twin.machine.model_file import state_of_model
 
 ModelEdit = Callable[["mujoco.MjSpec"], None]
 """A change of the model that an effect makes, for example a body added to the table."""
@@ -46,11 +47,11 @@ class Plant:
 
 def load_spec(path: Path) -> mujoco.MjSpec:
     """Parse an MJCF file, or copy what was read of it before; errors in one line."""
-    return _parsed(path, path.stat().st_mtime_ns if path.is_file() else 0).copy()
+    return _parsed(path, state_of_model(path)).copy()
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(path: Path, _modified_ns: int) -> mujoco.MjSpec:
+def _parsed(path: Path, _state: bytes) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
@@ -164,6 +165,17 @@ def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
         body.fullinertia = [math.nan] * 6
         body.explicitinertial = body.mass > 0.0
     spec.compiler.inertiafromgeom = 0
+
+
+def inertial_key(machine: Machine) -> tuple[object, ...]:
+    """All that masses, inertias and weights of the compiled model depend on: two machines with one key have the same.
+
+    The content of the model's files, lengths, bodies, gravity, and of each driven axis its mass, rotor and ratio. Friction, motors
+    and loops do not count.
+    """
+    axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
+    geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
+    return (str(machine.model_path), state_of_model(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
 
 
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:
