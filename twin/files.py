@@ -57,6 +57,13 @@ def write_text(text: str, path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
 
 
+def shipped_example(path: str | Path) -> Path:
+    """The path itself; where it does not exist and begins with `examples/`, the example of that name that ships inside the package."""
+    given = Path(path)
+    inside = Path(twin.__file__).parent / given
+    return inside if not given.exists() and given.parts[:1] == ("examples",) and inside.exists() else given
+
+
 def output_folder(path: str | Path) -> Path:
     """The folder of a command's output, made where it is not there.
 

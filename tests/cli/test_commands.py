@@ -121,3 +121,44 @@ def test_benchmark_prints_its_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0.8 < numbers["loop_over_engine"] < 2.0
     assert numbers["realtime_factor"] > 5
     assert numbers["python_loop_over_engine"] > 2
+
+
+def test_quiet_and_verbose(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TQDM_DISABLE", "0")
+    assert main(["effects", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert main(["effects", "backlash", "--verbose"]) == 0
+    out, err = capsys.readouterr()
+    assert "clearance" in out
+    assert re.match(r"twin [\d.]+, mujoco [\d.]+, numpy [\d.]+, numba [\d.]+: [\d.]+ s\n", err)
+
+
+def test_default_machine_of_the_environment(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_MACHINE", str(ROOT / "examples" / "lab_axis" / "axis.toml"))
+    assert main(["effects", "backlash"]) == 0
+    lab = capsys.readouterr().out
+    monkeypatch.delenv("TWIN_MACHINE")
+    assert main(["effects", "backlash"]) == 0
+    assert lab != capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    out = capsys.readouterr().out
+    assert "interpolate" in out
+    assert "feedforward" in out
+
+
+def test_an_example_is_found_outside_the_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in an installed package, whose examples lie inside it."""
+    package = tmp_path / "site" / "twin"
+    package.mkdir(parents=True)
+    (package / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.setattr("twin.__file__", str(package / "__init__.py"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["interpolate", "examples/two_planes.mpf", "--out", str(tmp_path / "s.csv")]) == 0
+    assert main(["interpolate", "examples/none.mpf", "--out", str(tmp_path / "s.csv")]) == 2
+    assert "examples/none.mpf" in capsys.readouterr().err

@@ -216,7 +216,7 @@ def test_a_case_that_breaks_is_a_verdict(suite: Path, tmp_path: Path, monkeypatc
     assert regress(suite, tmp_path) == 1
     case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
     assert case["status"] == "error"
-    assert case["text"].startswith("cannot run: ZeroDivisionError: division by zero in test_regress_suite.py, line")
+    assert case["text"].startswith("cannot run: ZeroDivisionError: division by zero in test_suite.py, line")
     assert ElementTree.parse(tmp_path / "out" / "junit.xml").find("./testsuite/testcase/error") is not None
 
 

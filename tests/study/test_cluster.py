@@ -86,6 +86,6 @@ def test_a_killed_worker_loses_nothing(
     processes[1].kill()
     processes[1].wait()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("twin.study.execution.SECONDS_TO_ANSWER", 1)
+        patch.setattr("twin.study.execution.SECONDS_TO_ANSWER", 4)
         message = refused(capsys, "study", str(spec), "--out", str(tmp_path / "none"), "--scheduler", address)
     assert "has no worker; start some with 'dask worker" in message

@@ -10,6 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from twin.errors import InputError
+from twin.files import shipped_example
 from twin.progress import Progress
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """`CAMPAIGN`, a folder of measured runs."""
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with campaign.toml and its traces")
+    parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and its traces")
 
 
 def add_open(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +77,8 @@ def setpoints_of_input(source: Path, machine: Machine) -> tuple[Program | None, 
     """Set points of a program (with the program) or of a trace (without)."""
     from twin.program.read import PROGRAM_ENDINGS
     from twin.recordings import read_trace
+
+    source = shipped_example(source)
 
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         return None, read_trace(source, axes=machine.kinds, need=("setpoint",))

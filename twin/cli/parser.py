@@ -9,7 +9,10 @@ import argparse
 from collections.abc import Sequence
 import contextlib
 import importlib
+import importlib.metadata
+import os
 import sys
+import time
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -65,6 +68,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
     ),
     "design": (Command("study", "study", "vary numbers of the machine file by a design, run every variant, show what each number buys"),),
     "guard": (Command("regress", "regress", "run a suite of cases headless and compare with golden results: what moved, and where first"),),
+    "shell": (Command("completion", "completion", "print the completion of commands and options for bash, zsh or tcsh"),),
 }
 
 
@@ -74,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = build_parser(_command_in(arguments)).parse_args(arguments)
     try:
         with _effects_of(args):
-            return int(_module(args.command).carry_out(args) or 0)
+            return _carried_out(args)
     except TwinError as error:
         print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -97,6 +101,19 @@ def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[N
     return effects_of(args.effects)
 
 
+def _carried_out(args: argparse.Namespace) -> int:
+    """The command's exit code; silent with --quiet, with versions and time on standard error with --verbose."""
+    began = time.perf_counter()
+    if args.quiet:
+        os.environ["TQDM_DISABLE"] = "1"
+    with open(os.devnull, "w") if args.quiet else contextlib.nullcontext(sys.stdout) as out, contextlib.redirect_stdout(out):
+        code = int(_module(args.command).carry_out(args) or 0)
+    if args.verbose:
+        parts = [f"{name} {importlib.metadata.version(name)}" for name in ("mujoco", "numpy", "numba")]
+        print(f"twin {twin.__version__}, {', '.join(parts)}: {time.perf_counter() - began:.1f} s", file=sys.stderr)
+    return code
+
+
 class _Parser(argparse.ArgumentParser):
     """Usage errors in one line, with exit code 2; commands by groups in the help."""
 
@@ -110,10 +127,12 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"twin {twin.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True, parser_class=_Parser, help=argparse.SUPPRESS)
     for command in _commands().values():
-        sub = commands.add_parser(command.name, description=command.does[0].upper() + command.does[1:] + ".")
+        sub = commands.add_parser(command.name, help=command.does, description=command.does[0].upper() + command.does[1:] + ".")
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
             _add_effect_files(sub)
+            sub.add_argument("--quiet", action="store_true", help="print nothing but errors; the results are in the files")
+            sub.add_argument("--verbose", action="store_true", help="say which versions ran and how long it took")
     return parser
 
 

@@ -10,6 +10,7 @@ import time
 from typing import TYPE_CHECKING
 
 from twin.errors import InputError
+from twin.files import shipped_example
 
 if TYPE_CHECKING:
     from twin.regress.suite import Case
@@ -49,6 +50,7 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"--jobs {args.jobs}: give 1 or more")
     if args.reason is not None and not args.update:
         raise InputError("--reason belongs to --update; give both or none")
+    args.suite = str(shipped_example(args.suite))
     cases = chosen(read_suite(args.suite), args.only, args.suite)
     if args.list:
         print(table(["case", "kind", "what it guards"], [[c.name, c.kind, str(c.table.get("why", ""))] for c in cases], left=3))

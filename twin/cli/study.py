@@ -6,12 +6,13 @@ import argparse
 from pathlib import Path
 
 from twin.errors import InputError
+from twin.files import shipped_example
 from twin.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("spec", metavar="SPEC", help="study file (.toml): factors, design, runs")
+    parser.add_argument("spec", metavar="SPEC", type=shipped_example, help="study file (.toml): factors, design, runs")
     parser.add_argument("--machine", metavar="FILE", help="machine file (default: the study's, else the Mikron UCP 710)")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results; a killed study goes on there with --resume")
     parser.add_argument("--resume", action="store_true", help="go on with the variants that the folder lacks")

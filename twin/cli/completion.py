@@ -1,0 +1,30 @@
+"""`twin completion bash|zsh|tcsh`: the words of the command line for a shell."""
+
+from __future__ import annotations
+
+import argparse
+
+from twin.errors import InputError
+
+SHELLS = ("bash", "zsh", "tcsh")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("shell", choices=SHELLS, help="e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Print the completion of every command and option."""
+    try:
+        import shtab
+    except ImportError:
+        raise InputError("completion needs shtab: pip install 'twin[completion]'") from None
+    from twin.cli.parser import build_parser
+
+    parser = build_parser()
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            action.help = "command"  # the help lists commands by group, and shtab leaves out what the help suppresses
+    print(shtab.complete(parser, shell=args.shell))
+    return 0
