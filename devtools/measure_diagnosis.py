@@ -72,7 +72,7 @@ def main() -> None:
                 for parameter in found.fit.settings[0].effect.parameters:
                     if not parameter.shape and parameter.name in truth:
                         value, true = found.fit.settings[0].parameters[parameter.name], truth[parameter.name]
-                        size = abs(true - 1.0) if parameter.name == "factor" else abs(true)
+                        size = parameter.deviation(true)
                         errors.append(f"{parameter.name} {abs(value - true) / size:.1%}")
             told = ", ".join(f"{e} {a}" for e, a in named) or "none"
             rows.append([f"{effect} {axis}", told, ", ".join(errors), f"{time.perf_counter() - start:.0f} s"])

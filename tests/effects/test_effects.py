@@ -1,6 +1,6 @@
 """The effects library as a whole: one row a effect, each parameter acts, neutral is nothing, bad input is one line.
 
-A new effect needs its unit and a row in ROWS; the laws themselves are tested in tests/reference/test_effects_*.py.
+A new effect needs nothing here: its row is made from its usual sizes. The laws themselves are tested in tests/reference/test_effects_*.py.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from tests.builders.one_axis import MACHINE, NO_COULOMB, follow, there_and_back
+from tests.conftest import ROOT
 from twin.cli import main
-from twin.effects import BLOCKS, EFFECTS, apply_effects, check_setting, parse_setting, settings_of, with_effects
+from twin.effects import BLOCKS, EFFECTS, Effect, apply_effects, check_setting, parse_setting, settings_of, with_effects
+from twin.effects.user_files import effects_of
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import load_machine
 from twin.simulation.run import simulate
@@ -104,9 +106,28 @@ def equal(one, two) -> bool:
     return all(np.array_equal(one.signals[key], two.signals[key]) for key in one.signals)
 
 
-def test_every_effect_has_a_row():
-    assert list(ROWS) == [name for name in ROWS if name in EFFECTS]
-    assert set(EFFECTS) - set(ROWS) == set(), "a new effect needs a row in ROWS"
+def row_of(effect: Effect) -> Row:
+    """A row from the usual sizes of an effect: each parameter a quarter and three quarters of the way through its range."""
+    axis = effect.axes(MACHINE)[0]
+    other = next((a.name for a in effect.axes(MACHINE) if a is not axis), "") if effect.from_axis else ""
+    ranges = {p.name: p.usual_range(MACHINE, axis) for p in effect.parameters}
+    quarter, three = ({name: low + share * (high - low) for name, (low, high) in ranges.items()} for share in (0.25, 0.75))
+    return Row(three, quarter, axis.name, {"from_axis": other} if other else {}, other)
+
+
+ROWS |= {name: row_of(effect) for name, effect in EFFECTS.items() if name not in ROWS}
+
+
+def test_a_new_effect_gets_a_row():
+    """Values within bounds that change what is seen."""
+    with effects_of([ROOT / "examples" / "own_effect" / "load_friction.py"]):
+        row = row_of(EFFECTS["load_friction"])
+        table = {"name": "load_friction", "axis": row.axis, **row.parameters}
+        assert not equal(follow("X", short_move("X"), [table]), follow("X", short_move("X"), [{**table, **row.other}]))
+
+
+def test_every_row_is_of_an_effect():
+    assert set(ROWS) == set(EFFECTS)
 
 
 def test_every_row_names_all_parameters():

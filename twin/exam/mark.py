@@ -117,7 +117,7 @@ def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dic
                     continue
                 value, true = said["parameters"][parameter.name], float(e[parameter.name])
                 off = _apart(value["value"], true, parameter.periodic)
-                size = math.pi if parameter.periodic else abs(true - 1.0) if parameter.name == "factor" else abs(true)
+                size = math.pi if parameter.periodic else parameter.deviation(true)
                 half = 0.5 * (value["high"] - value["low"])
                 middle = 0.5 * (value["high"] + value["low"])
                 rows.append(

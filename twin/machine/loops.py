@@ -185,7 +185,7 @@ def _spring(machine: Machine, axis: Axis) -> tuple[float, float] | None:
     """Stiffness and damping at the axis that the machine file has between motor and load."""
     from twin.effects.change import apply_effects
 
-    if not any(s.axis == axis.name and s.effect.name == "transmission_compliance" and not s.is_nil for s in settings_of(machine)):
+    if not any(s.axis == axis.name and s.effect.normal == "elasticity" and not s.is_nil for s in settings_of(machine)):
         return None
     coupling = apply_effects(machine).couplings.get(axis.name)
     return None if coupling is None else (coupling.stiffness, coupling.damping)
