@@ -79,8 +79,8 @@ MUTATIONS = (
     Mutation("unit: half a diameter is off by 0.05 %", "twin/surface/tools.py", "def flat_end", "r = diameter / 2.0", "r = diameter / 2.001", "",
              ("cut surface",)),
     # effects
-    Mutation("effect: Stribeck with another exponent", "twin/effects/friction.py", "p[0] exp", "-ratio * ratio", "-ratio", "X", MECHANICS),
-    Mutation("effect: ripple of the other sign", "twin/effects/mechanics.py", "p[0] sin", "+= p[0] * math.sin", "-= p[0] * math.sin", "X", MECHANICS),
+    Mutation("effect: Stribeck with another exponent", "twin/effects/contact.py", "p[0] exp", "-ratio * ratio", "-ratio", "X", MECHANICS),
+    Mutation("effect: ripple of the other sign", "twin/effects/motor.py", "p[0] sin", "+= p[0] * math.sin", "-= p[0] * math.sin", "X", MECHANICS),
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Numbers as engineers say them: um, arcsec, per cent, ms; the decimals follow the interval.
+"""Numbers in the units that engineers use: um, arcsec, per cent, ms; the decimals follow the interval.
 
 interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
 """
@@ -111,7 +111,7 @@ def headline_number(entry: dict[str, Any]) -> str:
 
 
 def percent(share: float) -> str:
-    """A share as it is told: never a certainty that was not computed."""
+    """A share in per cent, never a certainty that was not computed."""
     if 0.0 < share < 0.005:
         return "< 1 %"
     if 0.995 < share <= 1.0:
