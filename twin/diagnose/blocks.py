@@ -18,6 +18,8 @@ import functools
 import numpy as np
 
 from twin.compiled_functions import compiled
+from twin.diagnose.channel import Channel
+from twin.diagnose.control_law import closed_on
 from twin.diagnose.observe import Group, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects, with_effects
@@ -68,10 +70,15 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
                 block, index = "position controller", np.arange(0, len(view.trace.time), every)
             else:
                 block, index = "transmission", np.flatnonzero(view.reference(channel.axis)[2])
-            found.append(BlockResidual(channel.run, channel.axis, block, channel.residual, float(np.median(channel.sigma)), index))
+            found.append(BlockResidual(channel.run, channel.axis, block, channel.residual, _level_of(channel), index))
     for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
+
+
+def _level_of(channel: Channel) -> float:
+    """Noise level of a channel: its usual noise, and the model error of a healthy twin."""
+    return float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
 
 
 def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
@@ -114,8 +121,8 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     _run_speed_loop(
         drives,
         state,
-        trace.get(axis.name, "velocity_setpoint") / axis.ratio,
-        np.repeat(command.torque_feedforward[:, 0], every)[:count],
+        _in_force(trace, axis) / axis.ratio,
+        _sent_before(np.repeat(command.torque_feedforward[:, 0], every)[:count], trace, axis),
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,
@@ -124,6 +131,26 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     error = error - _moving_mean(error, round(view.thresholds.drift_s / trace.period))
     moving = np.flatnonzero(view.reference(axis.name)[2])
     return error[moving], moving
+
+
+def _in_force(trace: Trace, axis: Axis) -> np.ndarray:
+    """Speed set point that the drive follows (sample,) [axis units a second]: the recorded one is what the NC sends.
+
+    A drive that closes the position loop itself (`dsc_delay_s` Td) follows w(t - Td) - Kv (x(t) - x(t - Td)).
+    """
+    sent = trace.get(axis.name, "velocity_setpoint")
+    signal = closed_on(trace, axis)
+    if axis.loops.dsc_delay_s <= 0.0 or not trace.has(axis.name, signal):
+        return sent
+    position = trace.get(axis.name, signal)
+    moved = position - _sent_before(position, trace, axis)
+    return _sent_before(sent, trace, axis) - axis.loops.position_gain_per_s * moved
+
+
+def _sent_before(values: np.ndarray, trace: Trace, axis: Axis) -> np.ndarray:
+    """Values (sample,) the delay of the drive's position loop ago."""
+    delay = axis.loops.dsc_delay_s
+    return np.interp(trace.time - delay, trace.time, values) if delay > 0.0 else values
 
 
 @compiled

@@ -25,9 +25,9 @@ class Scatter:
 class Channel:
     """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
 
-    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one; `doubt` (sample,) is how far
-    the twin may be wrong about the effects that it has found, a fault that is the same in many samples. `scatter` is what sigma was
-    taken from.
+    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one. `doubt` (sample,) is how far the twin
+    may be wrong about the effects that it has found, `model` (sample,) how far it may be wrong about a healthy machine; both are faults
+    that are the same in many samples. `scatter` is what sigma was taken from.
     """
 
     run: int
@@ -38,13 +38,14 @@ class Channel:
     correlation: float
     rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
+    model: np.ndarray | float = 0.0
     scatter: Scatter | None = field(default=None, repr=False)
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
 
     @functools.cached_property
     def is_clean(self) -> bool:
         """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
-        u = self.residual / self.sigma
+        u = self.residual / np.hypot(self.sigma, self.model)
         n, t = len(u), self.thresholds
         if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
             means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
@@ -70,19 +71,23 @@ class Channel:
 
     @property
     def noise_weight(self) -> np.ndarray:
-        """1 / (sigma sqrt(correlation)), (sample,): what a sample weighs where the twin is not doubted."""
-        return 1.0 / (self.sigma * np.sqrt(self.correlation))
+        """What a sample weighs where no effect is doubted (sample,)."""
+        return self._weight(np.square(self.model))
 
     @property
     def spread(self) -> np.ndarray:
-        """Noise and doubt together (sample,)."""
-        return np.hypot(self.sigma, self.doubt)
+        """Noise, model error and doubt together (sample,)."""
+        return np.hypot(np.hypot(self.sigma, self.model), self.doubt)
 
     @property
     def weight(self) -> np.ndarray:
-        """1 / sqrt(sigma^2 correlation + doubt^2 n / shapes), (sample,): n samples of doubt count as so many shapes."""
+        """What a sample weighs (sample,)."""
+        return self._weight(np.square(self.model) + np.square(self.doubt))
+
+    def _weight(self, faults: np.ndarray | float) -> np.ndarray:
+        """1 / sqrt(sigma^2 correlation + faults n / shapes), (sample,): n samples of the same fault count as so many shapes."""
         many = max(len(self.sigma) / self.thresholds.shapes, 1.0)
-        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + np.square(self.doubt) * many)
+        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + faults * many)
 
     def doubted(self, change: np.ndarray, left: np.ndarray, period: float) -> Channel:
         """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s].

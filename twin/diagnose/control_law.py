@@ -14,6 +14,7 @@ e in axis units a second; q the measuring system that closes the loop.
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from twin.diagnose.view import RunView
 from twin.machine.machine import Axis
@@ -41,9 +42,8 @@ def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.
     position = trace.get(name, signal)
     wanted = command + axis.loops.position_gain_per_s * (delayed - position)
     if measured.has(name, "velocity_setpoint"):
-        every = max(1, round(view.machine.position_cycle / measured.period))
         fed = (gain - 1.0) * axis.loops.position_gain_per_s * (position - measured.get(name, signal))
-        return (trace.get(name, "velocity_setpoint") - wanted + fed)[::every]
+        return (trace.get(name, "velocity_setpoint") - wanted + fed)[:: _cycle_samples(view, axis)]
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
@@ -63,6 +63,42 @@ def law_sigma(view: RunView, axis: Axis) -> float:
     # the controller may have seen one count of its encoder more or less than the record holds
     resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
     return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
+
+
+def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
+    """How far e may be wrong though the controller is right (cycle,): standard deviation, a fault that is the same in many samples.
+
+    Any law written down differs from the one that runs in the control, by a share of the speed; and by how it reads between its cycles.
+    """
+    t = view.thresholds
+    speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
+    between = axis.loops.position_gain_per_s * between_cycles(view, axis)
+    return np.hypot(t.law_share * speed, between)[:: _cycle_samples(view, axis)]
+
+
+def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
+    """How far a delayed set point may be from the one that the control reads (sample,) [m or rad].
+
+    A delay of n + p cycles falls between two set points of the control. Nobody recorded what lies there; a straight line and a curve differ
+    by p (1 - p) / 2 Tp^2 |a|. A control that delays by whole cycles, or of which the file says how it interpolates, leaves nothing open.
+    """
+    tp = view.machine.position_cycle
+    part = (axis.loops.position_delay_s / tp + 1e-6) % 1.0
+    if view.machine.setpoint_interpolation == "linear" or part < 1e-3:
+        return np.zeros(len(view.trace.time))
+    acceleration = np.abs(view.motion.acceleration[:, view.machine.axis_names.index(axis.name)])
+    return 0.5 * part * (1.0 - part) * tp**2 * _around(acceleration, view)
+
+
+def _around(values: np.ndarray, view: RunView) -> np.ndarray:
+    """Largest value within the time by which the twin may be early or late (sample,)."""
+    largest: np.ndarray = maximum_filter1d(values, 2 * round(view.thresholds.lag_s / view.trace.period) + 1)
+    return largest[: len(view.trace.time)]
+
+
+def _cycle_samples(view: RunView, axis: Axis) -> int:
+    """Samples from one value of e to the next."""
+    return max(1, round(view.machine.position_cycle / view.trace.period)) if view.trace.has(axis.name, "velocity_setpoint") else 1
 
 
 def _shows_command(view: RunView, axis: Axis) -> bool:

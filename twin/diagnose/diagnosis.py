@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
 import os
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
+from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros
 from twin.diagnose.fit import Fit
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
@@ -267,6 +268,8 @@ def diagnose(
     machine_without = with_effects(machine, [])
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
+    runs, zeros = with_common_zeros(campaign.runs, machine_without, thresholds)
+    campaign = replace(campaign, runs=runs)
     check_campaign(campaign, machine, thresholds)
     folds = folds_of(len(campaign.runs))
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
@@ -284,7 +287,7 @@ def diagnose(
                 return None
             return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
 
-        views = mapper(lambda run: view_of(machine_without, run, thresholds), campaign.runs)
+        views = mapper(lambda run: replace(view_of(machine_without, run, thresholds), own_zeros=frozenset(zeros)), campaign.runs)
         groups = axis_groups(machine_without, measured)
         longest_first = sorted(groups, key=len, reverse=True)
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
@@ -295,7 +298,7 @@ def diagnose(
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-    notes = notes_of(campaign, machine)
+    notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
     if quick:
         notes.append("a quick look: gaps are the reduced plant's, not MuJoCo's; which effects these runs would not show was not asked")
     if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:

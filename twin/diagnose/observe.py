@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
-from twin.diagnose.control_law import law_error, law_sigma
+from twin.diagnose.control_law import between_cycles, law_error, law_model_error, law_sigma
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.tolerance import normal_slip, with_added
 from twin.diagnose.view import RunView, rests
@@ -35,10 +35,13 @@ from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import ReducedPlant
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
 from twin.simulation.plant_spec import build_plant, full_inertia
-from twin.simulation.run import Run, simulate
+from twin.simulation.run import Run, commissioned_inertia, simulate
 
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
+
+SECOND_DIFFERENCE = 6.0
+"""Variance of second differences of white noise over its own: 1 + 4 + 1."""
 
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""
@@ -209,7 +212,8 @@ def channels_of(
             out[name, "controller"] = error
         moving = view.reference(name)[2]
         if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > view.thresholds.enough_samples:
-            out[name, "windup"] = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
+            windup = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
+            out[name, "windup"] = windup - windup.mean() if name in view.own_zeros else windup
         for signal in ("position", "motor_position"):
             if measured.has(name, signal):
                 out[name, "position"] = trace.get(name, signal)
@@ -273,13 +277,33 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             if key[1] == "controller":
                 axis = view.machine.axis(key[0])
                 sigma = np.full(len(values), law_sigma(view, axis))
-                channels.append(Channel(r, *key, residual, sigma, 1.0, thresholds=thresholds))
+                channels.append(Channel(r, *key, residual, sigma, 1.0, model=law_model_error(view, axis), thresholds=thresholds))
                 continue
+            model = _model_error(view, *key)
             seen_as = Scatter(deviations, np.var([c[key] for c in clean], axis=0, ddof=1))
             channels.append(
-                _with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0, thresholds=thresholds), seen_as, residual, view)
+                _with_noise(
+                    Channel(r, *key, residual, np.ones(len(residual)), 1.0, model=model, thresholds=thresholds), seen_as, residual, view
+                )
             )
     return Group(axes, views, channels, nominal, shaken, seed, thresholds)
+
+
+def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
+    """How far a healthy twin may be off in a closed-loop channel (sample,): what the control reads between its cycles moves the axis.
+
+    A set point that is off by d moves the position by d, at the bandwidth Kv of the loop: the speed by Kv d, the acceleration by Kv^2 d.
+    """
+    axis = view.machine.axis(name)
+    off = between_cycles(view, axis)
+    if channel == "windup" or not off.any():
+        return 0.0
+    gain = axis.loops.position_gain_per_s
+    if channel == "current":
+        inertia = commissioned_inertia(view.machine)[view.machine.axis_names.index(name)]
+        moving = view.reference(name)[2]
+        return np.asarray(gain**2 * off[moving] * inertia / (axis.ratio * axis.motor.torque_constant_nm_per_a))
+    return off if channel == "position" else gain * off
 
 
 def _least(machine: Machine, axis: Axis, channel: str) -> float:
@@ -342,18 +366,21 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with the noise that realisations tell, and `rough` (sample,), its own record beside a twin."""
     axis, t = view.machine.axis(channel.axis), channel.thresholds
-    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, t.noisier), _least(view.machine, axis, channel.name))
+    signal = {"windup": "position", "current": axis.effort}.get(channel.name, channel.name)
+    noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
+    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, noisier), _least(view.machine, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
         sigma = np.hypot(sigma, np.where(rests(view, channel.axis, t.break_away_s), t.resting * normal_slip(axis, t), 0.0))
     return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)
 
 
-def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float) -> np.ndarray:
+def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float | None) -> np.ndarray:
     """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
 
     The motion that noise in the loop makes, variance `jitter`, is too small by 1 / K in deviations from a mean of K and comes
     in again with that mean. A sensor noisier than the machine file says shows in sample-to-sample differences, which slow
-    faults leave alone.
+    faults leave alone: up to `noisier` times what is expected they count as noise. Where the machine file knows no noise of the sensor
+    (`noisier` None) all of them do.
     """
     square = np.mean(deviations**2, axis=0) + 2.0 / REALISATIONS * jitter
     window = min(51, len(square) | 1)
@@ -361,7 +388,9 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noi
     level = float(np.mean(square))
     measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
     expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
-    if expected > 0.0 and 1.0 < measured / expected < noisier**2:
+    if noisier is None:
+        smooth = np.maximum(smooth, measured / SECOND_DIFFERENCE)
+    elif expected > 0.0 and 1.0 < measured / expected < noisier**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
 

@@ -41,9 +41,13 @@ class Thresholds:
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the place at which an axis rests")
     law_floor: float = _of(0.01, "share of the speed noise", "least noise of the control law")
     clipped: float = _of(0.999, "share of the limit", "from here a command counts as clipped and says nothing about the law")
-    model_share: float = _of(
-        2e-3, "share of the signal", "model error of the twin in position, speed and current: as noise, never a fault", "docs/diagnosis.md"
+    law_share: float = _of(
+        5e-4, "share of the speed", "model error of a control law; the law of a real control, fitted by hand, is off by 2e-4"
     )
+
+    zero_least: float = _of(20.0, "encoder noises", "constant difference of two encoders from which they have no common zero")
+    zero_constant: float = _of(0.25, "share", "deviation within a run, over the largest difference, up to which the difference is constant")
+    zero_by_trend: float = _of(0.9, "share", "variance between runs by time and place from which it is an effect: drift, lead error")
 
     # a channel that holds nothing but noise
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")

@@ -15,7 +15,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion, ReducedPlant
 from twin.simulation.gap import SAME_PERIOD, at_times, is_moving, simulated_period
 from twin.simulation.run import simulate
-from twin.simulation.setpoints import Setpoints, recorded_setpoints
+from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class RunView:
     motion: Motion  # nominal motion of all axes
     started_at: float
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
+    own_zeros: frozenset[str] = frozenset()  # axes whose two encoders have no common zero (`encoder_zeros`)
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -89,17 +90,21 @@ def _motion(position: np.ndarray, period: float) -> Motion:
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:
     """Velocity feedforward at the sample times (sample,) [axis units a second]."""
-    times = view.trace.time - view.trace.time[0]
-    a = view.machine.axis_names.index(axis.name)
-    tp = view.machine.position_cycle
-    d = axis.loops.feedforward_delay_s
-    now, before = view.setpoints.at(times - d)[:, a], view.setpoints.at(times - d - tp)[:, a]
-    return axis.loops.velocity_feedforward * (now - before) / tp
+    tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
+    return axis.loops.velocity_feedforward * (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
 
 
 def _delayed(view: RunView, axis: Axis) -> np.ndarray:
+    return _set_point(view, axis, axis.loops.position_delay_s)
+
+
+def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
+    """Set point that long before the sample times (sample,), delayed as this control does it."""
     times = view.trace.time - view.trace.time[0]
-    return view.setpoints.at(times - axis.loops.position_delay_s)[:, view.machine.axis_names.index(axis.name)]
+    a = view.machine.axis_names.index(axis.name)
+    linear = view.machine.setpoint_interpolation == "linear"
+    parts = delay_weights(delay, view.machine.position_cycle, linear)
+    return np.sum([weight * view.setpoints.at(times - d)[:, a] for d, weight in parts], axis=0)
 
 
 def rests(view: RunView, name: str, after_s: float) -> np.ndarray:

@@ -11,10 +11,14 @@ import numpy as np
 from twin.diagnose.blocks import REGIMES, BlockResidual, block_residuals, regime_masks, scaling
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.observe import Group
+from twin.diagnose.seen import share_of_gap
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
 from twin.machine.machine import Machine
+
+NOT_SEEN = 1e-3
+"""Share of a block with an effect that its own residual does not show."""
 
 
 def places(
@@ -25,7 +29,8 @@ def places(
     Each group's machine is re-tuned within its tolerance first: that is no fault of a block. `weights` is the squared gap above noise
     of each axis; a group with nothing found and next to none of that is no place.
 
-    A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place.
+    A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place. Nor is one
+    whose law is off by next to nothing of what is seen: it must make a share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
     least = max((f.thresholds.next_to_none for f in found), default=0.0) * max(weights.values(), default=0.0)
@@ -38,22 +43,22 @@ def places(
             residuals = block_residuals(group, healthy, pool.map)
             for axis, block in sorted({(b.axis, b.block) for b in residuals}):
                 parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
-                excess = sum(b.excess for b in parts)
+                share = share_of_gap(f.rigid, axis, block, parts)
                 level = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
-                if level > f.thresholds.noticed_square:
-                    listed.append(_place(group, axis, block, parts, excess, level))
+                if level > f.thresholds.noticed_square and share > f.thresholds.place_share:
+                    listed.append(_place(group, axis, block, parts, share, level))
     for setting in settings:
         _lead(listed, setting, machine)
     _gather(listed, found[0].thresholds.echo if found else 0.0)
-    # an axis weighs what its gap weighs; its blocks share that by their excess
+    # an axis weighs what its gap weighs; its blocks share that by what they make of it
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
-        total = sum(p["_excess"] for p in mine) or 1.0
+        total = sum(p["_share"] for p in mine) or 1.0
         for place in mine:
-            place["_excess"] *= max(weights.get(axis, 0.0), 1e-6) / total
-    total = sum(p["_excess"] for p in listed) or 1.0
+            place["_share"] *= max(weights.get(axis, 0.0), 1e-6) / total
+    total = sum(p["_share"] for p in listed) or 1.0
     for place in listed:
-        place["share"] = place.pop("_excess") / total
+        place["share"] = place.pop("_share") / total
     return sorted(listed, key=lambda p: -p["share"])
 
 
@@ -85,7 +90,7 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
         {
             "axis": axis,
             "block": block,
-            "_excess": 1.0,
+            "_share": NOT_SEEN,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
@@ -100,13 +105,14 @@ def _gather(listed: list[dict[str, Any]], echo: float) -> None:
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
-            largest = max(leading, key=lambda p: p["_excess"])
+            largest = max(leading, key=lambda p: p["_share"])
             for other in (p for p in mine if "effect" not in p):
-                largest["_excess"] += (1.0 - echo) * other["_excess"]
-                other["_excess"] *= echo
+                largest["_share"] += (1.0 - echo) * other["_share"]
+                other["_share"] *= echo
 
 
-def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], excess: float, level: float) -> dict[str, Any]:
+def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], share: float, level: float) -> dict[str, Any]:
+    excess = sum(b.excess for b in parts)
     runs = sorted(parts, key=lambda b: -b.excess)
     named, reached = [], 0.0
     for part in runs:
@@ -120,7 +126,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], exce
     return {
         "axis": axis,
         "block": block,
-        "_excess": excess,
+        "_share": share,
         "scales_with": _scales_with(group, axis, parts),
         "regime": _regime(group, axis, parts),
         "runs": named,
@@ -159,9 +165,14 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
         view = group.views[part.run]
+        # a constant is a finding of a force alone: encoders have zeros of their own
+        force = part.block in ("mechanics", "current loop")
+        residual = part.residual if force else part.residual - part.residual.mean()
         for name, regressor in scaling(view, axis, part.index, names).items():
+            if name == "1" and not force:
+                continue
             xy, xx = sums.get(name, (0.0, 0.0))
-            sums[name] = (xy + float(regressor @ part.residual), xx + float(regressor @ regressor))
+            sums[name] = (xy + float(regressor @ residual), xx + float(regressor @ regressor))
     for name, (xy, xx) in sums.items():
         if xx > 0:
             shares.setdefault(name.split(" (")[0], []).append(xy**2 / xx / total)

@@ -197,6 +197,15 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
     return setpoints.command((tp, *laws), tp, first_cycle, count, of)
 
 
+def delay_weights(delay: float, cycle: float, linear: bool) -> list[tuple[float, float]]:
+    """Delays and weights of the set points that a delayed one is made of: itself, or (`linear`) the NC's two samples on both sides."""
+    if not linear:
+        return [(delay, 1.0)]
+    whole = math.floor(delay / cycle + WHOLE_CYCLE)
+    part = max(delay / cycle - whole, 0.0)
+    return [(n * cycle, weight) for n, weight in ((whole, 1.0 - part), (whole + 1, part)) if weight > WHOLE_CYCLE]
+
+
 class _Law(NamedTuple):
     """What makes the command of an axis from its set points: delays [s], factor of the speed, inertia [kg m2 at the motor] and ratio."""
 
@@ -209,11 +218,7 @@ class _Law(NamedTuple):
 
     def weights(self, delay: float, cycle: float) -> list[tuple[float, float]]:
         """Delays and weights of the set points that a delayed one is made of: itself, or the NC's two samples on both sides."""
-        if not self.linear:
-            return [(delay, 1.0)]
-        whole = math.floor(delay / cycle + WHOLE_CYCLE)
-        part = max(delay / cycle - whole, 0.0)
-        return [(n * cycle, weight) for n, weight in ((whole, 1.0 - part), (whole + 1, part)) if weight > WHOLE_CYCLE]
+        return delay_weights(delay, cycle, self.linear)
 
     def steps_back(self, cycle: float) -> tuple[float, float, float]:
         """Delays of the three set points that a second difference takes."""

@@ -1,0 +1,83 @@
+"""Two encoders of an axis whose zeros differ: a constant of each run that is fitted, never a fault.
+
+The difference d of motor encoder and scale has in run k the mean m_k and the deviation w_k. It is one of zeros where it is more than
+noise in some run, constant in each run (w_k small beside the largest |m|), and does not follow time or place from run to run, as a
+screw that grows or a wrong lead does: m_k = a + b t_k + c x_k explains little more than its mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.gap import LEAST_NOISE, sensor_noise
+from twin.units import ARCSEC
+
+FEWEST_RUNS = 5
+"""Runs from which a trend over time and place, three numbers, says something."""
+
+BOTH = ("motor_position", "position")
+
+
+def with_common_zeros(
+    runs: Sequence[MeasuredRun], machine: Machine, thresholds: Thresholds = DEFAULT
+) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
+    """The runs with differences of zeros taken out, and the largest difference of each axis that has one [m or rad]."""
+    found: dict[str, float] = {}
+    for axis in machine.axes:
+        mine = [k for k, run in enumerate(runs) if all(run.trace.has(axis.name, signal) for signal in BOTH)]
+        offsets = {k: _difference(runs[k].trace, axis.name) for k in mine}
+        if offsets and _is_of_zeros([runs[k] for k in mine], list(offsets.values()), axis, machine, thresholds):
+            found[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
+            runs = [_shifted(run, axis, offsets[k][0]) if k in offsets else run for k, run in enumerate(runs)]
+    return tuple(runs), found
+
+
+def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
+    """One line for each axis whose encoders have no common zero."""
+    units = {"linear": ("um", 1e6), "rotary": ("arcsec", 1.0 / ARCSEC)}
+    lines = []
+    for name, offset in found.items():
+        unit, factor = units[machine.axis(name).kind]
+        lines.append(
+            f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; fitted in each run, no fault"
+        )
+    return lines
+
+
+def _difference(trace: Trace, name: str) -> tuple[float, float]:
+    """Mean and standard deviation of motor encoder minus scale."""
+    motor, scale = (trace.get(name, signal) for signal in BOTH)
+    return float(np.mean(motor - scale)), float(np.std(motor - scale))
+
+
+def _is_of_zeros(
+    runs: Sequence[MeasuredRun], offsets: Sequence[tuple[float, float]], axis: Axis, machine: Machine, thresholds: Thresholds
+) -> bool:
+    means, deviations = np.array(offsets).T
+    largest = float(np.abs(means).max())
+    noise = max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
+    if largest < thresholds.zero_least * noise or np.any(deviations > thresholds.zero_constant * largest):
+        return False
+    left = means - means.mean()
+    if len(runs) < FEWEST_RUNS or float(left @ left) < 0.01 * float(means @ means):
+        return True
+    when = [run.started_at + 0.5 * float(run.trace.time[-1] - run.trace.time[0]) for run in runs]
+    place = [float(np.mean(run.trace.get(axis.name, "position"))) for run in runs]
+    trend = np.column_stack([np.ones(len(runs)), when, place])
+    rest = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
+    return float(rest @ rest) > (1.0 - thresholds.zero_by_trend) * float(left @ left)
+
+
+def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:
+    """The run with the encoder that does not close the position loop brought to the zero of the other one."""
+    signal, sign = ("motor_position", -1.0) if axis.encoder != "motor" else ("position", 1.0)
+    signals = {**run.trace.signals, (axis.name, signal): run.trace.get(axis.name, signal) + sign * offset}
+    return replace(run, trace=replace(run.trace, signals=signals))

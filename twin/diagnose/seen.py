@@ -1,0 +1,58 @@
+"""How much of the gap that a user sees, in position or current, a block's own error makes.
+
+position controller   speed error e of its law:   position error e / (s + Kv)
+speed controller      current error di:           speed error e = di Kt r / Kp, then the same
+mechanics             force error F:              current error F r / Kt
+transmission          motor minus scale:          itself, beside the gap of the position
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import numpy as np
+
+from twin.diagnose.blocks import BlockResidual
+from twin.diagnose.observe import Group
+from twin.diagnose.view import RunView
+from twin.machine.machine import Axis
+
+
+def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResidual]) -> float:
+    """Share of the squared gap of an axis that a block makes, from 0 to 1; 1 where the gap was not recorded.
+
+    `group` holds the gap: its channels about the machine as the file says. `parts` are the block's residuals, run by run.
+    """
+    made = gap = 0.0
+    for part in parts:
+        view = group.views[part.run]
+        axis = view.machine.axis(name)
+        square = {c.name: float(np.mean(c.residual**2)) for c in group.channels if (c.run, c.axis) == (part.run, name)}
+        weight = len(view.trace.time)
+        if block == "transmission":
+            made += weight * square.get("windup", 0.0)
+            gap += weight * (square.get("windup", 0.0) + square.get("position", 0.0))
+        elif block == "mechanics":
+            made += weight * float(np.mean((part.residual * axis.ratio / axis.motor.torque_constant_nm_per_a) ** 2))
+            gap += weight * square.get("current", 0.0)
+        else:
+            speed = part.residual if block == "position controller" else _speed_error(part.residual, axis)
+            made += weight * float(np.mean(_position_error(speed, part, view, axis) ** 2))
+            gap += weight * square.get("position", 0.0)
+    return min(1.0, made / gap) if gap > 0.0 else 1.0
+
+
+def _speed_error(current: np.ndarray, axis: Axis) -> np.ndarray:
+    """Error of the speed set point that makes this error of the current (sample,) [axis units a second]."""
+    return current * axis.told_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
+
+
+def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis: Axis) -> np.ndarray:
+    """Position error (sample,) that an error of the speed set point makes in the closed loop: x' = e - Kv x, e held over a sample."""
+    from scipy.signal import lfilter
+
+    step = float(np.median(np.diff(part.index))) * view.trace.period if len(part.index) > 1 else view.trace.period
+    gain = axis.loops.position_gain_per_s
+    decay = math.exp(-gain * step)
+    return np.asarray(lfilter([0.0, (1.0 - decay) / gain], [1.0, -decay], speed))
