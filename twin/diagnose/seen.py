@@ -45,7 +45,7 @@ def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResid
 
 def _speed_error(current: np.ndarray, axis: Axis) -> np.ndarray:
     """Error of the speed set point that makes this error of the current (sample,) [axis units a second]."""
-    return current * axis.told_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
+    return current * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
 
 
 def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis: Axis) -> np.ndarray:

@@ -42,7 +42,7 @@ class Thresholds:
     law_floor: float = _of(0.01, "share of the speed noise", "least noise of the control law")
     clipped: float = _of(0.999, "share of the limit", "from here a command counts as clipped and says nothing about the law")
     law_share: float = _of(
-        5e-4, "share of the speed", "model error of a control law; the law of a real control, fitted by hand, is off by 2e-4"
+        1e-4, "share of the speed", "model error of a control law; a real one, fitted by hand, is off by 3e-5 of its top speed"
     )
 
     zero_least: float = _of(20.0, "encoder noises", "constant difference of two encoders from which they have no common zero")
