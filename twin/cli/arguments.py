@@ -73,8 +73,13 @@ def machine_of(args: argparse.Namespace) -> Machine:
     return with_effects(machine, [*settings_of(machine), *(parse_setting(text, machine) for text in added)])
 
 
-def setpoints_of_input(source: Path, machine: Machine) -> tuple[Program | None, Trace]:
-    """Set points of a program (with the program) or of a trace (without)."""
+def add_place(parser: argparse.ArgumentParser) -> None:
+    """`--place`: where the part of a program lies."""
+    parser.add_argument("--place", choices=("as-is", "auto"), default="as-is", help="auto: shift a part that lies outside the travel")
+
+
+def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:
+    """Set points of a program (with the program) or of a trace (without); `place` 'auto' shifts a part into the travel."""
     from twin.program.read import PROGRAM_ENDINGS
     from twin.recordings import read_trace
 
@@ -83,8 +88,14 @@ def setpoints_of_input(source: Path, machine: Machine) -> tuple[Program | None, 
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         return None, read_trace(source, axes=machine.kinds, need=("setpoint",))
     from twin.program import interpolate, read_program
+    from twin.program.place import OutsideTravel, placed
 
-    program = read_program(source, machine)
+    try:
+        program = read_program(source, machine)
+    except OutsideTravel as error:
+        if place != "auto":
+            raise InputError(f"{error}, or add --place auto") from None
+        program = placed(error.program)
     for note in program.notes:
         print(f"note: {source.name}: {note}", file=sys.stderr)
     with Progress("interpolating") as bar:

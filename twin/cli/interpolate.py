@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, machine_of, picture_file, setpoints_of_input
+from twin.cli.arguments import add_machine, add_place, machine_of, picture_file, setpoints_of_input
 from twin.errors import InputError
 from twin.program.read import PROGRAM_ENDINGS
 
@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="FILE", help="trace with the set points (.parquet or .csv)")
     parser.add_argument("--plot", metavar="PNG", help="plot programmed and reached feed over path length")
     add_machine(parser)
+    add_place(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -28,7 +29,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         raise InputError(f"{source}: not a program; give a file ending in {', '.join(PROGRAM_ENDINGS)}")
     plot = picture_file(args.plot) if args.plot else None
-    _, trace = setpoints_of_input(source, machine)
+    _, trace = setpoints_of_input(source, machine, args.place)
     write_trace(trace, out)
     print(f"{source.name}: {trace.time[-1]:.3f} s of set points every {trace.period * 1e3:g} ms, written to {out}")
     if plot:

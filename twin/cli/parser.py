@@ -41,6 +41,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
         Command("demo", "demo", "the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
         Command("run", "run", "simulate a program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
         Command("interpolate", "interpolate", "turn a program into set points, no more"),
+        Command("check", "check", "show what of a part program, or of a folder of them, is understood, fits and keeps the limits"),
         Command("cut", "cut", "cut the part along the followed tool path: where the mark is and how deep"),
     ),
     "look": (

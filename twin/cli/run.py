@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 import sys
 
-from twin.cli.arguments import add_machine, machine_of, positive, seed, setpoints_of_input
+from twin.cli.arguments import add_machine, add_place, machine_of, positive, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("input", metavar="INPUT", help="part program, or trace with <axis>.setpoint columns")
     add_machine(parser)
+    add_place(parser)
     parser.add_argument(
         "--effect",
         action="append",
@@ -52,7 +53,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
     machine = machine_of(args)
     source = Path(args.input)
-    program, trace = setpoints_of_input(source, machine)
+    program, trace = setpoints_of_input(source, machine, args.place)
     setpoints = setpoints_of(trace, machine)
     check_travel(setpoints, machine, str(source))
     warnings = limit_warnings(setpoints, machine)

@@ -18,6 +18,7 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.orientation import OK, choose_angles, unreachable_text
+from twin.program.place import OutsideTravel
 from twin.units import AXIS_UNITS, rad_from_deg
 
 DEFAULT_TOLERANCE = 10e-6
@@ -262,7 +263,7 @@ class Collector:
             row, axis = at_start or hit  # type: ignore[misc]
             value = program.start[axis] if at_start else axes[row, axis]
             line, block = (self.lines[0], self.blocks[0]) if at_start else (int(moves.line[row]), int(moves.block[row]))
-            raise self.fail(line, block, travel_text("XYZAC"[axis], float(value), self.kinematics))
+            raise OutsideTravel(str(self.fail(line, block, travel_text("XYZAC"[axis], float(value), self.kinematics))), program)
 
 
 def travel_text(name: str, value: float, kinematics: Kinematics) -> str:

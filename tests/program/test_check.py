@@ -1,0 +1,83 @@
+"""`twin check` and the place of a part: what is understood, what fits, and the least shift that makes it fit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from tests.builders.refused import refused
+from tests.conftest import ROOT
+from twin.cli import main
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.program import read_program
+from twin.program.place import KEEP, OutsideTravel, axes_of, placed
+
+FAR = "G54\nG0 X400 Y0 Z0\nG1 X500 Y0 F1000\nG3 X500 Y20 I0 J10\nG1 X400\nM30\n"
+"""A part that lies 145 mm beyond X's travel of 355 mm, with an arc."""
+
+
+def outside(path: Path, text: str, machine: Machine) -> OutsideTravel:
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(OutsideTravel) as found:
+        read_program(path, machine)
+    return found.value
+
+
+def test_the_least_shift_is_taken(tmp_path: Path, mikron: Machine) -> None:
+    error = outside(tmp_path / "far.mpf", FAR, mikron)
+    program = placed(error.program)
+    moved = program.moves.target[:, :3] - error.program.moves.target[:, :3]
+    assert np.allclose(moved, [-0.155 - KEEP, 0.0, 0.0], atol=1e-4)  # 145 mm, and 10 mm of the arc's bulge
+    assert np.allclose(program.moves.centre[1] - error.program.moves.centre[1], moved[0])  # the arc goes with it
+    assert np.allclose(program.start[0] - 0.4, moved[0, 0])
+    assert "the part is shifted by X -155." in program.notes[-1]
+
+
+def test_under_traori_the_shift_turns_with_the_table(tmp_path: Path, mikron: Machine) -> None:
+    """The part is turned by C = 180 degrees half way: to fit at one end costs at the other."""
+    text = "TRAORI\nG0 X0 Y0 Z300 A3=0 B3=0 C3=1\nG1 X420 Y0 Z300 F2000\nG1 X430 Y5 Z300 A3=0.2 B3=0.2 C3=1\nM30\n"
+    error = outside(tmp_path / "far.mpf", text, mikron)
+    program = placed(error.program)
+    low, high = mikron.axis("X").travel
+    axes = axes_of(program)
+    assert axes[:, 0].max() <= high
+    assert axes[:, 0].min() >= low
+    assert axes_of(error.program)[:, 0].max() > high
+
+
+def test_what_fits_nowhere_says_which_axis(tmp_path: Path, mikron: Machine) -> None:
+    error = outside(tmp_path / "long.mpf", "G0 X-400\nG1 X400 F1000\nM30\n", mikron)
+    with pytest.raises(InputError, match=r"axis X moves over 800.0 mm, its travel is 710.0 mm"):
+        placed(error.program)
+
+
+def test_check_reads_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, text in (("good.mpf", "G0 X0\nG1 X10 F1000\nM30\n"), ("far.mpf", FAR), ("bad.mpf", "G1 X10 F1000\nFOO(3)\n")):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "notes.md").write_text("no program", encoding="utf-8")
+    out = tmp_path / "check.json"
+    assert main(["check", str(tmp_path), "--json", str(out)]) == 0
+    assert "3 programs on Mikron UCP 710: 2 understood, 1 fit, 1 within limits" in capsys.readouterr().out
+    document = json.loads(out.read_text(encoding="utf-8"))
+    jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "programs.json").read_text(encoding="utf-8")))
+    assert {Path(p["file"]).name: p["verdict"] for p in document["programs"]} == {
+        "good.mpf": "ok",
+        "far.mpf": "too large",
+        "bad.mpf": "refused",
+    }
+    assert main(["check", str(tmp_path), "--place", "auto", "--json", str(out)]) == 0
+    far = next(p for p in json.loads(out.read_text(encoding="utf-8"))["programs"] if p["file"].endswith("far.mpf"))
+    assert far["verdict"] == "ok"
+    assert far["reach"]["X"]["high"] == pytest.approx(355.0, abs=0.3)
+
+
+def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no such program or folder" in refused(capsys, "check", str(tmp_path / "none"))
+    assert "holds no part program" in refused(capsys, "check", str(tmp_path))
+    (tmp_path / "far.mpf").write_text(FAR, encoding="utf-8")
+    assert "add --place auto" in refused(capsys, "run", str(tmp_path / "far.mpf"))

@@ -1,0 +1,50 @@
+"""`twin check`: what of a program, or of a folder of them, is understood, fits the machine and keeps its limits."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.cli.arguments import add_machine, add_place, machine_of
+from twin.files import write_json
+from twin.progress import Progress
+
+SHOWN = 12
+"""Reasons that are listed on the terminal; the JSON file has all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", help="a part program, or a folder with them")
+    add_machine(parser)
+    add_place(parser)
+    parser.add_argument("--read-only", action="store_true", help="read, do not plan: no times and no limits")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Check every program, print a line each, then the commonest reasons."""
+    from twin.program.check import check_programs, document, programs_in, reasons
+    from twin.simulation.summary import table
+
+    machine = machine_of(args)
+    folder = Path(args.programs)
+    paths = programs_in(folder)
+    with Progress("checking", total=len(paths)) as bar:
+        found = check_programs(paths, machine, place=args.place == "auto", plan=not args.read_only, progress=bar)
+    rows = []
+    for one in found:
+        name = str(one.path.relative_to(folder)) if folder.is_dir() else one.path.name
+        time = f"{one.duration_s:.1f} s" if one.duration_s is not None else "-"
+        rows.append([name, one.verdict, str(one.moves) if one.understood else "-", time, (one.reason or "; ".join(one.limits))[:100]])
+    print(table(["program", "verdict", "moves", "time", "in its way"], rows, left=2))
+    count = sum(one.understood for one in found)
+    fits = sum(one.fits for one in found)
+    print(
+        f"\n{len(found)} programs on {machine.name}: {count} understood, {fits} fit, {sum(one.verdict == 'ok' for one in found)} within limits"
+    )
+    for reason, times, first in reasons(found)[:SHOWN]:
+        print(f"  {times} x {reason[:120]}" + (f"\n      first in {first[:140]}" if len(found) > 1 else ""))
+    if args.json:
+        write_json(document(found, machine), Path(args.json), "programs")
+    return 0

@@ -1,0 +1,147 @@
+"""What of a folder of programs is understood, fits the machine and keeps its limits: one line a program."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+import re
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError, TwinError
+from twin.machine.machine import Machine
+from twin.program.interpolator import interpolate
+from twin.program.place import OutsideTravel, placed
+from twin.program.read import PROGRAM_ENDINGS, read_program
+from twin.simulation.setpoints import limit_warnings, setpoints_of
+from twin.units import AXIS_UNITS
+
+NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html", ".xml", ".c", ".h", ".sh", ".ini", ".hal", ".log")
+"""Endings that are passed over in a folder; of a file named by itself any ending is read."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """One program: is it understood, does it fit, how long does it take [s], what is in its way."""
+
+    path: Path
+    understood: bool
+    fits: bool
+    moves: int = 0
+    duration_s: float | None = None
+    reach: dict[str, tuple[float, float]] = field(default_factory=dict)  # axis -> lowest and highest position [m, rad]
+    limits: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """One word."""
+        if not self.understood:
+            return "refused"
+        if not self.fits:
+            return "too large"
+        return "above limits" if self.limits else "ok"
+
+
+def programs_in(path: Path) -> list[Path]:
+    """The programs of a folder and the folders below, or the one that is named."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError(f"{path}: no such program or folder; give a part program or a folder of them")
+    found = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in PROGRAM_ENDINGS and p.suffix.lower() not in NO_PROGRAM)
+    if not found:
+        raise InputError(f"{path}: holds no part program; their names end in {', '.join(PROGRAM_ENDINGS)}")
+    return found
+
+
+def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bool = True) -> Checked:
+    """Read one program and, with `plan`, interpolate it; `place` shifts a part that lies outside the travel."""
+    where = f"{path}: "
+    try:
+        try:
+            program = read_program(path, machine)
+        except OutsideTravel as error:
+            if not place:
+                return Checked(
+                    path, True, False, moves=len(error.program), reason=str(error).removeprefix(where), notes=error.program.notes
+                )
+            program = placed(error.program)
+    except OutsideTravel as error:
+        return Checked(path, True, False, reason=str(error).removeprefix(where))
+    except InputError as error:
+        reason = str(error).removeprefix(where)
+        return Checked(path, "no place on the table" in reason, False, reason=reason)
+    if not plan:
+        return Checked(path, True, True, moves=len(program), notes=program.notes)
+    try:
+        trace = interpolate(program, machine)
+    except TwinError as error:
+        return Checked(path, True, False, moves=len(program), reason=str(error).removeprefix(where), notes=program.notes)
+    setpoints = setpoints_of(trace, machine)
+    reach = {
+        axis.name: (float(column.min()), float(column.max()))
+        for axis, column in zip(machine.axes, setpoints.position.T)
+        if np.ptp(column) > 0.0
+    }
+    return Checked(path, True, True, len(program), float(trace.time[-1]), reach, tuple(limit_warnings(setpoints, machine)), program.notes)
+
+
+def check_programs(
+    paths: Sequence[Path], machine: Machine, *, place: bool = False, plan: bool = True, progress: Callable[[None], None] | None = None
+) -> list[Checked]:
+    """All of them, in order."""
+    found = []
+    for path in paths:
+        found.append(check_program(path, machine, place=place, plan=plan))
+        if progress:
+            progress(None)
+    return found
+
+
+def reasons(checked: Sequence[Checked]) -> list[tuple[str, int, str]]:
+    """Why programs are refused: the reason without its numbers, how often, and where first; the commonest first."""
+    count: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for one in checked:
+        if one.reason:
+            plain = re.sub(r"^line \d+(, (block|column) \S+)*: ", "", one.reason)
+            kind = re.sub(r"(?<![A-Za-z])-?\d+(\.\d+)?", "..", plain)
+            count[kind] += 1
+            first.setdefault(kind, f"{one.path.name}: {one.reason}")
+    return [(kind, n, first[kind]) for kind, n in count.most_common()]
+
+
+def document(checked: Sequence[Checked], machine: Machine) -> dict[str, Any]:
+    """The content of the JSON file; positions in mm and degrees."""
+    programs = []
+    for one in checked:
+        reach = {}
+        for name, ends in one.reach.items():
+            unit, factor = AXIS_UNITS[machine.axis(name).kind].position
+            reach[name] = {"low": ends[0] * factor, "high": ends[1] * factor, "unit": unit}
+        programs.append(
+            {
+                "file": str(one.path),
+                "verdict": one.verdict,
+                "understood": one.understood,
+                "fits": one.fits,
+                "moves": one.moves,
+                "duration_s": one.duration_s,
+                "reach": reach,
+                "limits": list(one.limits),
+                "notes": list(one.notes),
+                "reason": one.reason,
+            }
+        )
+    verdicts = Counter(one.verdict for one in checked)
+    return {
+        "machine": machine.name,
+        "programs": programs,
+        "verdicts": dict(verdicts),
+        "reasons": [{"reason": r, "count": n, "first": f} for r, n, f in reasons(checked)],
+    }

@@ -1,0 +1,112 @@
+"""Where a part must lie so that its program fits the travel of a machine: a shift of the part frame, found as a linear program.
+
+With the part shifted by d on the table, the linear axes of a move at table angles (A, C) go to
+
+    axes = axes without shift + R(A, C) d,      low <= axes <= high for every move
+
+and of all d that fit the one with the least |dx| + |dy| + |dz| is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linprog
+
+from twin.errors import InputError
+from twin.geometry.kinematics import Kinematics
+from twin.program.moves import ARC, Program
+
+KEEP = 1e-4
+"""Distance that is kept from the ends of the travel [m]."""
+
+ALONG_ARC = 16
+"""Points of an arc that must fit beside its end: it bulges beyond both ends."""
+
+
+class OutsideTravel(InputError):
+    """A program that leaves the travel of the machine; `program` is what was understood of it."""
+
+    def __init__(self, message: str, program: Program):
+        super().__init__(message)
+        self.program = program
+
+
+def placed(program: Program) -> Program:
+    """The program with its part shifted into the travel; an InputError says which axis is too short where no place fits."""
+    kinematics, moves = program.kinematics, program.moves
+    own_turn = _rotations(kinematics, moves.target[:, 3:])
+    bulge, of_move = _along_arcs(program)
+    at_axes = np.where(moves.traori[of_move, None], np.einsum("nij,nj->ni", own_turn[of_move], bulge), bulge)
+    axes = np.vstack([axes_of(program), axes_of(program)[of_move] + at_axes])
+    turned = np.concatenate([own_turn, own_turn[of_move]])
+    home = np.clip(0.0, kinematics.travel[:, 0], kinematics.travel[:, 1])
+    starts_at_home = np.allclose(program.start, home)
+    if not starts_at_home:
+        at_start = _rotations(kinematics, program.start[None, 3:])
+        axes, turned = np.vstack([program.start[:3], axes]), np.concatenate([at_start, turned])
+    low, high = kinematics.travel[:3, 0] + KEEP, kinematics.travel[:3, 1] - KEEP
+    shift = _least_shift(axes, turned, low, high)
+    if shift is None:
+        raise InputError(
+            f"{program.path}: no place on the table fits: {_too_long(axes, low - KEEP, high + KEEP)}; take a machine with more travel"
+        )
+    target, centre, start = moves.target.copy(), moves.centre.copy(), program.start.copy()
+    own = np.where(moves.traori[:, None], shift, own_turn @ shift)
+    target[:, :3] += own
+    centre[moves.kind == ARC] += own[moves.kind == ARC]
+    if not starts_at_home:
+        start[:3] += at_start[0] @ shift
+    x, y, z = shift * 1e3
+    note = f"placed to fit the travel: the part is shifted by X {x:.3f} Y {y:.3f} Z {z:.3f} mm on the table"
+    return replace(program, start=start, moves=replace(moves, target=target, centre=centre), notes=(*program.notes, note))
+
+
+def axes_of(program: Program) -> np.ndarray:
+    """Linear axes (move, 3) at the end of each move [m]."""
+    moves, kinematics = program.moves, program.kinematics
+    axes = moves.target[:, :3].copy()
+    for length in np.unique(moves.tool_length[moves.traori]):
+        rows = moves.traori & (moves.tool_length == length)
+        axes[rows] = kinematics.with_tool_length(length).linear_axes(moves.target[rows, :3], moves.target[rows, 3:])
+    return axes
+
+
+def _along_arcs(program: Program) -> tuple[np.ndarray, np.ndarray]:
+    """Points along all arcs, each from the end of its arc (point, 3) [m] in the frame of its move, and the moves that they belong to."""
+    moves = program.moves
+    points, of_move = [], []
+    for row in np.flatnonzero(moves.kind == ARC).tolist():
+        normal, arm = moves.normal[row], moves.target[row, :3] - moves.centre[row]
+        height = normal * (normal @ arm)
+        flat = arm - height
+        back = np.linspace(0.0, min(float(moves.angle[row]), 2.0 * np.pi), ALONG_ARC, endpoint=False)[1:, None]
+        points.append(np.cos(back) * flat - np.sin(back) * np.cross(normal, flat) - flat)
+        of_move += [row] * (ALONG_ARC - 1)
+    return (np.vstack(points) if points else np.zeros((0, 3))), np.array(of_move, int)
+
+
+def _rotations(kinematics: Kinematics, angles: np.ndarray) -> np.ndarray:
+    """What a shift of the part is at the linear axes: matrices (row, 3, 3) for table angles (row, 2)."""
+    at_zero = kinematics.linear_axes(np.zeros((len(angles), 3)), angles)
+    columns = [kinematics.linear_axes(np.tile(unit, (len(angles), 1)), angles) - at_zero for unit in np.eye(3)]
+    return np.stack(columns, axis=2)
+
+
+def _least_shift(axes: np.ndarray, turned: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
+    """The smallest shift (3,) that brings all axes into the travel; None where there is none."""
+    rows = turned.reshape(-1, 3)
+    bound = np.eye(3)
+    # d and its size t: R d <= high - axes, -R d <= axes - low, +-d <= t
+    matrix = np.block([[rows, np.zeros_like(rows)], [-rows, np.zeros_like(rows)], [bound, -bound], [-bound, -bound]])
+    limit = np.concatenate([(high - axes).ravel(), (axes - low).ravel(), np.zeros(6)])
+    found = linprog([0.0] * 3 + [1.0] * 3, A_ub=matrix, b_ub=limit, bounds=[(None, None)] * 3 + [(0.0, None)] * 3, method="highs")
+    return None if found.x is None or not found.success else np.asarray(found.x[:3])
+
+
+def _too_long(axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
+    """The axis whose motion is longest against its travel."""
+    span = np.ptp(axes, axis=0)
+    worst = int(np.argmax(span / (high - low)))
+    return f"axis {'XYZ'[worst]} moves over {span[worst] * 1e3:.1f} mm, its travel is {(high - low)[worst] * 1e3:.1f} mm"
