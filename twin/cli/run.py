@@ -47,6 +47,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.compare.contour import contour_numbers
     from twin.recordings.trace import write_trace
     from twin.report.figure import save_png
+    from twin.simulation.command_columns import with_command_columns
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import check_travel, limit_warnings, setpoints_of
     from twin.simulation.summary import effects_line, summary_of, summary_table
@@ -72,7 +73,7 @@ def carry_out(args: argparse.Namespace) -> int:
                 write_trace(error.trace, out / "trace.parquet")
                 raise SimulationError(f"{error}; what was recorded up to there is in {out / 'trace.parquet'}") from None
             raise
-    followed = with_program_columns(run.trace, trace)
+    followed = with_program_columns(with_command_columns(run.trace, machine.with_feedforward(feedforward), setpoints), trace)
     write_trace(followed, out / "trace.parquet")
     contour = contour_numbers(run)
     summary = {
