@@ -127,7 +127,7 @@ def tables_of_axis(
 
 BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2": Key(low=0.0, above=True, count=3)}
 
-TOOL = {"length_m": not_negative()}
+TOOL = {"length_m": not_negative(), "radius_m": not_negative(required=False)}
 
 MEASUREMENT = {
     "sample_period_us": positive(),

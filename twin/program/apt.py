@@ -20,7 +20,7 @@ from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
 from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
-from twin.program.flow import Source
+from twin.program.source import Source
 
 INCH = 0.0254
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
@@ -69,7 +69,12 @@ class AptReader:
         }  # fmt: skip
 
     def read(self) -> mv.Program:
-        """All statements in order."""
+        """All statements in order, checked against the machine."""
+        self.read_statements()
+        return self.out.finish()
+
+    def read_statements(self) -> None:
+        """All statements in order; the moves stand in `out`."""
         for line, text in self._statements():
             self.line = line
             try:
@@ -78,7 +83,6 @@ class AptReader:
                 raise self._fail(str(error)) from None
             if self.ended:
                 break
-        return self.out.finish()
 
     def _statements(self) -> Iterator[tuple[int, str]]:
         """First line and text of each statement; one that the end of the file cuts off after its '$' ends there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 
 import numpy as np
@@ -18,7 +19,13 @@ class ArcError(Exception):
 
 
 def from_centre(
-    start: np.ndarray, end: np.ndarray, centre: np.ndarray, plane: int, clockwise: bool, turns: int
+    start: np.ndarray,
+    end: np.ndarray,
+    centre: np.ndarray,
+    plane: int,
+    clockwise: bool,
+    turns: int,
+    tolerance: float = CLOSING_TOLERANCE,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Centre (3,), normal (3,) and angle > 0 of an arc in a plane; equal start and end are a full circle."""
     a, b, c = PLANES[plane]
@@ -27,7 +34,7 @@ def from_centre(
     radius, radius_end = math.hypot(*first), math.hypot(*last)
     if radius < 1e-9:
         raise ArcError("the arc has no radius; give the centre with I J K (from the start) or the radius")
-    if abs(radius - radius_end) > CLOSING_TOLERANCE:
+    if abs(radius - radius_end) > tolerance:
         raise ArcError(
             f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
             "correct the end point or I J K (from the start; absolute as I=AC(..))"
@@ -42,6 +49,12 @@ def from_centre(
     middle = np.array(start, float)
     middle[a], middle[b] = centre[a], centre[b]
     return middle, normal, angle + 2.0 * math.pi * turns
+
+
+def iso_tolerance(unit: float) -> Callable[[float], float]:
+    """What the radii of an arc may differ by in ISO programs, by the radius [m]: LinuxCNC's rule, 28 um or a thousandth, at most 2.8 mm."""
+    least = 2.0 * math.sqrt(2.0) * (1e-5 if unit == 1e-3 else 1e-3 * unit)
+    return lambda radius: min(max(least, 1e-3 / (1.0 - 1e-3) * radius), 100.0 * least)  # of the larger radius
 
 
 def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane: int, clockwise: bool) -> np.ndarray:
@@ -61,3 +74,37 @@ def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane:
     centre = np.array(start, float)
     centre[[a, b]] = np.array([start[a], start[b]]) + 0.5 * chord + side * height * left
     return centre
+
+
+def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centre (3,), normal (3,) and angle of the arc in space from start through a middle point to the end (CIP)."""
+    u, v = middle - start, end - start
+    normal = np.cross(u, v)
+    square = float(normal @ normal)
+    if square < 1e-24:
+        raise ArcError("the three points of the arc lie on one line, or two of them are the same; correct the middle point (I1= J1= K1=)")
+    centre = start + (np.cross(normal, u) * float(v @ v) + np.cross(v, normal) * float(u @ u)) / (2.0 * square)
+    axis = normal / math.sqrt(square)
+    return centre, axis, _angle(start - centre, end - centre, axis)
+
+
+def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centre, normal and angle of the arc that goes on in a direction (3,) to the end, in the plane (CT)."""
+    a, b, c = PLANES[plane]
+    t = np.array([direction[a], direction[b]])
+    chord = np.array([end[a] - start[a], end[b] - start[b]])
+    left = np.array([-t[1], t[0]])
+    side = float(chord @ left)
+    if math.hypot(*t) < 1e-9 or abs(side) < 1e-12:
+        raise ArcError("the arc that goes on smoothly would be a line; use G1")
+    radius = float(chord @ chord) * math.hypot(*t) / (2.0 * side)
+    centre, normal = start.copy(), np.zeros(3)
+    centre[[a, b]] = np.array([start[a], start[b]]) + radius * left / math.hypot(*t)
+    normal[c] = math.copysign(1.0, side)
+    return centre, normal, _angle(start - centre, end - centre, normal)
+
+
+def _angle(first: np.ndarray, last: np.ndarray, normal: np.ndarray) -> float:
+    """Angle from one arm to the other about the normal, above 0."""
+    angle = math.atan2(float(np.cross(first, last) @ normal), float(first @ last)) % (2.0 * math.pi)
+    return angle if angle > 1e-9 else 2.0 * math.pi

@@ -76,6 +76,7 @@ class Collector:
         self.pauses: dict[int, float] = {}
         self.notes: dict[str, None] = {}
         self.messages: list[str] = []
+        self.missing: dict[str, tuple[int, int, str]] = {}  # an axis that this machine lacks: where it first moved
         self.feedforward: str | None = None
         self.angles: list[np.ndarray] = []  # settled (row, 2)
         self.settled = 0
@@ -150,6 +151,8 @@ class Collector:
         """The checked program."""
         if not self.kinds:
             raise InputError(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000")
+        for line, block, name in self.missing.values():
+            raise self.fail(line, block, f"axis {name} moves, and this machine has X Y Z A C; use a machine file with that axis")
         self.settle()
         angles = np.vstack(self.angles)
         n = len(self.kinds)

@@ -1,236 +1,414 @@
-"""The file of a program and the order in which its blocks run: labels, REPEAT, IF .. GOTO, structured IF.
+"""The order in which the blocks of a program run: labels, jumps, loops, conditions, calls. One machinery for both languages.
 
-The file is read with bounded lines, so that a file without line ends or a binary file is reported at once. Jumps are
-bounded too: a program that never ends is reported instead of filling the memory.
+A front end says what a line is (`Statement`); this file follows it. SINUMERIK nests IF .. ENDIF by position, LinuxCNC
+and Fanuc name both ends of a structure (O100, DO1): the `key`. Nothing runs for ever: blocks, jumps and calls are counted.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-import re
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 from twin.errors import InputError
-from twin.program.words import Arithmetic, Word, WordError, split_words
+from twin.program.expressions import WordError
+from twin.program.source import Unit
 
-LONGEST_LINE = 2000  # characters; the control itself allows 512
-MOST_LINES = 2_000_000
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
-_LABEL = re.compile(r"\s*(?:N\d+\s+)?([A-Z_][A-Z0-9_]+):(?!=)", re.A)
-_NUMBER = re.compile(r"\s*N(\d+)", re.A)
-_GOTO = re.compile(r"\s*GOTO([FBC]?)\s+([A-Z0-9_]+)\s*\Z", re.A)
-_IF = re.compile(r"\s*IF\b(.*?)(?:\b(GOTO[FBC]?\s+[A-Z0-9_]+))?\s*\Z", re.A)
-_REPEAT = re.compile(r"\s*(REPEATB?)\s+([A-Z_][A-Z0-9_]*)(?:\s+(?!P\d+\s*\Z)([A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(\d+|R\d+))?\s*\Z", re.A)
-_FLOW = re.compile(
-    r"\s*(?:N\d+\s*)?(?:[A-Z_][A-Z0-9_]+:\s*)?(IF|ELSE|ENDIF|GOTO[FBC]?|REPEATB?|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|ENDLABEL:?)\b(?!\s*=)",
-    re.A,
-)
+DEEPEST_CALL = 40
+
+CLOSES = {
+    "if": "endif", "while": "endwhile", "for": "endfor", "loop": "endloop", "repeat": "until", "do": "while", "times": "endtimes",
+    "sub": "endsub",
+}  # fmt: skip
+"""Structure -> the statement that ends it; a label is repeated by `repeat_label`, LinuxCNC's O.. REPEAT is `times`."""
 
 
-class Source:
-    """The lines of a program file, checked to be text."""
+@dataclass(frozen=True)
+class Statement:
+    """What a line is for the flow.
 
-    def __init__(self, path: Path):
-        self.path = path
-        if not path.is_file():
-            raise InputError(f"{path}: no such file; give a program (.mpf .spf .ngc .apt .cls)")
-        self.lines: list[str] = []
-        try:
-            with path.open("rb") as file:
-                self._read(file)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    `text` is a condition, a target or arguments, which starts at `column`; `rest` what `kind` needs beside.
+    """
 
-    def _read(self, file) -> None:  # type: ignore[no-untyped-def]
-        lines, number = self.lines, 0
-        while True:
-            raw = file.readline(LONGEST_LINE + 2)
-            if not raw:
-                return
-            number += 1
-            if len(raw) > LONGEST_LINE and not raw.endswith(b"\n"):
-                raise InputError(
-                    f"{self.path}: line {number}: longer than {LONGEST_LINE} characters; this is no part program, or its line ends are lost"
-                )
-            if number > MOST_LINES:
-                raise InputError(f"{self.path}: more than {MOST_LINES} lines; split the program")
-            try:
-                text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
-            except UnicodeDecodeError:
-                text = raw.decode("latin-1")
-            text = text.rstrip("\r\n")
-            if not text.isprintable():
-                for column, char in enumerate(text, start=1):
-                    if not char.isprintable() and char not in "\t\xa0\x1a\xad":
-                        code = f"0x{ord(char):02X}"
-                        raise InputError(
-                            f"{self.path}: line {number}, column {column}: character {code} is no text; this is not a part program"
-                        )
-            lines.append(text)
+    kind: str
+    key: str = ""
+    text: str = ""
+    column: int = 1
+    rest: tuple = ()
 
 
-class Reader(Protocol):
-    """What the flow needs from the reader of blocks."""
+@dataclass
+class Frame:
+    """One running program or subprogram."""
 
-    arithmetic: Arithmetic
+    unit: Unit
+    at: int
+    name: str = ""
+    again: int = 0  # times that a call still repeats
+    first: int = 0
+    variables: dict[Any, Any] = field(default_factory=dict)
+    repeats: list[list[int]] = field(default_factory=list)  # [last line, line to return to, first line, times left]
+    counters: dict[int, int] = field(default_factory=dict)
+    style: str = ""  # how it was called, where the end must fit
+    on_return: Callable[[], None] | None = None
+
+
+class FrontEnd(Protocol):
+    """What the flow needs from a language."""
+
     line: int
     block: int
 
-    def words(self, words: list[Word]) -> None: ...
+    def clean(self, text: str) -> str: ...
+    def statement(self, text: str) -> Statement | None: ...
+    def number_of(self, text: str, column: int) -> float: ...
+    def assign(self, name: str, value: float, column: int) -> None: ...
+    def fast(self, text: str, line: int) -> bool: ...
+    def words(self, text: str) -> None: ...
+    def other(self, statement: Statement, frame: Frame) -> None: ...
+    def labels(self, unit: Unit) -> dict[str, list[int]]: ...
+    def returned(self, frame: Frame) -> None: ...
 
 
 class Flow:
-    """Runs blocks one after the other and follows the jumps."""
+    """Runs the blocks of a program in their order."""
 
-    def __init__(self, source: Source, reader: Reader):
-        self.source = source
-        self.reader = reader
+    def __init__(self, unit: Unit, front: FrontEnd):
+        self.front = front
+        self.frames = [Frame(unit, unit.first)]
         self.ran = self.jumps = 0
-        self.labels: dict[str, list[int]] | None = None
-        self.repeats: list[list[int]] = []  # [last line, line to return to, first line, times left]
+        self.ended = False
 
-    def advance(self, at: int) -> int:
-        """The line after `at`, back to the start of a repeated part at its end."""
-        self._count(at)
-        while self.repeats and self.repeats[-1][0] == at:
-            part = self.repeats[-1]
+    @property
+    def frame(self) -> Frame:
+        """What runs now."""
+        return self.frames[-1]
+
+    def run(self) -> None:
+        """All blocks until the program ends."""
+        front = self.front
+        fast = front.fast
+        while not self.ended and self.frames:
+            frame = self.frames[-1]
+            lines, offset = frame.unit.lines, frame.unit.offset
+            while frame.at < len(lines):
+                at = frame.at
+                text = lines[at]
+                if fast(text, offset + at + 1):
+                    self.advance(frame)
+                    continue
+                front.line, front.block = offset + at + 1, -1
+                self._run_line(frame, at, text)
+                if self.ended or self.frames[-1] is not frame:
+                    break
+            else:
+                self.back("end")
+
+    def _run_line(self, frame: Frame, at: int, text: str) -> None:
+        """One line; it moves `frame.at` unless it is a call, whose end does."""
+        known = frame.unit.statements.get(at)
+        if known is None:
+            known = frame.unit.statements[at] = self._statement(text)
+        if isinstance(known, Statement):
+            self._follow(frame, at, known)
+            return
+        depth = len(self.frames)
+        if known:
+            self.front.words(known)  # type: ignore[arg-type]
+        if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
+            self.advance(frame)
+
+    def _statement(self, text: str) -> Statement | str:
+        clean = self.front.clean(text)
+        if not clean.strip():
+            return ""
+        return self.front.statement(clean) or clean
+
+    def advance(self, frame: Frame) -> None:
+        """To the next line, or back to the start of a repeated part at its end."""
+        self._count()
+        at = frame.at
+        while frame.repeats and frame.repeats[-1][0] == at:
+            part = frame.repeats[-1]
             part[3] -= 1
             if part[3] > 0:
-                return part[2]
-            self.repeats.pop()
+                frame.at = part[2]
+                return
+            frame.repeats.pop()
             at = part[1]  # behind the REPEAT block, which may itself end a part
-        return at + 1
+        frame.at = at + 1
 
-    def _count(self, at: int) -> None:
+    def _count(self) -> None:
         self.ran += 1
         if self.ran > MOST_BLOCKS:
+            frame = self.frame
             raise InputError(
-                f"{self.source.path}: line {at + 1}: more than {MOST_BLOCKS} blocks have run; repeat less often or split the program"
+                f"{frame.unit.path}: line {frame.unit.offset + frame.at + 1}: more than {MOST_BLOCKS} blocks have run; "
+                "repeat less often or split the program"
             )
 
-    def run(self, at: int, text: str) -> int:
-        """Run the block on line `at` (cleaned text) and return the line that comes next."""
-        label = _LABEL.match(text)
-        if label:
-            text = " " * label.end() + text[label.end() :]
-        stripped = text.lstrip()
-        if not stripped or stripped.startswith("%"):
-            return self.advance(at)
-        if stripped.startswith("/"):
-            text = text.replace("/", " ", 1)  # block skip is off: the block runs
-        flow = _FLOW.match(text)
-        if not flow:
-            self.reader.words(split_words(text))
-            return self.advance(at)
-        if number := _NUMBER.match(text):
-            self.reader.block = int(number[1])
-            text = " " * number.end() + text[number.end() :]
-        column = flow.start(1) + 1
-        if flow[1] == "IF":
-            return self._if(at, text, column)
-        if flow[1].startswith("GOTO"):
-            return self._goto(at, text, column)
-        if flow[1].startswith("REPEAT"):
-            return self._repeat(at, text, column)
-        if flow[1] == "ELSE":
-            return self._behind(at, ("ENDIF",), column)  # the part before it has run
-        if flow[1] in ("ENDIF", "ENDLABEL", "ENDLABEL:"):
-            return self.advance(at)
-        raise WordError(f"{flow[1]} is not supported; use IF .. GOTOB, or REPEAT with a label", column)
+    # ------------------------------------------------------------------ calls
 
-    def _if(self, at: int, text: str, column: int) -> int:
-        match = _IF.match(text)
-        assert match
-        if not match[1].strip():
-            raise WordError("IF needs a condition, e.g. IF R1<10 GOTOB LOOP1", column)
-        true = bool(self.reader.arithmetic.value(match[1], match.start(1) + 1))
-        if match[2]:
-            return self._goto(at, match[2], match.start(2) + 1) if true else self.advance(at)
-        return self.advance(at) if true else self._behind(at, ("ELSE", "ENDIF"), column)
+    def call(
+        self, unit: Unit, at: int, *, times: int = 1, name: str = "", style: str = "", shared: bool = False, column: int = 1
+    ) -> Frame | None:
+        """Run a subprogram from line `at` on; the caller goes on behind its block."""
+        if len(self.frames) > DEEPEST_CALL:
+            raise WordError(f"more than {DEEPEST_CALL} calls inside each other; {name or unit.name} calls itself without end", column)
+        if times <= 0:
+            return None
+        frame = Frame(unit, at, name or unit.name, times - 1, at, self.frame.variables if shared else {}, style=style)
+        self.frames.append(frame)
+        return frame
 
-    def _behind(self, at: int, ends: tuple[str, ...], column: int) -> int:
-        """The line after the matching ELSE or ENDIF; a repeated part that ends among the skipped lines ends there."""
-        end = self._matching(at, ends, column)
-        if self.repeats and at <= self.repeats[-1][0] < end:
-            end = self.repeats[-1][0]
-        return self.advance(end)
+    def back(self, how: str, target: str = "") -> None:
+        """The end of a program or subprogram: RET, M17, M99, endsub, or the end of its lines (`end`)."""
+        frame = self.frame
+        self.front.returned(frame) if how != "end" else None
+        if frame.again > 0:
+            frame.again -= 1
+            frame.at, frame.repeats, frame.counters = frame.first, [], {}
+            self._jump(1)
+            return
+        self.frames.pop()
+        if frame.on_return:
+            frame.on_return()
+        if not self.frames:
+            self.ended = True
+        elif target:
+            self.frame.at = self.place(self.frame, target, "", 1)
+        else:
+            self.advance(self.frame)
 
-    def _matching(self, at: int, ends: tuple[str, ...], column: int) -> int:
-        """Line of the matching ELSE or ENDIF."""
-        depth = 0
-        for i in range(at + 1, len(self.source.lines)):
-            text = self.source.lines[i].split(";")[0].upper()
-            word = _FLOW.match(text)
-            if not word:
-                continue
-            if word[1] == "IF" and "GOTO" not in text:
-                depth += 1
-            elif depth == 0 and word[1] in ends:
-                return i
-            elif word[1] == "ENDIF":
-                depth -= 1
-        raise WordError("IF has no ENDIF; add it", column)
+    # ------------------------------------------------------------------ structures
 
-    def _goto(self, at: int, text: str, column: int) -> int:
-        match = _GOTO.match(text)
-        if not match:
-            raise WordError("GOTO needs one label or block number, e.g. GOTOF END1", column)
-        self._count(at)
+    def _follow(self, frame: Frame, at: int, s: Statement) -> None:
+        """Carry out a statement of the flow."""
+        front, kind = self.front, s.kind
+        if kind == "if":
+            self._branch(frame, at, s)
+        elif kind in ("elseif", "else"):  # the part before it has run
+            frame.at = self._partners(frame, at, s)[-1]
+            self.advance(frame)
+        elif kind == "while" and self._opens(frame, at):
+            if front.number_of(s.text, s.column):
+                self.advance(frame)
+            else:
+                self._behind(frame, self._partners(frame, at, s)[-1])
+        elif kind == "while":  # it ends a DO
+            self._loop(frame, self._partners(frame, at, s)[0], bool(front.number_of(s.text, s.column)), s.column)
+        elif kind == "endwhile" or kind == "endloop":
+            opener = self._partners(frame, at, s)[0]
+            self._jump(s.column)
+            frame.at = opener
+        elif kind == "until":
+            self._loop(frame, self._partners(frame, at, s)[0], not front.number_of(s.text, s.column), s.column)
+        elif kind == "for":
+            name, first, last = s.rest
+            front.assign(name, front.number_of(first, s.column), s.column)
+            if front.number_of(name, s.column) <= front.number_of(last, s.column):
+                self.advance(frame)
+            else:
+                self._behind(frame, self._partners(frame, at, s)[-1])
+        elif kind == "endfor":
+            opener = self._partners(frame, at, s)[0]
+            name, _, last = frame.unit.statements[opener].rest  # type: ignore[attr-defined]
+            front.assign(name, front.number_of(name, s.column) + 1.0, s.column)
+            self._loop(frame, opener, front.number_of(name, s.column) <= front.number_of(last, s.column), s.column)
+        elif kind == "times":
+            count = int(front.number_of(s.text, s.column))
+            frame.counters[at] = count
+            if count > 0:
+                self.advance(frame)
+            else:
+                self._behind(frame, self._partners(frame, at, s)[-1])
+        elif kind == "endtimes":
+            opener = self._partners(frame, at, s)[0]
+            frame.counters[opener] = frame.counters.get(opener, 1) - 1
+            self._loop(frame, opener, frame.counters[opener] > 0, s.column)
+        elif kind == "break":
+            self._behind(frame, self._around(frame, at, s)[-1])
+        elif kind == "continue":
+            frame.at = self._around(frame, at, s)[-1]
+            self._jump(s.column)
+        elif kind in ("loop", "repeat", "do", "endif", "label"):
+            self.advance(frame)
+            if kind in ("loop", "repeat", "do"):
+                self._partners(frame, at, s)
+        elif kind == "sub":
+            self._behind(frame, self._partners(frame, at, s)[-1])
+        elif kind == "goto":
+            self._goto(frame, at, s)
+        elif kind == "repeat_label":
+            self._repeat(frame, at, s)
+        else:
+            depth = len(self.frames)
+            front.other(s, frame)
+            if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
+                self.advance(frame)
+
+    def _branch(self, frame: Frame, at: int, s: Statement) -> None:
+        """IF: the first branch whose condition holds; a branch is left at the next ELSE."""
+        if self.front.number_of(s.text, s.column):
+            self._partners(frame, at, s)
+            self.advance(frame)
+            return
+        for place in self._partners(frame, at, s)[1:]:
+            other = frame.unit.statements[place]
+            assert isinstance(other, Statement)
+            if other.kind != "elseif" or self.front.number_of(other.text, other.column):
+                self._behind(frame, place)
+                return
+
+    def _behind(self, frame: Frame, place: int) -> None:
+        """Behind a line; a repeated part that ends among the skipped lines ends there."""
+        if frame.repeats and frame.at <= frame.repeats[-1][0] < place:
+            place = frame.repeats[-1][0]
+        frame.at = place
+        self.advance(frame)
+
+    def _loop(self, frame: Frame, opener: int, again: bool, column: int) -> None:
+        """The end of a loop: back behind its start, or on."""
+        if again:
+            self._jump(column)
+            frame.at = opener + 1
+        else:
+            self.advance(frame)
+
+    def _jump(self, column: int) -> None:
+        self._count()
         self.jumps += 1
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
-        forward = [i for i in self._places(match[2]) if i > at]
-        back = [i for i in self._places(match[2]) if i <= at]
-        found = {"F": forward[:1], "B": back[-1:]}.get(match[1], forward[:1] or back[-1:])
+
+    def _opens(self, frame: Frame, at: int) -> bool:
+        return self._table(frame.unit).get(at, (at,))[0] == at
+
+    def _partners(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
+        """Lines of the structure that the statement belongs to, first to last."""
+        found = self._table(frame.unit).get(at)
+        if found is None or (len(found) == 1):
+            end = CLOSES.get(s.kind, "").upper()
+            text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
+            raise WordError(text, s.column)
+        if found[0] < 0:
+            raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
+        return found
+
+    def _around(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
+        """The loop with the key of a BREAK or CONTINUE."""
+        for places in self._table(frame.unit).values():
+            opener = frame.unit.statements.get(places[0])
+            if (
+                len(places) > 1
+                and places[0] < at < places[-1]
+                and isinstance(opener, Statement)
+                and opener.key == s.key
+                and opener.kind != "if"
+            ):
+                return places
+        raise WordError(f"{s.kind.upper()} stands in no loop {s.key}; correct its number", s.column)
+
+    def _table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
+        """Line -> lines of its structure, for the whole program."""
+        if unit.partners is not None:
+            return unit.partners
+        table: dict[int, tuple[int, ...]] = {}
+        stacks: dict[str, list[list[int]]] = {}
+        subs: list[list[int]] = []
+        for at, text in enumerate(unit.lines):
+            if at not in unit.statements:
+                try:
+                    unit.statements[at] = self._statement(text)
+                except WordError:
+                    continue  # it will be said where it runs
+            s = unit.statements[at]
+            if not isinstance(s, Statement):
+                continue
+            stack = stacks.setdefault(s.key, [])
+            top = unit.statements[stack[-1][0]].kind if stack else ""  # type: ignore[attr-defined]
+            if s.kind == "while" and top == "do":
+                stack[-1].append(at)
+                self._close(table, stack.pop())
+            elif s.kind in ("elseif", "else") and top == "if":
+                stack[-1].append(at)
+            elif s.kind in CLOSES:
+                stack.append([at])
+                table[at] = (at,)
+                if s.kind == "sub":
+                    if subs:
+                        table[subs[-1][0]] = (-1, -1)
+                    subs.append(stack[-1])
+            elif top and s.kind == CLOSES[top]:
+                places = [*stack.pop(), at]
+                if s.kind == "endsub":
+                    subs = [p for p in subs if p[0] != places[0]]
+                if table.get(places[0], (0,))[0] >= 0:
+                    self._close(table, places)
+        unit.partners = table
+        return table
+
+    @staticmethod
+    def _close(table: dict[int, tuple[int, ...]], places: list[int]) -> None:
+        for place in places:
+            table[place] = tuple(places)
+
+    # ------------------------------------------------------------------ jumps
+
+    def _goto(self, frame: Frame, at: int, s: Statement) -> None:
+        condition, direction, target = s.rest
+        if condition and not self.front.number_of(condition, s.column):
+            self.advance(frame)
+            return
+        self._jump(s.column)
+        place = frame.first if direction == "S" else self.place(frame, target, direction, s.column)
+        frame.repeats = [r for r in frame.repeats if r[2] <= place <= r[0]]
+        frame.at = place
+
+    def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
+        """Line of a label or block number; `direction` F: further on, B: before, C: the program goes on where there is none."""
+        if frame.unit.labels is None:
+            frame.unit.labels = self.front.labels(frame.unit)
+        places = frame.unit.labels.get(target, [])
+        forward = [i for i in places if i > frame.at]
+        back = [i for i in places if i <= frame.at]
+        found = {"F": forward[:1], "B": back[-1:]}.get(direction, forward[:1] or back[-1:])
+        if not found and direction == "C":
+            return frame.at + 1
         if not found:
-            direction = {"F": " further on (GOTOF)", "B": " before (GOTOB)"}.get(match[1], "")
-            raise WordError(f"there is no label or block '{match[2]}'{direction}; add it or correct the jump", column)
-        self.repeats = [r for r in self.repeats if r[2] <= found[0] <= r[0]]
+            way = {"F": " further on (GOTOF)", "B": " before (GOTOB)"}.get(direction, "")
+            raise WordError(f"there is no label or block '{target}'{way}; add it or correct the jump", column)
         return found[0]
 
-    def _repeat(self, at: int, text: str, column: int) -> int:
-        match = _REPEAT.match(text)
-        if not match:
-            raise WordError("REPEAT needs a label, e.g. REPEAT PART1 P=3 or REPEAT FROM1 TO1", column)
-        first = self._label(match[2], column)
-        if match[3]:
-            last = self._label(match[3], column)
-        elif match[1] == "REPEATB":
+    def _repeat(self, frame: Frame, at: int, s: Statement) -> None:
+        word, name, end, times_text = s.rest
+        if frame.unit.labels is None:
+            frame.unit.labels = self.front.labels(frame.unit)
+
+        def label(text: str) -> int:
+            places = frame.unit.labels.get(text, [])  # type: ignore[union-attr]
+            if not places:
+                raise WordError(f"there is no label '{text}'; add '{text}:' before the part to repeat", s.column)
+            return places[0]
+
+        first = label(name)
+        if end:
+            last = label(end)
+        elif word == "REPEATB":
             last = first
         else:
-            last = at - 1
-            for i in range(first, at):
-                if self.source.lines[i].strip().upper().startswith("ENDLABEL"):
-                    last = i
-                    break
+            closing = [i for i in frame.unit.labels.get("ENDLABEL", []) if i >= first]
+            last = closing[0] if closing and (closing[0] < at or first > at) else (at - 1 if first < at else len(frame.unit.lines) - 1)
         if last < first or first <= at <= last:
-            raise WordError(f"REPEAT {match[2]}: the part to repeat holds the REPEAT itself or is empty; move the labels", column)
-        times = 1
-        if match[4]:
-            times = int(self.reader.arithmetic.value(match[4], match.start(4) + 1))
-        if len(self.repeats) >= 20:
-            raise WordError("more than 20 REPEAT inside each other; correct the labels", column)
+            raise WordError(f"REPEAT {name}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
+        times = int(self.front.number_of(times_text, s.column)) if times_text else 1
+        if len(frame.repeats) >= 20:
+            raise WordError("more than 20 REPEAT inside each other; correct the labels", s.column)
         if times <= 0:
-            return self.advance(at)
-        self._count(at)
-        self.repeats.append([last, at, first, times])
-        return first
-
-    def _label(self, name: str, column: int) -> int:
-        places = self._places(name)
-        if not places:
-            raise WordError(f"there is no label '{name}'; add '{name}:' before the part to repeat", column)
-        return places[0]
-
-    def _places(self, name: str) -> list[int]:
-        """Lines that carry a label or block number."""
-        if self.labels is None:
-            self.labels = {}
-            for i, line in enumerate(self.source.lines):
-                text = line.upper()
-                if match := _LABEL.match(text):
-                    self.labels.setdefault(match[1], []).append(i)
-                if match := _NUMBER.match(text):
-                    self.labels.setdefault(f"N{match[1]}", []).append(i)
-        return self.labels.get(name, [])
+            self.advance(frame)
+            return
+        self._count()
+        frame.repeats.append([last, at, first, times])
+        frame.at = first

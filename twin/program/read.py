@@ -1,29 +1,114 @@
-"""One door to all program formats, chosen by the ending of the file."""
+"""One door to all program formats, chosen by what the file holds; its ending decides where that is open."""
 
 from __future__ import annotations
 
 from pathlib import Path
+import re
 
-from twin.errors import InputError, nearest
+from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.program.moves import Program
+from twin.program import arcs
+from twin.program.collect import Collector
+from twin.program.expressions import WordError
+from twin.program.iso import LINUXCNC, Iso
+from twin.program.moves import Program, place_of
+from twin.program.sinumerik import Sinumerik
+from twin.program.source import Source, units_of
 
-GCODE = (".mpf", ".spf", ".ngc", ".nc", ".iso")
+SINUMERIK_ENDINGS = (".mpf", ".spf")
+ISO_ENDINGS = (
+    ".ngc",
+    ".nc",
+    ".iso",
+    ".tap",
+    ".cnc",
+    ".gcode",
+    ".gc",
+    ".g",
+    ".ncc",
+    ".eia",
+    ".min",
+    ".ncd",
+    ".nci",
+    ".pim",
+    ".prg",
+    ".dnc",
+    ".fnc",
+)
 APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
-PROGRAM_ENDINGS = (*GCODE, *APT)
-"""What a file that is a part program ends in."""
+PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *ISO_ENDINGS, *APT)
+"""What a file that is a part program often ends in; `read_program` takes any."""
+
+SNIFFED_LINES = 3000
+_SINUMERIK = re.compile(
+    r"^\s*%_N_|^\s*;\s*\$PATH|\bM?CALL\s+CYCLE\d|\bCYCLE\d{2,4}\s*\(|\bTRAORI\b|\bA?TRANS\b|\bSUPA\b|\bMSG\s*\(|\b[XYZ]\s*=|=\s*(?:IC|AC|DC)\s*\(|"
+    r"\bT\s*=\s*\"|\bR\d+\s*=|\bCR\s*=|^\s*(?:N\d+\s*)?DEF\s+(?:REAL|INT|BOOL|STRING)|\bGOTO[FB]\b|^\s*PROC\b|\bFFWON\b|\bCOMPCAD\b|\$P_|\bMCALL\b",
+    re.M | re.I,
+)
+_APT = re.compile(r"^\s*(?:PARTNO|TOOL PATH/|GOTO\s*/|FEDRAT\s*/|LOADTL\s*/|MULTAX|SPINDL\s*/|CUTTER\s*/|FROM\s*/|UNITS\s*/|\$\$)", re.M)
+_ISO = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
+_OTHER = (
+    (re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M), "a HEIDENHAIN Klartext program"),
+    (re.compile(r"^\s*(?:MODULE\s+\w|PROC\s+main\(\)|MoveL\s|&ACCESS\b)", re.M), "a robot program"),
+    (re.compile(r"^\s*(?:<\?xml|<html|\{\s*\")", re.I), "no part program but a data file"),
+    (re.compile(r"^\s*(?:ISO-10303-21|solid\s+\w)", re.I), "a model, not a program"),
+)
+
+
+def dialect(source: Source) -> str:
+    """Language of a program: 'sinumerik', 'linuxcnc', 'iso' or 'apt'.
+
+    Raises:
+        InputError: it is in another language, which is named.
+    """
+    ending = source.path.suffix.lower()
+    text = "\n".join(source.lines[:SNIFFED_LINES])
+    for pattern, name in _OTHER:
+        if pattern.search(text):
+            raise InputError(f"{source.path}: this is {name}, which is not read; put the program out as SINUMERIK, ISO or APT")
+    if ending in SINUMERIK_ENDINGS:
+        return "sinumerik"
+    if ending in APT:
+        return "apt"
+    code = re.sub(r"\([^()\n]*\)", " ", text)
+    if ending == ".ngc" or LINUXCNC.search(code):
+        return "linuxcnc"
+    sinumerik = len(_SINUMERIK.findall(re.sub(r";(?!\s*\$PATH).*", "", text)))
+    if len(_APT.findall(text)) > 2 and not re.search(r"^\s*N?\d*\s*G0?[01]\b", text, re.M):
+        return "apt"
+    if ending not in (".iso",) and sinumerik > len(_ISO.findall(code)):
+        return "sinumerik"
+    return "iso"
+
+
+def understand(path: str | Path, machine: Machine) -> Collector:
+    """The moves of a G-code program before they are checked against the machine."""
+    path = Path(path)
+    return _understand(Source(path), machine)
+
+
+def _understand(source: Source, machine: Machine) -> Collector:
+    path, language = source.path, dialect(source)
+    if language == "apt":
+        from twin.program.apt import AptReader
+
+        reader = AptReader(path, machine)
+        reader.read_statements()
+        return reader.out
+    units = units_of(source)
+    front: Sinumerik | Iso
+    front = Sinumerik(path, machine, units) if language == "sinumerik" else Iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
+    try:
+        front.run()
+    except (WordError, arcs.ArcError) as error:
+        where = front.flow.frames[-1].unit.path if front.flow.frames else path
+        column = error.column if isinstance(error, WordError) else None
+        raise InputError(f"{place_of(where, front.line, front.block, column)}: {error}") from None
+    except RecursionError:
+        raise InputError(f"{place_of(path, front.line, front.block)}: calls or brackets are nested too deeply; take some apart") from None
+    return front.out
 
 
 def read_program(path: str | Path, machine: Machine) -> Program:
-    """Read a part program: Sinumerik or ISO G-code, or APT/CL; every fault is an InputError with line and column."""
-    path = Path(path)
-    ending = path.suffix.lower()
-    if ending in GCODE:
-        from twin.program.gcode import read_gcode
-
-        return read_gcode(path, machine)
-    if ending in APT:
-        from twin.program.apt import read_apt
-
-        return read_apt(path, machine)
-    raise InputError(f"{path}: '{ending}' is no ending of a program; {nearest(ending, PROGRAM_ENDINGS)}")
+    """Read a part program: SINUMERIK or ISO G-code, or APT/CL; every fault is an InputError with line and column."""
+    return understand(path, machine).finish()

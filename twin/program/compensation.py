@@ -1,0 +1,191 @@
+"""Cutter radius compensation (G41, G42): the path of the tool centre beside the programmed contour.
+
+Each element is moved sideways by the radius. At an outside corner the tool goes round the corner on an arc (G450, and
+ISO) or to the point where the moved elements meet (G451); at an inside corner both are cut where they meet. An inside corner
+that the tool cannot reach is an error, not a gouge. Moves without a way in the plane happen where the tool stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+import math
+from typing import Any
+
+import numpy as np
+
+TINY = 1e-9
+"""Lengths below this are none [m]."""
+SMOOTH = 1e-6
+"""Elements whose directions differ by less than this join smoothly [rad]."""
+
+
+class CompensationError(Exception):
+    """A contour that the tool cannot follow; the reader adds the place."""
+
+
+@dataclass
+class Element:
+    """One move in program coordinates: `a`, `b` in the plane [m], `low`, `high` across it; `centre` and `sense` (1 ccw) of an arc.
+
+    `move` is what the reader needs to put the move out; `behind` are moves without a way in the plane that follow.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    across: tuple[float, float]
+    centre: np.ndarray | None
+    sense: int
+    turns: int
+    move: Any
+    behind: list[Any] = field(default_factory=list)
+
+    def direction(self, at_end: bool) -> np.ndarray:
+        """Unit vector of the motion at an end."""
+        if self.centre is None:
+            way = self.b - self.a
+        else:
+            arm = (self.b if at_end else self.a) - self.centre
+            way = self.sense * np.array([-arm[1], arm[0]])
+        return way / np.hypot(*way)
+
+
+def _left(t: np.ndarray) -> np.ndarray:
+    return np.array([-t[1], t[0]])
+
+
+def moved(e: Element, offset: float) -> Element:
+    """The element `offset` to its left."""
+    a, b = (p + offset * _left(e.direction(end)) for p, end in ((e.a, False), (e.b, True)))
+    if e.centre is not None and np.hypot(*(e.a - e.centre)) - e.sense * offset < TINY:
+        raise CompensationError("the radius of the arc is smaller than that of the tool on its inside; use a smaller tool")
+    return replace(e, a=a, b=b)
+
+
+class Compensation:
+    """The elements between G41 or G42 and G40; `emit` puts out a finished element."""
+
+    def __init__(self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None]):
+        self.offset = radius if left else -radius
+        self.along_next, self.corners_meet, self.emit = along_next, corners_meet, emit
+        self.last: Element | None = None  # programmed
+        self.shifted: Element | None = None  # beside it, its start is final
+        self.entry = True
+        self.before: list[Any] = []
+
+    def add(self, e: Element) -> None:
+        """The next element of the contour; the first is the way to it."""
+        if np.hypot(*(e.b - e.a)) < TINY and e.centre is None:
+            (self.last.behind if self.last is not None else self.before).append(e)
+            return
+        if self.last is None:
+            if e.centre is not None:
+                raise CompensationError("G41 and G42 begin with a straight move in the plane, not with an arc; add one")
+            self.last, self.shifted = e, moved(e, self.offset)
+            return
+        new = moved(e, self.offset)
+        assert self.shifted is not None
+        if self.entry and self.along_next:
+            self.shifted.b = new.a.copy()
+            self._put(self.shifted, self.last.behind)
+        else:
+            new = self._join(self.last, self.shifted, e, new)
+        self.entry = False
+        self.last, self.shifted = e, new
+
+    def finish(self) -> np.ndarray | None:
+        """The end of the compensation: the last element in full; returns where the tool stands in the plane."""
+        if self.shifted is None:
+            return None
+        if self.entry and self.along_next:
+            raise CompensationError("between G41 or G42 and G40 there is no contour; add a move in the plane")
+        assert self.last is not None
+        self._put(self.shifted, self.last.behind)
+        return self.shifted.b
+
+    def _put(self, e: Element, behind: list[Any]) -> None:
+        self.emit(e)
+        for other in behind:
+            self.emit(replace(other, a=e.b.copy(), b=e.b.copy()))
+
+    def _join(self, last: Element, shifted: Element, e: Element, new: Element) -> Element:
+        """The corner between two elements; returns the second with its start."""
+        t1, t2 = last.direction(True), e.direction(False)
+        turn = math.atan2(t1[0] * t2[1] - t1[1] * t2[0], float(t1 @ t2))
+        if abs(turn) < SMOOTH:
+            new.a = shifted.b.copy()
+            self._put(shifted, last.behind)
+            return new
+        outside = turn * self.offset < 0.0 or abs(abs(turn) - math.pi) < SMOOTH
+        if outside and self.corners_meet and last.centre is None and e.centre is None and abs(turn) < 0.56 * math.pi:
+            shifted.b = _meet(shifted, new, last.b)[0]
+            new.a = shifted.b.copy()
+            self._put(shifted, last.behind)
+        elif outside:
+            self._put(shifted, last.behind)
+            corner = Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, e.move)
+            self.emit(corner)
+        else:
+            self._inside(last, shifted, new)
+        return new
+
+    def _inside(self, last: Element, shifted: Element, new: Element) -> None:
+        """An inside corner: both elements end where they meet, which must lie on both."""
+        for point in _meet(shifted, new, last.b):
+            if _holds(shifted, point) and _holds(new, point):
+                shifted.b, new.a = point, point.copy()
+                self._put(shifted, last.behind)
+                return
+        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or mend the contour")
+
+
+def _holds(e: Element, p: np.ndarray) -> bool:
+    """Whether a point of the curve of an element lies between its ends."""
+    if e.centre is None:
+        way = e.b - e.a
+        length = float(np.hypot(*way))
+        along = float((p - e.a) @ way) / max(length, TINY)
+        return -1e-7 <= along <= length + 1e-7
+    arms = [math.atan2(*(q - e.centre)[::-1]) for q in (e.a, p, e.b)]
+    whole = (e.sense * (arms[2] - arms[0])) % (2.0 * math.pi) or 2.0 * math.pi
+    part = (e.sense * (arms[1] - arms[0])) % (2.0 * math.pi)
+    return part <= whole + 1e-9 or part > 2.0 * math.pi - 1e-9
+
+
+def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
+    """Where two moved elements, thought on, meet; nearest to the corner first."""
+    if one.centre is None and two.centre is None:
+        u, v = one.b - one.a, two.b - two.a
+        cross = u[0] * v[1] - u[1] * v[0]
+        points = [] if abs(cross) < 1e-30 else [one.a + u * (((two.a - one.a)[0] * v[1] - (two.a - one.a)[1] * v[0]) / cross)]
+    elif one.centre is not None and two.centre is not None:
+        points = _circles(one.centre, float(np.hypot(*(one.a - one.centre))), two.centre, float(np.hypot(*(two.a - two.centre))))
+    else:
+        line, arc = (two, one) if two.centre is None else (one, two)
+        assert arc.centre is not None
+        end = arc.b if arc is one else arc.a  # the start of an element may have been cut, its circle is the same
+        points = _line_circle(line.a, line.direction(False), arc.centre, float(np.hypot(*(end - arc.centre))))
+    return sorted(points, key=lambda p: float(np.hypot(*(p - near))))
+
+
+def _line_circle(a: np.ndarray, t: np.ndarray, centre: np.ndarray, radius: float) -> list[np.ndarray]:
+    foot = a + t * float((centre - a) @ t)
+    square = radius * radius - float((foot - centre) @ (foot - centre))
+    if square < -1e-12:
+        return []
+    half = math.sqrt(max(0.0, square))
+    return [foot + half * t, foot - half * t]
+
+
+def _circles(c1: np.ndarray, r1: float, c2: np.ndarray, r2: float) -> list[np.ndarray]:
+    way = c2 - c1
+    distance = float(np.hypot(*way))
+    if distance < TINY:
+        return []
+    along = (distance * distance + r1 * r1 - r2 * r2) / (2.0 * distance)
+    square = r1 * r1 - along * along
+    if square < -1e-12:
+        return []
+    u = way / distance
+    half = math.sqrt(max(0.0, square))
+    return [c1 + along * u + half * _left(u), c1 + along * u - half * _left(u)]

@@ -1,0 +1,424 @@
+"""The state of the control that both languages act on: modes, frames, feeds, tools; moves go out to the collector.
+
+Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
+scales). Lengths are in m and rad from here on; a front end converts what is programmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
+from twin.program.compensation import Compensation, CompensationError, Element
+from twin.program.cycles import DWELL, FEED, Drilling, drill
+from twin.program.expressions import WordError
+from twin.program.tools import Tools
+from twin.units import rad_from_deg
+
+LINEAR, ROTARY, OTHER = ("X", "Y", "Z"), ("A", "C"), ("B", "U", "V", "W")
+INDEX = {name: i for i, name in enumerate((*LINEAR, *ROTARY))}
+INCH = 0.0254
+LONGEST_DWELL = 3600.0
+
+
+class Item(NamedTuple):
+    """A word of a block: its number, how it counts ('', AC, IC, DC, ACP, ACN) and its column."""
+
+    value: float
+    how: str = ""
+    column: int = 1
+
+
+def rotation(axis: int, degrees: float) -> np.ndarray:
+    """Matrix (3, 3) that turns about x, y or z by an angle, right-handed; exact at right angles."""
+    quarter = degrees / 90.0
+    if quarter == round(quarter):
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
+    else:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+class Control:
+    """What is in force while blocks run; see the module for frames."""
+
+    iso = False
+
+    def __init__(self, path: Path, machine: Machine):
+        self.path, self.machine = path, machine
+        self.out = Collector(path, machine)
+        self.motion: int | None = 1
+        self.feed = math.nan
+        self.plane = 17
+        self.absolute = True
+        self.centre_absolute = False  # G90.1
+        self.unit = 1e-3
+        self.adis = self.adispos = 0.0
+        self.tolerance, self.angle_tolerance = DEFAULT_TOLERANCE, DEFAULT_ANGLE_TOLERANCE
+        self.rounding = 64
+        self.matrix: np.ndarray | None = None  # None: no turning
+        self.offset = [0.0] * 5
+        self.other_axes = dict.fromkeys(OTHER, 0.0)
+        self.comp: Compensation | None = None
+        self.programmed = np.zeros(3)  # the contour, while the tool runs beside it
+        self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
+        self.swivelled: tuple[np.ndarray, np.ndarray, bool] | None = None  # plane and origin; whether it switched TRAORI on
+        self.plain = True  # blocks of coordinates alone may take the fast way
+        self.tool_radius: Callable[[], float] = lambda: 0.0
+        self.line, self.block = 0, -1
+        self.tools = Tools(self.out, machine, self.iso)
+
+    # ------------------------------------------------------------------ places
+
+    def here(self) -> np.ndarray:
+        """Program coordinates (3,) of the tool, or of the contour it runs beside."""
+        if self.comp is not None or self.after_compensation:
+            return self.programmed.copy()
+        return self.to_program(np.array(self.out.position[:3]))
+
+    def to_program(self, machine: np.ndarray) -> np.ndarray:
+        """Machine coordinates (3,) in the frame in force."""
+        way = machine - self.offset[:3]
+        return way if self.matrix is None else np.linalg.solve(self.matrix, way)
+
+    def to_machine(self, point: np.ndarray) -> np.ndarray:
+        """Program coordinates (3,) as machine coordinates."""
+        turned = point if self.matrix is None else self.matrix @ point
+        return turned + self.offset[:3]
+
+    def si(self, name: str, value: float) -> float:
+        """A programmed coordinate in m or rad."""
+        return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
+
+    def set_frame(self, matrix: np.ndarray | None, offset: np.ndarray) -> None:
+        """The frame from here on, (3, 3) or None and (5,)."""
+        if self.comp is not None:
+            raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before", 1)
+        self.matrix = None if matrix is None or np.array_equal(matrix, np.eye(3)) else matrix
+        self.offset = [float(v) for v in offset]
+        self.settle_plain()
+
+    def settle_plain(self) -> None:
+        """Whether the fast way of plain blocks may be taken."""
+        self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
+
+    def to_part(self) -> np.ndarray:
+        """From positions of the axes to the part frame at A = C = 0 (3,); none where TRAORI was on before the plane was tilted."""
+        if self.swivelled is None or not self.swivelled[2]:
+            return np.zeros(3)
+        kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
+        return kinematics.forward(np.zeros((1, 5)))[0][0]
+
+    def frame_table(self, name: str) -> np.ndarray:
+        """Zero offset (5,) of a settable frame from the table [frame.G54] of the machine file; zero if there is none."""
+        tables = self.machine.document.get("frame", {})
+        table = tables.get(name, {}) if isinstance(tables, dict) else {}
+        offset = np.zeros(5)
+        for key, value in table.items():
+            axis, _, unit = key.partition("_")
+            if axis.upper() not in INDEX or unit != ("deg" if axis.upper() in ROTARY else "m") or not isinstance(value, int | float):
+                raise InputError(
+                    f"{self.machine.path or self.machine.name}: [frame.{name}]: unknown key '{key}'; use x_m, y_m, z_m, a_deg, c_deg"
+                )
+            offset[INDEX[axis.upper()]] = rad_from_deg(value) if unit == "deg" else float(value)
+        return offset
+
+    # ------------------------------------------------------------------ moves
+
+    def target(self, words: dict[str, Item], suppress: bool) -> tuple[np.ndarray, list[float]]:
+        """Where a block goes: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN where not programmed."""
+        out = self.out
+        if any(n in words and (words[n].how not in ("", "AC") or not self.absolute) for n in ROTARY):
+            out.position[3:] = [float(v) for v in out.settle()]
+        if suppress and self.comp is not None:
+            raise WordError("a block in machine coordinates stands inside G41 or G42; write G40 and a move before", 1)
+        start = np.array(out.position[:3]) if suppress else self.here()
+        point = start.copy()
+        angles = [math.nan, math.nan]
+        for name, (value, how, column) in words.items():
+            si = self.si(name, value)
+            relative = how == "IC" or (how == "" and not self.absolute)
+            if name in LINEAR:
+                if how in ("DC", "ACP", "ACN"):
+                    raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
+                i = INDEX[name]
+                point[i] = start[i] + si if relative and not suppress else si
+                if relative and suppress:
+                    point[i] = si
+            elif name in ROTARY:
+                i = INDEX[name]
+                offset, now = (0.0 if suppress else self.offset[i]), out.position[i]
+                if relative:
+                    goal = now + si
+                elif how in ("DC", "ACP", "ACN"):
+                    way = (si + offset - now) % (2.0 * math.pi)
+                    if (how == "ACN" and way > 0.0) or (how == "DC" and way > math.pi):
+                        way -= 2.0 * math.pi
+                    goal = now + way
+                else:
+                    goal = si + offset
+                angles[i - 3] = goal
+            else:
+                self.move_other(name, self.other_axes[name] + si if relative else si)
+        return point, angles
+
+    def move_other(self, name: str, value: float) -> None:
+        """An axis that this machine lacks: fine at zero, reported at the end elsewhere."""
+        self.other_axes[name] = value
+        if value and "other" not in self.out.missing:
+            self.out.missing["other"] = (self.line, self.block, name)
+
+    def go(
+        self,
+        kind: int,
+        point: np.ndarray,
+        angles: list[float],
+        vector: tuple[float, float, float] | None = None,
+        arc: tuple[np.ndarray, bool, int] | None = None,
+        *,
+        suppress: bool = False,
+        space_arc: tuple[np.ndarray, np.ndarray, float] | None = None,
+        tolerance: Callable[[float], float] = lambda radius: arcs.CLOSING_TOLERANCE,
+    ) -> None:
+        """One move to a point in program coordinates (machine coordinates if `suppress`); `arc`: centre, clockwise, turns more."""
+        self._feed_given(kind)
+        if self.after_compensation and self.comp is None:
+            if arc is not None or space_arc is not None:
+                raise WordError("the move behind G40 must be straight, not an arc; add a straight move", 1)
+            self.after_compensation = False
+            self.settle_plain()
+        row = (kind, angles, vector, self.feed, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
+        if self.comp is not None and not suppress:
+            self._beside(row, self.here(), point, arc, space_arc)
+            return
+        self._put(row, self.here() if not suppress else np.array(self.out.position[:3]), point, arc, suppress, space_arc)
+
+    def _feed_given(self, kind: int) -> None:
+        if kind != mv.RAPID and math.isnan(self.feed):
+            raise self.out.fail(
+                self.line, self.block, "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block"
+            )
+
+    def _put(self, row, start, point, arc, suppress=False, space_arc=None) -> None:  # type: ignore[no-untyped-def]
+        kind, angles, vector, feed, line, block, mode, tolerance = row
+        out = self.out
+        goal = point if suppress else self.to_machine(point)
+        circle = space_arc
+        if arc is not None:
+            centre, clockwise, turns = arc
+            radius = float(np.linalg.norm(start - centre))
+            circle = arcs.from_centre(start, point, centre, self.plane, clockwise, turns, tolerance(radius))
+        if circle is not None:
+            out.arcs[len(out.kinds)] = circle if suppress else self._turned(circle)
+        if self.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
+            vector = tuple(map(float, self.fixed_axis))
+        elif vector is not None and self.matrix is not None:
+            vector = tuple(map(float, self.matrix @ np.array(vector)))
+        out.add(kind, (*map(float, goal), *angles), vector, math.inf if kind == mv.RAPID else feed, line, block)
+        out.mode_of[-1] = mode
+        out.position[:3] = [float(v) for v in goal]
+        for i, angle in enumerate(angles):
+            if not math.isnan(angle):
+                out.position[3 + i] = angle
+        if vector is not None:
+            out.position[3:] = [math.nan, math.nan]
+
+    def _turned(self, circle: tuple[np.ndarray, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float]:
+        """An arc in machine coordinates; a mirror turns its sense round."""
+        centre, normal, angle = circle
+        if self.matrix is not None:
+            gram = self.matrix.T @ self.matrix
+            if not np.allclose(gram, np.eye(3) * gram[0, 0], atol=1e-9):
+                raise WordError("an arc under a SCALE that differs between axes is no arc; scale all axes alike", 1)
+            normal = self.matrix @ normal / math.sqrt(gram[0, 0]) * math.copysign(1.0, np.linalg.det(self.matrix))
+        return self.to_machine(centre), normal, angle
+
+    def arc_centre(self, start: np.ndarray, point: np.ndarray, words: dict[str, Item], radius: float | None) -> np.ndarray:
+        """Centre (3,) from I J K or the radius, program coordinates."""
+        clockwise = self.motion == 2
+        if radius is not None and words:
+            raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one", 1)
+        if radius is not None:
+            return arcs.centre_from_radius(start, point, radius, self.plane, clockwise)
+        a, b, _ = arcs.PLANES[self.plane]
+        middle = start.copy()
+        for name, (value, how, column) in words.items():
+            i = "IJK".index(name)
+            if i not in (a, b):
+                raise WordError(f"{name} does not lie in the plane G{self.plane}; select the plane with G17, G18 or G19", column)
+            absolute = how == "AC" or (how == "" and self.centre_absolute)
+            middle[i] = value * self.unit + (0.0 if absolute else start[i])
+        return middle
+
+    def stop(self, pause: float) -> None:
+        """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
+        if self.comp is not None:
+            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it behind G40", 1)
+        if self.out.kinds:
+            self.out.stops[len(self.out.kinds) - 1] = pause
+
+    def dwell(self, seconds: float) -> None:
+        """A pause where the tool stands."""
+        if not 0.0 <= seconds <= LONGEST_DWELL:
+            raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
+        out = self.out
+        if self.comp is not None:
+            out.notes["G4 inside G41 or G42: left out, the tool does not rest on the contour"] = None
+            return
+        out.pauses[len(out.kinds)] = seconds
+        out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.line, self.block)
+
+    def drill(self, cycle: Drilling) -> None:
+        """The steps of a drilling cycle at this place, along the normal of the plane."""
+        across = arcs.PLANES[self.plane][2]
+        feed = self.feed
+        for what, value, share in drill(cycle):
+            if what == DWELL:
+                self.dwell(value)
+                continue
+            point = self.here()
+            point[across] = value * self.unit
+            self.feed = feed * share
+            self.go(mv.LINE if what == FEED else mv.RAPID, point, [math.nan, math.nan])
+        self.feed = feed
+
+    # ------------------------------------------------------------------ cutter radius
+
+    def compensate(self, side: int, radius: float, *, along_next: bool, corners_meet: bool = False) -> None:
+        """G40 (0), G41 (1) or G42 (-1) from the next move on."""
+        if self.comp is not None:
+            if side and (side > 0) == (self.comp.offset * radius > 0) and abs(self.comp.offset) == abs(radius):
+                return
+            if side:
+                raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
+            self._end_compensation()
+        if side and radius:
+            if self.out.modes.traori or self.fixed_axis is not None:
+                raise WordError("G41 and G42 under a transformation are not simulated; let the CAM system put out the tool centre", 1)
+            self.programmed = self.here()
+            self.comp = Compensation(
+                abs(radius), (side > 0) == (radius > 0), along_next=along_next, corners_meet=corners_meet, emit=self._emit
+            )
+        self.settle_plain()
+
+    def _end_compensation(self) -> None:
+        assert self.comp is not None
+        comp = self.comp
+        try:
+            stands = comp.finish()
+        except CompensationError as error:
+            raise WordError(str(error), 1) from None
+        self.comp = None
+        self.after_compensation = stands is not None
+        self.settle_plain()
+
+    after_compensation = False  # the next move leads from the compensated path and must be straight
+
+    def _beside(self, row, start, point, arc, space_arc) -> None:  # type: ignore[no-untyped-def]
+        """Queue a move beside the contour."""
+        if space_arc is not None or row[2] is not None or not all(math.isnan(v) for v in row[1]):
+            raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
+        a, b, c = arcs.PLANES[self.plane]
+        mode = self.out.all_modes[row[6]]
+        centre, sense, turns, length = None, 0, 0, float(np.linalg.norm(point - start))
+        if arc is not None:
+            circle = arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2], row[7](float(np.linalg.norm(start - arc[0]))))
+            centre, sense, turns = circle[0][[a, b]], (-1 if arc[1] else 1), arc[2]
+            length = math.hypot(circle[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
+        if mode.feed_mode == 93:  # the time is that of the contour: the same speed beside it
+            self.out.set_modes(replace(self.out.modes, feed_mode=94))
+            changed = len(self.out.all_modes) - 1
+            self.out.set_modes(mode)
+            row = (*row[:3], row[3] * length / mode.feed_unit, *row[4:6], changed, row[7])
+        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, row)
+        self.programmed = point.copy()
+        try:
+            self.comp.add(element)  # type: ignore[union-attr]
+        except CompensationError as error:
+            raise WordError(str(error), 1) from None
+
+    def _emit(self, e: Element) -> None:
+        """A finished element of the compensation goes out."""
+        a, b, c = arcs.PLANES[self.plane]
+        comp, self.comp = self.comp, None
+        after, self.after_compensation = self.after_compensation, False
+        start, point = self.here(), np.zeros(3)
+        point[[a, b]], point[c] = e.b, e.across[1]
+        kind, *rest = e.move
+        arc = None
+        if e.centre is not None:
+            centre = start.copy()
+            centre[[a, b]] = e.centre
+            arc = centre, e.sense < 0, e.turns
+            kind = mv.ARC
+        elif kind == mv.ARC:
+            kind = mv.LINE
+        if np.linalg.norm(point - start) > 1e-12 or e.turns:
+            self._put((kind, *rest), start, point, arc)
+        self.comp, self.after_compensation = comp, after
+
+    # ------------------------------------------------------------------ modes
+
+    def set_feed(self, value: float, column: int = 1) -> None:
+        """The F word, in the units in force."""
+        if not 0.0 <= value < 1e9:
+            raise WordError(f"F{value:g} is no feed; give a number above 0", column)
+        self.feed = value
+
+    def set_spindle(self, value: float) -> None:
+        """The S word [1/min]."""
+        self.out.set_modes(replace(self.out.modes, spindle=abs(value)))
+        self.note("S: the spindle is not simulated; its speed only serves G95")
+
+    def set_feed_mode(self, number: int) -> None:
+        """G93, G94 or G95; a feed in other units does not carry over."""
+        if number != self.out.modes.feed_mode:
+            self.out.set_modes(replace(self.out.modes, feed_mode=number))
+            self.feed = math.nan
+
+    def set_unit(self, unit: float, *, feed: bool) -> None:
+        """Millimetres or inches, for lengths and, if `feed`, for the feed."""
+        if feed and unit != self.out.modes.feed_unit:
+            self.feed *= self.out.modes.feed_unit / unit  # the speed in force stays
+            self.out.set_modes(replace(self.out.modes, feed_unit=unit))
+        self.unit = unit
+
+    def round_corners(self, **changes: object) -> None:
+        """The modes of corner rounding from the G code in force and its words."""
+        by_distance = self.rounding == 641
+        adis, adispos = (self.adis or math.inf, self.adispos or math.inf) if by_distance else (math.inf, math.inf)
+        wide = by_distance and self.adis > 0.0
+        modes = replace(
+            self.out.modes,
+            exact_stop=self.rounding == 60,
+            tolerance=self.adis if wide else self.tolerance,
+            angle_tolerance=self.angle_tolerance,
+            distance=adis,
+            rapid_distance=adispos,
+        )
+        self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
+
+    def transform(self, on: bool) -> None:
+        """TRAORI and its end."""
+        if self.comp is not None:
+            raise WordError("the transformation changes inside G41 or G42; write G40 and a move before", 1)
+        if self.out.modes.traori != on:
+            self.out.change_frame(replace(self.out.modes, traori=on))
+
+    def note(self, text: str) -> None:
+        """Say once that a word was understood and what it means here."""
+        self.out.notes[text] = None

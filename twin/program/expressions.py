@@ -1,0 +1,322 @@
+"""Expressions of both languages: one evaluator, two grammars.
+
+SINUMERIK writes `R1+2*SIN(30)`, `X == 5`, `ARRAY[1,2]`, `$P_UIFR[1,X,TR]`; ISO and LinuxCNC write `[#1+2*SIN[30]]`, `#<depth> GT 5`.
+Angles are in degrees. A value is a number or a text. Every fault is a `WordError` with its column; the reader adds file,
+line and block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+import re
+from typing import Any
+
+Value = float | str
+
+DEEPEST = 60
+"""Brackets inside each other; Python itself allows not many more."""
+
+
+class WordError(Exception):
+    """A fault in a block: what, and at which column (from 1)."""
+
+    def __init__(self, message: str, column: int):
+        super().__init__(message)
+        self.column = column
+
+
+class Null(float):
+    """The value of an ISO variable that was never set: 0 in sums, equal only to another one."""
+
+
+def nearest_integer(x: float) -> float:
+    """The nearest integer, a half away from zero."""
+    return math.trunc(2.0 * x) - math.trunc(x)
+
+
+def _bits(operation: Callable[[int, int], int]) -> Callable[[float, float], float]:
+    return lambda a, b: float(operation(int(a), int(b)))
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, Null) or isinstance(b, Null):
+        return isinstance(a, Null) and isinstance(b, Null)
+    return bool(a == b)
+
+
+def _power(a: float, b: float) -> float:
+    result = a**b
+    if isinstance(result, complex):
+        raise ValueError
+    return result
+
+
+COMPARE = {
+    "==": _equal,
+    "<>": lambda a, b: not _equal(a, b),
+    "<": lambda a, b: a < b,
+    ">": lambda a, b: a > b,
+    "<=": lambda a, b: a <= b,
+    ">=": lambda a, b: a >= b,
+}
+_LOGIC = {
+    "OR": lambda a, b: float(bool(a) or bool(b)),
+    "XOR": lambda a, b: float(bool(a) != bool(b)),
+    "AND": lambda a, b: float(bool(a) and bool(b)),
+}
+_SUMS: dict[str, Callable] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+}
+_FUNCTIONS: dict[str, Callable] = {
+    "SIN": lambda x: math.sin(math.radians(x)),
+    "COS": lambda x: math.cos(math.radians(x)),
+    "TAN": lambda x: math.tan(math.radians(x)),
+    "ASIN": lambda x: math.degrees(math.asin(x)),
+    "ACOS": lambda x: math.degrees(math.acos(x)),
+    "SQRT": math.sqrt,
+    "ABS": abs,
+    "ROUND": nearest_integer,
+    "LN": math.log,
+    "EXP": math.exp,
+}
+
+
+def _text(value: Value) -> str:
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+@dataclass(frozen=True)
+class Grammar:
+    """What one language writes: brackets, operators with their level (a higher one binds more tightly), functions."""
+
+    opening: str
+    closing: str
+    operators: dict[str, tuple[int, Callable]]
+    functions: dict[str, Callable]
+    constants: dict[str, float]
+
+
+SINUMERIK = Grammar(
+    "(",
+    ")",
+    {
+        "OR": (1, _LOGIC["OR"]),
+        "XOR": (2, _LOGIC["XOR"]),
+        "AND": (3, _LOGIC["AND"]),
+        **{sign: (4, test) for sign, test in COMPARE.items()},
+        "<<": (5, lambda a, b: _text(a) + _text(b)),
+        "B_OR": (6, _bits(lambda a, b: a | b)),
+        "B_XOR": (7, _bits(lambda a, b: a ^ b)),
+        "B_AND": (8, _bits(lambda a, b: a & b)),
+        "+": (9, _SUMS["+"]),
+        "-": (9, _SUMS["-"]),
+        "*": (10, _SUMS["*"]),
+        "/": (10, _SUMS["/"]),
+        "DIV": (10, lambda a, b: float(math.trunc(a / b))),
+        "MOD": (10, math.fmod),
+    },
+    _FUNCTIONS
+    | {
+        "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+        "POT": lambda x: x * x,
+        "TRUNC": math.trunc,
+        "ROUNDUP": math.ceil,
+        "MINVAL": min,
+        "MAXVAL": max,
+        "BOUND": lambda low, high, x: min(max(low, x), high),
+        "STRLEN": lambda text: float(len(text)),
+        "TOUPPER": lambda text: text.upper(),
+        "TOLOWER": lambda text: text.lower(),
+        "SUBSTR": lambda text, at, n=200.0: text[int(at) : int(at) + int(n)],
+        "INDEX": lambda text, char: float(text.find(char)),
+        "NUMBER": float,
+    },
+    {"PI": math.pi, "$PI": math.pi, "TRUE": 1.0, "FALSE": 0.0},
+)
+ISO = Grammar(
+    "[",
+    "]",
+    {
+        **{name: (1, test) for name, test in _LOGIC.items()},
+        **{name: (2, COMPARE[sign]) for name, sign in zip(("EQ", "NE", "LT", "GT", "LE", "GE"), COMPARE)},
+        "+": (3, _SUMS["+"]),
+        "-": (3, _SUMS["-"]),
+        "*": (4, _SUMS["*"]),
+        "/": (4, _SUMS["/"]),
+        "MOD": (4, lambda a, b: a - b * math.floor(a / b)),
+        "**": (5, _power),
+    },
+    _FUNCTIONS
+    | {
+        "FIX": math.floor,
+        "FUP": math.ceil,
+        "SQR": math.sqrt,
+        "ATAN": lambda y, x=1.0: math.degrees(math.atan2(y, x)),
+        "POW": _power,
+        "BIN": lambda x: float(sum((int(x) >> 4 * i & 15) * 10**i for i in range(12))),
+        "BCD": lambda x: float(int(str(int(x)), 16)),
+    },
+    {},
+)
+_NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX([+-]?\d{1,3}))?", re.A)
+_NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
+_SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>]")
+_CODED = re.compile(r"'(?:H([0-9A-F]{1,8})|B([01]{1,32}))'")
+
+
+class Expression:
+    """One evaluation of a text in one grammar.
+
+    `variable(expression, name, column)` gives the value of a name; it may read an index with `arguments`.
+    `hash_sign(expression, column)` reads what stands behind a `#`.
+    """
+
+    def __init__(self, text: str, grammar: Grammar, variable: Callable, hash_sign: Callable | None = None, at: int = 0, column: int = 1):
+        self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, at, column
+        self.depth = 0
+
+    def fail(self, message: str, at: int | None = None) -> WordError:
+        return WordError(message, self.column + (self.at if at is None else at))
+
+    def blank(self) -> None:
+        while self.at < len(self.text) and self.text[self.at] in " \t":
+            self.at += 1
+
+    def peek(self) -> str:
+        self.blank()
+        return self.text[self.at] if self.at < len(self.text) else ""
+
+    def whole(self) -> Value:
+        """The value of all of the text."""
+        value = self.value()
+        if self.peek():
+            raise self.fail(f"'{self.text[self.at :].strip()[:20]}' does not continue the expression")
+        return value
+
+    def value(self, level: int = 1) -> Value:
+        """The value up to the first thing that does not continue it."""
+        left = self.atom()
+        while (operator := self._operator()) and self.grammar.operators[operator[0]][0] >= level:
+            name, end = operator
+            at, self.at = self.at, end
+            own, work = self.grammar.operators[name]
+            right = self.value(own + 1)
+            left = self._apply(name, work, (left, right), at)
+        return left
+
+    def number(self) -> float:
+        """A finite number."""
+        at = self.at
+        value = self.value()
+        return self._number(value, at)
+
+    def _number(self, value: Value, at: int) -> float:
+        if isinstance(value, str):
+            raise self.fail(f'a number is needed here, not the text "{value[:20]}"', at)
+        return value
+
+    def _operator(self) -> tuple[str, int] | None:
+        self.blank()
+        match = _SIGN.match(self.text, self.at)
+        if not match:
+            match = _NAME.match(self.text, self.at)
+            if match and self.grammar is ISO:  # X1AND2 and 5MOD3: names of ISO are not separated
+                for name in self.grammar.operators:
+                    if name.isalpha() and match[0].startswith(name):
+                        return name, self.at + len(name)
+        if not match or match[0] not in self.grammar.operators:
+            return None
+        return match[0], match.end()
+
+    def _apply(self, name: str, work: Callable, arguments: tuple, at: int) -> Value:
+        try:
+            result = work(*arguments)
+        except ZeroDivisionError:
+            raise self.fail("division by zero", at) from None
+        except (ValueError, TypeError, OverflowError):
+            shown = ", ".join(_text(a) for a in arguments)
+            raise self.fail(f"{name}({shown}) has no value", at) from None
+        if isinstance(result, str):
+            return result
+        if not math.isfinite(result):
+            raise self.fail("expression gives no finite number", at)
+        return float(result)
+
+    def atom(self) -> Value:
+        """A number, a variable, a function or what stands in brackets, with its sign."""
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise self.fail("expression is nested too deeply")
+        try:
+            return self._atom()
+        finally:
+            self.depth -= 1
+
+    def _atom(self) -> Value:
+        char, at = self.peek(), self.at
+        if match := _NUMBER.match(self.text, self.at):
+            self.at = match.end()
+            digits = match[0].split("EX")
+            return float(digits[0]) * (10.0 ** max(-300, min(300, int(digits[1]))) if len(digits) > 1 else 1.0)
+        if char in ("+", "-"):
+            self.at += 1
+            value = self._number(self.atom(), at)
+            return -value if char == "-" else value
+        if char == self.grammar.opening:
+            self.at += 1
+            inner = self.value()
+            self.close(at)
+            return inner
+        if char == '"' and (end := self.text.find('"', at + 1)) > 0:
+            self.at = end + 1
+            return self.text[at + 1 : end]
+        if char == "'" and (match := _CODED.match(self.text, at)):
+            self.at = match.end()
+            return float(int(match[1], 16) if match[1] else int(match[2], 2))
+        if char == "#" and self.hash_sign:
+            self.at += 1
+            return float.__mul__(1.0, v) if type(v := self.hash_sign(self, at)) is not Null else v
+        if match := _NAME.match(self.text, at):
+            self.at = match.end()
+            return self._named(match[0], at)
+        raise self.fail("a number or variable is missing" + (f" before '{char}'" if char else ""))
+
+    def _named(self, name: str, at: int) -> Value:
+        if name in ("NOT", "B_NOT") and self.grammar is SINUMERIK:
+            value = self._number(self.atom(), at)
+            return float(not value) if name == "NOT" else float(~int(value))
+        if name in self.grammar.constants:
+            return self.grammar.constants[name]
+        if name in self.grammar.functions and self.peek() == self.grammar.opening:
+            arguments = self.arguments()
+            if name == "ATAN" and self.peek() == "/":
+                self.at += 1
+                arguments += [self.atom()]
+            return self._apply(name, self.grammar.functions[name], tuple(arguments), at)
+        if name in self.grammar.functions:
+            raise self.fail(f"{name} needs its argument in brackets {self.grammar.opening} {self.grammar.closing}", at)
+        return self.variable(self, name, at)
+
+    def arguments(self) -> list[Value]:
+        """Values between brackets of any kind, separated by commas."""
+        at, opening = self.at, self.peek()
+        closing = {"(": ")", "[": "]"}[opening]
+        self.at += 1
+        values = [self.value()]
+        while self.peek() == ",":
+            self.at += 1
+            values.append(self.value())
+        if self.peek() != closing:
+            raise self.fail(f"bracket is not closed, '{closing}' is missing", at)
+        self.at += 1
+        return values
+
+    def close(self, at: int) -> None:
+        if self.peek() != self.grammar.closing:
+            raise self.fail("bracket is not closed", at)
+        self.at += 1

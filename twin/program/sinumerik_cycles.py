@@ -1,0 +1,275 @@
+"""Drilling cycles, hole patterns, CYCLE800 and CYCLE832 of the SINUMERIK as calls of the reader's state."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
+from twin.program.control import rotation
+from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling
+from twin.program.expressions import WordError
+from twin.program.words import Word, split_arguments
+from twin.units import rad_from_deg
+
+Sinumerik = Any  # the reader, whose file imports this one
+
+PITCHES = {
+    1: 0.25, 1.2: 0.25, 1.6: 0.35, 2: 0.4, 2.5: 0.45, 3: 0.5, 4: 0.7, 5: 0.8, 6: 1.0, 8: 1.25, 10: 1.5, 12: 1.75, 14: 2.0, 16: 2.0, 18: 2.5, 20: 2.5,
+    22: 2.5, 24: 3.0, 27: 3.0, 30: 3.5, 33: 3.5, 36: 4.0, 39: 4.0, 42: 4.5, 45: 4.5, 48: 5.0,
+}  # fmt: skip
+"""Pitch of a metric thread by its size [mm], ISO 261."""
+MOST_HOLES = 10_000
+_ORDERS = {1: 0, 2: 1, 3: 2}
+
+
+def values_of(control: Sinumerik, word: Word) -> list[float | str | None]:
+    """The arguments of a cycle; None where one is left out."""
+    out: list[float | str | None] = []
+    for text, at in split_arguments(word.text or ""):
+        if not text:
+            out.append(None)
+        elif text.startswith("_") and control._store_of(text) is None:
+            out.append(text)  # a name of the cycle such as _FINISH
+        else:
+            out.append(control._value_of(text, word.text_column + at))
+    return out
+
+
+def carry_out(control: Sinumerik, word: Word) -> None:
+    """One cycle call, at once or as what MCALL repeats."""
+    name = word.name
+    arguments = values_of(control, word)
+    if name == "CYCLE832":
+        smooth(control, arguments, word)
+    elif name == "CYCLE800":
+        swivel(control, arguments, word)
+    elif name in ("HOLES1", "HOLES2", "CYCLE801", "CYCLE802"):
+        holes(control, name, arguments, word)
+    else:
+        drilling(control, name, arguments, word)()
+
+
+def _number(arguments: list, k: int, default: float | None = None) -> float:
+    value = arguments[k] if k < len(arguments) else None
+    if value is None:
+        if default is None:
+            raise CycleError(f"argument {k + 1} of the cycle is missing; add it")
+        return default
+    if isinstance(value, str):
+        raise CycleError(f"argument {k + 1} of the cycle is a number")
+    return float(value)
+
+
+def drilling(control: Sinumerik, name: str, a: list, word: Word):  # type: ignore[no-untyped-def]
+    """A drilling cycle as a function that carries it out where the tool stands."""
+    rtp, rfp, sdis = _number(a, 0), _number(a, 1, 0.0), abs(_number(a, 2, 0.0))
+    given = len(a) > 3 and a[3] is not None
+    relative = _number(a, 4, 0.0)
+    down = -1.0 if rtp >= rfp else 1.0
+    if (relative and not given) or (relative and name != "CYCLE83" and not given):
+        depth = rfp + down * abs(relative)
+    elif given:
+        depth = _number(a, 3)
+    else:
+        raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
+    if relative and given and abs(depth - (rfp + down * abs(relative))) > 1e-9:
+        depth = rfp + down * abs(relative)  # the control takes DPR where both are given
+        control.note(f"{name}: DP and DPR differ, DPR counts")
+    safe = rfp - down * sdis
+    if (depth - safe) * down <= 0.0:
+        raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
+    spindle = control.out.modes.spindle
+    feed: float | None = None
+
+    def time(k: int) -> float:
+        value = _number(a, k, 0.0)
+        if value < 0.0:
+            if not spindle:
+                raise WordError(f"{name}: a dwell in turns needs a spindle speed; give S before", word.column)
+            return -value * 60.0 / spindle
+        return value
+
+    cycle = Drilling(safe, depth, rtp)
+    if name == "CYCLE82":
+        cycle = Drilling(safe, depth, rtp, dwell=time(5))
+    elif name == "CYCLE83":
+        cycle = _deep(control, a, rfp, safe, depth, rtp, down, time)
+    elif name in ("CYCLE84", "CYCLE840"):
+        size, pitch = (7, 8) if name == "CYCLE84" else (9, 10)
+        lead = abs(_number(a, pitch, 0.0)) or PITCHES.get(abs(_number(a, size, 0.0)), 0.0)
+        speed = (_number(a, 10, 0.0) if name == "CYCLE84" else 0.0) or spindle
+        back = (_number(a, 11, 0.0) if name == "CYCLE84" else 0.0) or speed
+        if lead and speed:
+            feed = lead * speed
+        elif name == "CYCLE84":
+            raise WordError("CYCLE84 needs the pitch (MPIT or PIT) and a speed (SST or S); add them", word.column)
+        cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED, out_scale=back / speed if speed else 1.0)
+    elif name == "CYCLE85":
+        inward, outward = _number(a, 6, 0.0), _number(a, 7, 0.0)
+        feed = inward or None
+        base = inward or control.feed
+        cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED, out_scale=outward / base if outward and base else 1.0)
+    elif name == "CYCLE86":
+        if any(_number(a, k, 0.0) for k in (7, 8, 9)):
+            raise WordError("CYCLE86 with RPA, RPO or RPAP moves aside, which is not simulated; write the moves", word.column)
+        cycle = Drilling(safe, depth, rtp, dwell=time(5))
+    elif name == "CYCLE89":
+        cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
+
+    def run() -> None:
+        kept, mode = control.feed, control.out.modes.feed_mode
+        if feed is not None:
+            if mode != 94:
+                control.set_feed_mode(94)
+            control.feed = feed * (control.unit / control.out.modes.feed_unit)
+        height(control, safe)
+        control.drill(cycle)
+        if feed is not None:
+            control.set_feed_mode(mode)
+            control.feed = kept
+
+    if word.name in ("CYCLE81", "CYCLE82", "CYCLE83", "CYCLE84", "CYCLE840", "CYCLE85", "CYCLE86", "CYCLE89"):
+        return run
+    raise WordError(f"{name} is not read here", word.column)
+
+
+def _deep(control: Sinumerik, a: list, rfp: float, safe: float, depth: float, rtp: float, down: float, time) -> Drilling:  # type: ignore[no-untyped-def]
+    """CYCLE83: the first depth, then steps that shrink by DAM."""
+    first = _number(a, 5, 0.0) if len(a) > 5 and a[5] is not None else rfp + down * abs(_number(a, 6, 0.0))
+    if (a[6:7] and a[6] is not None and a[5:6] and a[5] is None) or first == rfp:
+        first = rfp + down * abs(_number(a, 6, 0.0))
+    if (first - rfp) * down <= 0.0:
+        first = depth
+    size, shrink = abs(first - rfp), _number(a, 7, 0.0)
+    least = abs(_number(a, 13, 0.0))
+    levels, at = [], first
+    while (depth - at) * down > 1e-9:
+        levels.append(at)
+        if len(levels) > MOST_PECKS:
+            raise CycleError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
+        if shrink > 0.0:
+            size = size - shrink if size - shrink > shrink else min(size, shrink)
+        elif shrink < 0.0:
+            size *= abs(shrink) if abs(shrink) < 1.0 else 1.0
+        size = max(size, least)
+        if size <= 0.0:
+            break
+        left = abs(depth - at)
+        if size < left < 2.0 * size and shrink > 0.0:
+            size = 0.5 * left  # the control halves the last two steps
+        at += down * size
+    share = _number(a, 10, 1.0)
+    back = abs(_number(a, 14, 0.0)) or 1e-3 / control.unit
+    removal = _number(a, 11, 0.0) == 1.0
+    return Drilling(
+        safe, depth, rtp, dwell=time(8), dwell_out=time(9), levels=tuple(levels), break_chip=not removal, back=back,
+        first_scale=share if 0.0 < share <= 1.0 else 1.0,
+    )  # fmt: skip
+
+
+def height(control: Sinumerik, value: float) -> None:
+    """Rapid to a height along the normal of the plane."""
+    across = arcs.PLANES[control.plane][2]
+    point = control.here()
+    if abs(point[across] - value * control.unit) < 1e-12:
+        return
+    point[across] = value * control.unit
+    control.go(mv.RAPID, point, [math.nan, math.nan])
+
+
+def holes(control: Sinumerik, name: str, a: list, word: Word) -> None:
+    """The cycle of MCALL at each place of a pattern."""
+    if control.mcall is None:
+        raise WordError(f"{name} needs a cycle by MCALL before; add MCALL CYCLE81(..)", word.column)
+    x, y, _ = arcs.PLANES[control.plane]
+    places: list[tuple[float, float]] = []
+    if name == "HOLES1":
+        px, py, angle, first, step = (_number(a, k, 0.0) for k in range(5))
+        c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        places = [(px + (first + k * step) * c, py + (first + k * step) * s) for k in range(_count(_number(a, 5)))]
+    elif name == "HOLES2":
+        px, py, radius, angle, step = (_number(a, k, 0.0) for k in range(5))
+        number = _count(_number(a, 5))
+        step = step or 360.0 / max(number, 1)
+        turns = [math.radians(angle + k * step) for k in range(number)]
+        places = [(px + radius * math.cos(t), py + radius * math.sin(t)) for t in turns]
+    elif name == "CYCLE801":
+        px, py, angle, dx, dy = (_number(a, k, 0.0) for k in range(5))
+        c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        nx, ny = _count(_number(a, 5, 1.0)), _count(_number(a, 6, 1.0))
+        if nx * ny > MOST_HOLES:
+            raise WordError(f"{name} has more than {MOST_HOLES} places", word.column)
+        if any(_number(a, k, 0.0) for k in (7, 8, 9)):
+            raise WordError("CYCLE801 sheared or as a frame is not supported; write the places", word.column)
+        places = [(px + i * dx * c - j * dy * s, py + i * dx * s + j * dy * c) for j in range(ny) for i in range(nx)]
+    else:
+        numbers = [_number(a, k, math.nan) for k in range(2, len(a))]
+        places = [(u, v) for u, v in zip(numbers[0::2], numbers[1::2]) if not math.isnan(u) and not math.isnan(v)]
+    for u, v in places:
+        point = control.here()
+        point[x], point[y] = u * control.unit, v * control.unit
+        control.go(mv.RAPID, point, [math.nan, math.nan])
+        depth = len(control.flow.frames)
+        control.mcall()
+        if len(control.flow.frames) != depth:
+            raise WordError(f"{name} with a subprogram by MCALL is not supported; write the places", word.column)
+
+
+def _count(value: float) -> int:
+    if not 0 <= value <= MOST_HOLES:
+        raise CycleError(f"{value:g} holes are too many; at most {MOST_HOLES}")
+    return int(value)
+
+
+def swivel(control: Sinumerik, a: list, word: Word) -> None:
+    """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its turns; without arguments it ends."""
+    numbers = [_number(a, k, 0.0) for k in range(4, min(13, len(a)))]
+    numbers += [0.0] * (9 - len(numbers))
+    mode = int(_number(a, 3, 57.0))
+    state = int(_number(a, 2, 0.0))
+    if not any(numbers):
+        control.unswivel()
+        return
+    angles = numbers[3:6]
+    kind = mode >> 6
+    if kind == 3:
+        if any(angles):
+            raise WordError("CYCLE800 by the angles of the rotary axes (mode 192) is not supported; program A and C", word.column)
+        matrix = np.eye(3)
+    elif kind == 0:
+        order = [_ORDERS.get(mode >> shift & 3, -1) for shift in (0, 2, 4)]
+        if -1 in order and any(angles):  # an axis may turn twice (Z X Z); the turns follow each other all the same
+            raise WordError(f"CYCLE800 with mode {mode} is not known; use 57 (X Y Z)", word.column)
+        matrix = np.eye(3)
+        for axis, angle in zip(order, angles):
+            matrix = matrix @ rotation(axis, angle)
+    else:
+        raise WordError("CYCLE800 by solid or projected angles is not supported; use turns about the axes (mode 57)", word.column)
+    before = np.array(numbers[0:3]) * control.unit
+    behind = np.array(numbers[6:9]) * control.unit
+    if state % 10 == 1 and control.swivelled is not None:
+        inner, origin, _ = control.swivelled
+        before, matrix = origin + inner @ before, inner @ matrix
+    control.swivel(matrix, before + matrix @ behind)
+
+
+def smooth(control: Sinumerik, a: list, word: Word) -> None:
+    """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off."""
+    tolerance = a[0] if a and a[0] is not None else 0.0
+    if isinstance(tolerance, str) or tolerance < 0.0:
+        raise WordError("CYCLE832 needs a tolerance in mm first, e.g. CYCLE832(0.01,3)", word.column)
+    machining = a[1] if len(a) > 1 else None
+    if machining == "_OFF" or machining == 0.0:
+        tolerance = 0.0
+    control.tolerance = tolerance * control.unit or DEFAULT_TOLERANCE
+    angle = a[2] if len(a) > 2 and isinstance(a[2], float) else 0.0
+    control.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
+    control.rounding = 642 if tolerance else 64
+    if tolerance and control.out.feedforward is None:
+        control.out.feedforward = "velocity+torque"
+    control.round_corners(**({"brisk": False, "feedforward": True} if tolerance else {}))

@@ -1,0 +1,138 @@
+"""The text of a program file: checked lines, the programs that one file holds, and subprograms in the folder beside it."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+from pathlib import Path
+import re
+
+from twin.errors import InputError
+
+LONGEST_LINE = 2000  # characters; the control itself allows 512
+MOST_LINES = 2_000_000
+_HEAD = re.compile(r"%_N_(\w+?)_(MPF|SPF)\b|%(?:MPF|SPF)[ \t]*(\w+)", re.A | re.I)
+_PREFIX = re.compile(r"_N_|_MPF$|_SPF$", re.A)
+
+
+class Source:
+    """The lines of a program file, checked to be text."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; give a program (.mpf .spf .nc .ngc .apt .cls)")
+        self.lines: list[str] = []
+        try:
+            with path.open("rb") as file:
+                self._read(file)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+
+    def _read(self, file) -> None:  # type: ignore[no-untyped-def]
+        lines, number = self.lines, 0
+        while True:
+            raw = file.readline(LONGEST_LINE + 2)
+            if not raw:
+                return
+            number += 1
+            if len(raw) > LONGEST_LINE and not raw.endswith(b"\n"):
+                raise InputError(
+                    f"{self.path}: line {number}: longer than {LONGEST_LINE} characters; this is no part program, or its line ends are lost"
+                )
+            if number > MOST_LINES:
+                raise InputError(f"{self.path}: more than {MOST_LINES} lines; split the program")
+            try:
+                text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
+            except UnicodeDecodeError:
+                text = raw.decode("latin-1")
+            text = text.rstrip("\r\n")
+            if not text.isprintable():
+                text = self._readable(text, number)
+            lines.append(text)
+
+    def _readable(self, text: str, number: int) -> str:
+        """The line without what the punched tape left; a control character in a program is an error."""
+        for column, char in enumerate(text, start=1):
+            # tabs, end marks, soft hyphens, and the C1 range that old code pages use for letters in comments
+            if not char.isprintable() and char not in "\t\r\xa0\x1a\xad\x00\x12\x14\ufeff\u200b" and not 0x7F <= ord(char) <= 0x9F:
+                raise InputError(
+                    f"{self.path}: line {number}, column {column}: character 0x{ord(char):02X} is no text; this is not a part program"
+                )
+        return re.sub(r"[\x1a\x00\x12\x14\ufeff\u200b]", "", text).replace("\r", " ").replace("\xa0", " ")
+
+
+@dataclass(eq=False)
+class Unit:
+    """One program: its name, its file, its lines and the number of the first of them.
+
+    `first` is where it starts to run. The three dictionaries are filled by the flow: statements by line, structures, labels.
+    """
+
+    name: str
+    path: Path
+    lines: list[str]
+    offset: int = 0
+    first: int = 0
+    statements: dict[int, object] = field(default_factory=dict)
+    partners: dict[int, tuple[int, ...]] | None = None
+    labels: dict[str, list[int]] | None = None
+    subs: dict[str, int] | None = None
+
+
+def plain_name(name: str) -> str:
+    """The name of a program without the marks of its folder: _N_PART_MPF, PART.MPF and PART are the same."""
+    return _PREFIX.sub("", name.upper().strip())
+
+
+def units_of(source: Source) -> list[Unit]:
+    """The programs in one file: an archive of a SINUMERIK holds several, each behind its line %_N_NAME_MPF."""
+    heads = [(i, m) for i, line in enumerate(source.lines) if line.startswith("%") and (m := _HEAD.match(line))]
+    own = plain_name(source.path.stem)
+    if not heads:
+        return [Unit(own, source.path, source.lines)]
+    ends = [i for i, _ in heads[1:]] + [len(source.lines)]
+    units = [
+        Unit((m[1] or m[3]).upper(), source.path, source.lines[i + 1 : end], i + 1)
+        for (i, m), end in zip(heads, ends)
+        if m[2] is None or m[2].upper() in ("MPF", "SPF")
+    ]
+    if any(line.strip() for line in source.lines[: heads[0][0]]):
+        units.insert(0, Unit(own, source.path, source.lines[: heads[0][0]]))
+    mains = [k for k, (_, m) in enumerate(heads) if (m[2] or "MPF").upper() == "MPF"]
+    if mains and mains[0] > 0 and len(units) == len(heads):
+        units.insert(0, units.pop(mains[0]))
+    return units
+
+
+class Folder:
+    """Subprograms in the folder of a program, by name without ending, in any case."""
+
+    BESIDE = ("subs", "sub", "subroutines", "macros", "SUBS", "SPF", "spf")
+    ENDINGS = ("", ".spf", ".mpf", ".ngc", ".nc", ".sub", ".min", ".cnc", ".tap", ".prg", ".txt", ".h")
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.files: dict[str, Path] | None = None
+        self.units: dict[str, Unit | None] = {}
+
+    def find(self, *names: str) -> Unit | None:
+        """The program of the first of these names that a file beside the program has."""
+        if self.files is None:
+            self.files = {}
+            files: list[Path] = []
+            for folder in (self.path.parent, *(self.path.parent / name for name in self.BESIDE)):
+                with contextlib.suppress(OSError):
+                    files += sorted(folder.iterdir())
+            for file in files[:20_000]:
+                stem = file.stem if file.suffix.lower() in self.ENDINGS else file.name
+                if file.suffix.lower() in self.ENDINGS and file != self.path:
+                    self.files.setdefault(plain_name(stem), file)
+        for name in names:
+            file = self.files.get(plain_name(name))
+            if file is not None and file.is_file():
+                key = file.name
+                if key not in self.units:
+                    self.units[key] = units_of(Source(file))[0]
+                return self.units[key]
+        return None

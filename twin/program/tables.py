@@ -1,0 +1,163 @@
+"""What each word means here: the tables that the readers look words up in and that docs/programs.md is printed from.
+
+ACTS: it changes the motion or what later words mean. NOTE: understood, without effect on what is simulated, said once.
+REFUSED: known and not simulated; the text says what to do.
+"""
+
+from __future__ import annotations
+
+ACTS, NOTE, REFUSED = "acts", "note", "refused"
+NOTHING = "understood, without effect on the motion"
+
+ISO_G: dict[float, tuple[str, str]] = {
+    0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
+    3: (ACTS, "arc counter-clockwise"), 4: (ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s"),
+    5: (REFUSED, "splines; let the CAM system put out lines or arcs"), 5.1: (NOTE, "look-ahead of the control, " + NOTHING),
+    5.2: (REFUSED, "NURBS; let the CAM system put out lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system put out lines or arcs"),
+    7: (REFUSED, "diameters are programmed on lathes; this machine mills"), 8: (NOTE, "radius or look-ahead, " + NOTHING),
+    9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset; the tool table is refused"), 11: (ACTS, "end of G10"),
+    12: (REFUSED, "circular pockets; write the arcs"), 13: (REFUSED, "circular pockets; write the arcs"),
+    15: (ACTS, "polar coordinates off"), 16: (ACTS, "polar coordinates about the program zero"),
+    17: (ACTS, "plane XY"), 18: (ACTS, "plane ZX"), 19: (ACTS, "plane YZ"), 20: (ACTS, "inch"), 21: (ACTS, "mm"),
+    22: (NOTE, "stroke limits, " + NOTHING), 23: (NOTE, "stroke limits, " + NOTHING), 25: (NOTE, "spindle watch, " + NOTHING),
+    26: (NOTE, "spindle watch, " + NOTHING), 27: (REFUSED, "reference point check is not simulated; remove it"),
+    28: (ACTS, "through the point of the block to the reference point"), 28.1: (ACTS, "this place is the reference point of G28"),
+    29: (REFUSED, "return from the reference point; program the position"),
+    30: (ACTS, "to the second reference point"), 30.1: (ACTS, "this place is the reference point of G30"),
+    31: (REFUSED, "probing is not simulated"), 33: (REFUSED, "threading is not simulated"), 33.1: (REFUSED, "rigid tapping with G33.1 is not simulated; use G84"),
+    38.2: (REFUSED, "probing is not simulated"), 38.3: (REFUSED, "probing is not simulated"), 38.4: (REFUSED, "probing is not simulated"),
+    38.5: (REFUSED, "probing is not simulated"),
+    40: (ACTS, "cutter radius compensation off; the next move is straight"), 41: (ACTS, "cutter to the left of the contour; radius of D from [tool]"),
+    42: (ACTS, "cutter to the right of the contour"), 41.1: (ACTS, "as G41, D is the diameter"), 42.1: (ACTS, "as G42, D is the diameter"),
+    43: (ACTS, "tool length of H"), 43.1: (ACTS, "tool length in the block"), 43.2: (REFUSED, "a second tool length is not simulated"),
+    43.4: (ACTS, "tool centre point control: five-axis transformation on"), 43.5: (ACTS, "as G43.4, tool axis by I J K"),
+    44: (REFUSED, "negative tool lengths; use G43"), 49: (ACTS, "tool length and G43.4 off"),
+    50: (ACTS, "scaling off"), 50.1: (ACTS, "mirror off"), 51: (ACTS, "scaling P or I J K about a point"), 51.1: (ACTS, "mirror about X Y Z"),
+    52: (ACTS, "local shift"), 53: (ACTS, "machine coordinates in this block"), 53.1: (NOTE, "A and C turn with the next move"),
+    53.6: (NOTE, "A and C turn with the next move"),
+    54: (ACTS, "zero offset 1; with P an additional one"), 54.1: (ACTS, "additional zero offset P"), 55: (ACTS, "zero offset 2"), 56: (ACTS, "zero offset 3"),
+    57: (ACTS, "zero offset 4"), 58: (ACTS, "zero offset 5"), 59: (ACTS, "zero offset 6"), 59.1: (ACTS, "zero offset 7"), 59.2: (ACTS, "zero offset 8"),
+    59.3: (ACTS, "zero offset 9"), 61: (ACTS, "LinuxCNC: exact path; others: exact stop"), 61.1: (ACTS, "exact stop"), 61.2: (NOTE, "path mode, " + NOTHING),
+    62: (NOTE, "corner override, " + NOTHING), 63: (NOTE, "tapping mode, " + NOTHING), 64: (ACTS, "rounding within P"),
+    65: (ACTS, "macro call P with arguments, L times"), 66: (ACTS, "macro call behind each move"), 67: (ACTS, "end of G66"),
+    68: (ACTS, "turn by R about X Y"), 68.2: (ACTS, "tilted plane by origin and Euler angles I J K"), 69: (ACTS, "end of G68 and G68.2"),
+    70: (ACTS, "inch"), 71: (ACTS, "mm"), 72: (REFUSED, "turning cycles; this machine mills"),
+    73: (ACTS, "drilling, chips broken: Z R Q"), 74: (ACTS, "left-hand tapping: Z R P"), 76: (REFUSED, "fine boring moves aside; write the moves"),
+    80: (ACTS, "cycle off"), 81: (ACTS, "drilling: Z R"), 82: (ACTS, "drilling with dwell P"), 83: (ACTS, "deep drilling: Q"), 84: (ACTS, "tapping at feed"),
+    85: (ACTS, "boring, out at feed"), 86: (ACTS, "boring, out at rapid"), 87: (REFUSED, "back boring moves aside; write the moves"),
+    88: (REFUSED, "boring with a halt for the hand is not simulated"), 89: (ACTS, "boring with dwell, out at feed"),
+    84.2: (REFUSED, "use G84"), 84.3: (REFUSED, "use G74"),
+    90: (ACTS, "absolute"), 91: (ACTS, "incremental"), 90.1: (ACTS, "I J K absolute"), 91.1: (ACTS, "I J K from the start"),
+    92: (ACTS, "this place has these coordinates"), 92.1: (ACTS, "G92 cleared"), 92.2: (ACTS, "G92 off"), 92.3: (ACTS, "G92 on again"),
+    93: (ACTS, "F is 1/min of the block"), 94: (ACTS, "F per minute"), 95: (ACTS, "F per turn of the spindle"),
+    96: (REFUSED, "constant cutting speed is not simulated; use G97"), 97: (NOTE, NOTHING), 98: (ACTS, "cycles retract to the start"), 99: (ACTS, "cycles retract to R"),
+    150: (REFUSED, "pocket cycles; let the CAM system put out the moves"), 187: (NOTE, "smoothness of the control, " + NOTHING),
+    234: (REFUSED, "use G43.4"), 254: (REFUSED, "dynamic zero offsets are not simulated; use G43.4"), 255: (NOTE, NOTHING),
+}  # fmt: skip
+"""G codes of ISO programs."""
+
+ISO_M: dict[int, tuple[str, str]] = {
+    0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 6: (ACTS, "tool change"),
+    60: (ACTS, "exact stop, then on"), 98: (ACTS, "call of O with P, L times"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
+    **dict.fromkeys((3, 4, 5, 19, 29), (NOTE, "spindle, " + NOTHING)), **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
+    **dict.fromkeys((48, 49, 50, 51, 52, 53), (NOTE, "override, " + NOTHING)),
+    **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
+    66: (NOTE, "waits for an input, which is taken as there"), 61: (ACTS, "tool number"),
+    70: (ACTS, "LinuxCNC: keeps the modes"), 71: (NOTE, NOTHING), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes"),
+    128: (REFUSED, "use G43.4"), 97: (REFUSED, "local subprograms; use M98 and O"),
+}  # fmt: skip
+"""M codes of ISO programs; any other is the machine builder's and noted."""
+
+SINUMERIK_G: dict[float, tuple[str, str]] = {
+    0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN="), 3: (ACTS, "arc counter-clockwise"),
+    4: (ACTS, "dwell, alone in its block: F in s, S in turns of the spindle"), 9: (ACTS, "exact stop in this block"),
+    17: (ACTS, "plane XY"), 18: (ACTS, "plane ZX"), 19: (ACTS, "plane YZ"),
+    25: (NOTE, "limits, " + NOTHING), 26: (NOTE, "limits, " + NOTHING),
+    33: (REFUSED, "threading is not simulated"), 34: (REFUSED, "threading is not simulated"), 35: (REFUSED, "threading is not simulated"),
+    331: (ACTS, "tapping: feed is pitch times S"), 332: (ACTS, "tapping, out"), 63: (ACTS, "tapping with compensating chuck, at feed in this block"),
+    40: (ACTS, "cutter radius compensation off; the next move is straight"), 41: (ACTS, "cutter to the left of the contour; radius from [tool] or $TC_DP6"),
+    42: (ACTS, "cutter to the right of the contour"),
+    43: (REFUSED, "use T and D with a table [tool] in the machine file; G43 H is for .ngc files"), 49: (NOTE, NOTHING), 80: (NOTE, NOTHING), 53: (ACTS, "machine coordinates in this block"), 153: (ACTS, "machine coordinates in this block"),
+    54: (ACTS, "settable frame [frame.G54]"), 55: (ACTS, "settable frame"), 56: (ACTS, "settable frame"), 57: (ACTS, "settable frame"),
+    58: (ACTS, "programmable shift, absolute"), 59: (ACTS, "programmable shift beside G58"), 500: (ACTS, "no settable frame"),
+    **dict.fromkeys(range(505, 600), (ACTS, "settable frame")),
+    60: (ACTS, "exact stop"), 64: (ACTS, "rounding by 10 um"), 641: (ACTS, "rounding by ADIS"), 642: (ACTS, "rounding within CTOL"),
+    643: (ACTS, "rounding within CTOL"), 644: (ACTS, "rounding within CTOL"), 645: (ACTS, "rounding within CTOL"), 646: (ACTS, "rounding within CTOL"),
+    601: (ACTS, "exact stop waits 3/Kv"), 602: (ACTS, "exact stop waits 1/Kv"), 603: (ACTS, "exact stop does not wait"),
+    70: (ACTS, "inch, not the feed"), 71: (ACTS, "mm, not the feed"), 700: (ACTS, "inch, the feed too"), 710: (ACTS, "mm, the feed too"),
+    74: (ACTS, "to the reference point: the zero of the axes named"), 75: (ACTS, "to the fixed point: [frame.G75] of the axes named"),
+    90: (ACTS, "absolute"), 91: (ACTS, "incremental"), 93: (ACTS, "F is 1/min of the block"), 94: (ACTS, "F per minute"), 95: (ACTS, "F per turn of the spindle"),
+    96: (REFUSED, "constant cutting speed is not simulated; use G97"), 97: (NOTE, NOTHING), 961: (REFUSED, "constant cutting speed is not simulated; use G97"),
+    971: (NOTE, NOTHING), 110: (ACTS, "pole from the last position"), 111: (ACTS, "pole in the work coordinates"), 112: (ACTS, "pole from the last pole"),
+    147: (REFUSED, "soft approach; write the moves"), 148: (REFUSED, "soft approach; write the moves"), 247: (REFUSED, "soft approach; write the moves"),
+    248: (REFUSED, "soft approach; write the moves"), 347: (REFUSED, "soft approach; write the moves"), 348: (REFUSED, "soft approach; write the moves"),
+    290: (NOTE, "the language of SINUMERIK"), 291: (REFUSED, "ISO blocks inside a SINUMERIK program; write them in a file of their own"),
+    450: (ACTS, "round outside corners on an arc"), 451: (ACTS, "outside corners to the point where the paths meet"),
+    461: (NOTE, NOTHING), 462: (NOTE, NOTHING), 460: (NOTE, NOTHING), 621: (NOTE, NOTHING), 810: (NOTE, NOTHING), 820: (NOTE, NOTHING),
+    **dict.fromkeys((810, 811, 812, 813, 814, 815, 816, 817, 818, 819, 820, 821, 822, 823, 824, 825), (NOTE, "set by the machine builder, " + NOTHING)),
+}  # fmt: skip
+"""G codes of SINUMERIK programs."""
+
+SINUMERIK_M: dict[int, tuple[str, str]] = {
+    0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 17: (ACTS, "end of a subprogram"),
+    6: (ACTS, "tool change"), **dict.fromkeys((3, 4, 5, 19, 40, 41, 42, 43, 44, 45, 70), (NOTE, "spindle, " + NOTHING)),
+    **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
+}  # fmt: skip
+"""M codes of SINUMERIK programs; any other is the machine builder's and noted."""
+
+
+def _group(kind: str, meaning: str, names: str) -> dict[str, tuple[str, str]]:
+    return dict.fromkeys(names.split(), (kind, meaning))
+
+
+SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
+    **_group(NOTE, NOTHING, (
+        "NORM CFC CFTCP CFIN CUT2D CUT2DF DIAMOF FNORM FLIN FCUB COMPON COMPCURV COMPCAD COMPOF COMPSURF UPATH SPATH FIFOCTRL STARTFIFO "
+        "STOPFIFO STOPRE WALIMOF WALIMON DYNNORM DYNFINISH DYNSEMIFIN DYNROUGH DYNPOS DYNPREC RTLION RTLIOF CPRECON CPRECOF SPCON SPCOF SBLON SBLOF "
+        "DISPLOF DISPLON ASUP SAVE CDON CDOF CDOF2 POLFMASK ORISON ORISOF TCOABS TCOFR TOROTOF PAROTOF TOFFOF COUPOF PRESETON CUTCONOF "
+        "CUTCONON PHI PSI DRFOF PTPG0 CP G0TOL OST OSOF OSS OSSE OSC PTP_OFF GFRAME0 TOOLCARRIER AUXFUDEL IPTRUNLOCK IPTRLOCK "
+        "ACCLIMA PRIO QUICK FXS SPRINT")),
+    **_group(NOTE, "a parameter of path or spindle control, " + NOTHING, (
+        "FGREF FL FA OVR OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM LIMS SPOS SPOSA M1 M2 M3 S1 S2 S3 STOLF CTOLG0 OTOLG0 SVC FPRAON FPRAOF FZ FENDNORM "
+        "G62 G621 FRC FRCM SF ATOL")),
+    **_group(NOTE, "a call that moves no axis of this machine, " + NOTHING, (
+        "SETMS FGROUP WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
+        "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
+        "PUNCHACC POLF LIFTFAST DELAYFSTON DELAYFSTOF HIGHSPEED LOADWCS MMC FGRP CYCLE_HSC CYCLE207 ISD EXTCLOSE EXTOPEN STRINGIS CYCLE208")),
+    **_group(ACTS, "five-axis transformation on or off; X Y Z are then the tool tip in the part frame", "TRAORI TRAFOOF"),
+    **_group(ACTS, "the tool axis turns on a great circle", "ORIWKS ORIVECT ORIPLANE"),
+    **_group(ACTS, "A and C turn linearly", "ORIMKS ORIAXES"),
+    **_group(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2"),
+    **_group(ACTS, "feedforward", "FFWON FFWOF"), **_group(ACTS, "jerk limited or not", "SOFT BRISK"), **_group(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
+    **_group(ACTS, "text for the operator", "MSG"),
+    **_group(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS"),
+    **_group(ACTS, "machine coordinates in this block", "SUPA"),
+    **_group(ACTS, "tolerance (mm) and rounding of free-form surfaces", "CYCLE832"), **_group(ACTS, "tilted plane", "CYCLE800"),
+    **_group(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89"), **_group(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840"),
+    **_group(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802"),
+    **_group(ACTS, "a cycle or subprogram behind each move", "MCALL"),
+    **_group(ACTS, "subprogram by a name in a text", "CALL PCALL"), **_group(ACTS, "end of a subprogram", "RET"),
+    **_group(ACTS, "arc through I1= J1= K1=, arc that goes on smoothly", "CIP CT"),
+    **_group(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP"),
+    **_group(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2"),
+    **_group(ACTS, "axis to a position, with its own motion in this block", "POS POSA"),
+    **_group(NOTE, "compensation begins and ends across the contour", "KONT KONTC KONTT"),
+    **_group(NOTE, "G91 and the length of the tool: as G90 of a mill", "DIAMCYCOF"),
+    **_group(REFUSED, "diameters are programmed on lathes; this machine mills", "DIAMON DIAM90 DIAMONA DIAM90A"),
+    **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
+    **_group(REFUSED, "a transformation of other machines; let the CAM system put out X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
+    **_group(REFUSED, "the orientation is given by a law of its own; use A3= B3= C3= or ORIWKS", (
+        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7 CUT3DC CUT3DF CUT3DFS CUT3DFF")),
+    **_group(REFUSED, "a milling or turning cycle; let the CAM system put out the moves", (
+        "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
+        "CYCLE79 CYCLE87 CYCLE88 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
+        "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
+    **_group(REFUSED, "measuring is not simulated; remove the call", (
+        "CYCLE971 CYCLE973 CYCLE974 CYCLE976 CYCLE977 CYCLE978 CYCLE979 CYCLE982 CYCLE994 CYCLE995 CYCLE996 CYCLE997 CYCLE998 CYCLE961 MEAS MEAW MEASA MEAWA MEAC")),
+    **_group(REFUSED, "synchronised actions are not simulated; remove them if they move no axis", "ID IDS WHEN WHENEVER EVERY FROM DO SYNFCT"),
+    **_group(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system put out the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
+    **_group(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL EXTCALL"),
+    **_group(REFUSED, "coupled axes are not simulated", "TRAILON TRAILOF COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
+    **_group(REFUSED, "stamping and oscillating are not simulated", "SON PON SPN SPP WAITOSC OSP1 OSP2"),
+}  # fmt: skip
+"""Names of SINUMERIK programs."""
