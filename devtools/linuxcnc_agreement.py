@@ -31,7 +31,7 @@ PRINTED = 0.5e-4
 """Half of the last digit that LinuxCNC prints, in its unit."""
 CLOSE = 1e-6
 """Beyond that, agreement is to this [program unit]."""
-_CALL = re.compile(r"(?:N\S*\s+)?([A-Z_]+)\((.*)\)\s*$")
+_CALL = re.compile(r"(?:N\S*\s+)?([A-Z][A-Z0-9_]+)\((.*)\)\s*$")
 
 
 @dataclass

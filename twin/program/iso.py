@@ -331,15 +331,16 @@ class Iso(Control):
         return np.concatenate([self.here(), angles - np.array(self.offset[3:])])
 
     def _system_value(self, key: int) -> float | None:
-        if 5420 < key < 5430 or (not self.linuxcnc and 5001 <= key <= 5006) or (not self.linuxcnc and 5041 <= key <= 5046):
-            k = key - 5420 if key > 5420 else key - (5000 if key < 5040 else 5040)
+        fanuc = not self.linuxcnc
+        if 5420 <= key < 5429 or (fanuc and (5001 <= key <= 5006 or 5041 <= key <= 5046)):
+            k = key - 5419 if key >= 5420 else key - (5000 if key < 5040 else 5040)
             name = "XYZABCUVW"[k - 1]
             if name in OTHER:
                 return math.degrees(self.other_axes[name]) if name == "B" else self.other_axes[name] / self.unit
             return self._own(self._place(), k)
-        if key == 5420:
-            return self._own(self._place(), 1)
-        if not self.linuxcnc and 5021 <= key <= 5026:
+        if self.linuxcnc and 5440 <= key < 5449:
+            return self._own(np.array([*self.out.position[:3], *self.out.settle()]), key - 5439)
+        if fanuc and 5021 <= key <= 5026:
             return self._own(np.array(self.out.position), key - 5020)
         if key == 5210:
             return float(self.shift_on)
@@ -362,7 +363,7 @@ class Iso(Control):
     def _predefined(self, name: str) -> float | None:
         place = {"_X": 1, "_Y": 2, "_Z": 3, "_A": 4, "_B": 5, "_C": 6, "_U": 7, "_V": 8, "_W": 9}
         if name in place:
-            return self._system_value(5420 + place[name])
+            return self._system_value(5419 + place[name])
         if name in ("_ABS_X", "_ABS_Y", "_ABS_Z", "_ABS_A", "_ABS_C"):
             return self._own(np.array(self.out.position), place[name[4:]])
         values = {

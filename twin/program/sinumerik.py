@@ -462,7 +462,7 @@ class Sinumerik(Control):
     def _assignment(self, word: Word) -> None:
         """A variable of any kind; frames are written whole or by component."""
         name = word.name
-        index = ()
+        index: tuple = ()
         if word.index is not None:
             index = tuple(self._value_of(t, word.column) for t, _ in split_arguments(word.index))
         if name in ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME"):
@@ -846,7 +846,7 @@ class Sinumerik(Control):
         self.tangent = None
         if start is not None and arc is None and space is None and np.linalg.norm(point - start) > 0:
             self.tangent = (point - start) / np.linalg.norm(point - start)
-        elif arc is not None:
+        elif arc is not None and start is not None:
             _, normal, _ = arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2])
             way = np.cross(normal, point - arc[0])
             self.tangent = way / np.linalg.norm(way)

@@ -129,10 +129,10 @@ class Folder:
                 if file.suffix.lower() in self.ENDINGS and file != self.path:
                     self.files.setdefault(plain_name(stem), file)
         for name in names:
-            file = self.files.get(plain_name(name))
-            if file is not None and file.is_file():
-                key = file.name
+            found = self.files.get(plain_name(name))
+            if found is not None and found.is_file():
+                key = found.name
                 if key not in self.units:
-                    self.units[key] = units_of(Source(file))[0]
+                    self.units[key] = units_of(Source(found))[0]
                 return self.units[key]
         return None
