@@ -168,6 +168,31 @@ def test_unit_is_complete(name):
     assert any(p.neutral is not None for p in effect.parameters)
 
 
+FACTORS = [(name, p) for name, effect in EFFECTS.items() for p in effect.parameters if p.is_factor]
+
+
+@pytest.mark.parametrize(("name", "parameter"), FACTORS, ids=[name for name, _ in FACTORS])
+def test_a_factor_multiplies_the_field_that_it_names(name, parameter):
+    """Diagnosis takes the changed law of the position controller from this name."""
+    setting = check_setting({"name": name, "axis": "X", parameter.name: 1.25}, MACHINE, "test")
+    changed = apply_effects(with_effects(MACHINE.with_axes(["X"]), [setting])).machine.axis("X")
+
+    def value(axis):
+        return next(getattr(part, parameter.multiplies) for part in (axis, axis.motor, axis.loops) if hasattr(part, parameter.multiplies))
+
+    assert value(changed) == pytest.approx(1.25 * value(X), rel=1e-12)
+    assert setting.factor_on(parameter.multiplies) == 1.25
+    assert setting.factor_on("ratio") == 1.0
+
+
+def test_names_that_effects_give_of_each_other_exist():
+    for effect in EFFECTS.values():
+        assert set(effect.contains) | set(effect.imitated_by) <= set(EFFECTS), effect.name
+        assert all(p.judged_with in ("", *(q.name for q in effect.parameters)) for p in effect.parameters)
+        assert effect.rivals, "say what tells it from its rivals"
+        assert effect.picture.look, "say what to look at in its picture"
+
+
 @pytest.mark.parametrize(("name", "parameter"), [(name, p.name) for name, effect in EFFECTS.items() for p in effect.parameters])
 def test_each_parameter_changes_an_output(name, parameter):
     row = ROWS[name]

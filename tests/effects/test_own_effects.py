@@ -135,6 +135,13 @@ def test_a_bad_file_is_one_line(tmp_path: Path, capsys, content, said):
     assert before == EFFECTS
 
 
+def test_a_bad_file_in_the_environment_is_one_line(tmp_path: Path):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TWIN_EFFECTS": str(tmp_path / "none.py")}
+    done = subprocess.run([sys.executable, "-m", "twin", "effects"], env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith(f"twin: TWIN_EFFECTS {tmp_path / 'none.py'}: there is no such file")
+
+
 @pytest.mark.slow
 def test_the_example_is_named_by_a_diagnosis(tmp_path: Path):
     """One file: simulated, listed, drawn, searched and named, with its size."""

@@ -47,12 +47,12 @@ def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
             os.environ[VARIABLE] = before
 
 
-def load(file: str | Path) -> None:
+def load(file: str | Path, given_by: str = "--effects") -> None:
     """Add the effects of a file to the library; nothing of it is kept where it is faulty."""
     path = Path(file).resolve()
     if path in _loaded:
         return
-    where = f"--effects {file}"
+    where = f"{given_by} {file}"
     if not path.is_file():
         raise InputError(f"{where}: there is no such file; give a Python file that holds functions under @effect(...)")
     known = dict(EFFECTS)
@@ -85,7 +85,7 @@ def load(file: str | Path) -> None:
 def load_from_environment() -> None:
     """Load the files that the process which started this one was given."""
     for file in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
-        load(file)
+        load(file, VARIABLE)
 
 
 def loaded_files() -> tuple[Path, ...]:
