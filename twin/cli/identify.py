@@ -51,12 +51,15 @@ def carry_out(args: argparse.Namespace) -> int:
     with Steps("identifying", STEPS) as step:
         result = identify_campaign(machine, campaign, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
     try:
-        write_identified(result, out)
+        if not result.refused:
+            write_identified(result, out)
         files = write_report(result, args.report or out.with_suffix(".html"))
     except OSError as error:
         raise InputError(f"{error.filename or out}: cannot be written ({error.strerror}); give another place") from None
     for finding in result.findings:
         print(f"found: {finding}", file=sys.stderr)
+    for note in result.notes:
+        print(note)
     rows = []
     for p in result.parameters:
         r = p.refined if result.chosen == "refined" and p.refined else p.value
@@ -66,7 +69,9 @@ def carry_out(args: argparse.Namespace) -> int:
     if not all(result.tolerance_holds.values()):
         print("The products contradict parameter_tolerance; the file's torque constants were kept.")
     print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}")
-    print(f"written: {out}, {files[0]}")
     if args.json:
         write_json(as_json(result), Path(args.json), "identification")
+    if result.refused:
+        raise InputError(f"{out}: {result.refused}; see {files[0]}")
+    print(f"written: {out}, {files[0]}")
     return 0

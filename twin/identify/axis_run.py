@@ -54,6 +54,8 @@ class AxisRun:
     speed: np.ndarray  # at the middle [rad/s]
     acceleration: np.ndarray  # [rad/s2]
     speed_setpoint: np.ndarray | None  # held in the cycle [rad/s]
+    velocity_feedforward: np.ndarray | None  # as recorded, held in the cycle, axis units a second
+    motor_at_axis: np.ndarray | None  # motor encoder at t_n, axis units
     motor_speed: np.ndarray | None  # mean of the cycle's samples of the speed channel [rad/s]
     current: np.ndarray | None  # mean of the cycle's samples [A]; of an axis without current loop its command [A, V or Nm]
     current_ripple: np.ndarray | None
@@ -114,7 +116,10 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     `lateness` [s] by signal: how much later than the scale a channel was recorded; it is taken back.
     """
     trace = run.trace
-    has = {s: trace.has(axis.name, s) for s in ("position", "motor_position", "velocity", "velocity_setpoint", axis.effort)}
+    has = {
+        s: trace.has(axis.name, s)
+        for s in ("position", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward", axis.effort)
+    }
     if not (has["position"] or has["motor_position"]):
         return None
     cycle = machine.position_cycle
@@ -183,6 +188,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         speed=spline(middle, 1),
         acceleration=spline(middle, 2),
         speed_setpoint=speed_setpoint,
+        velocity_feedforward=signal("velocity_feedforward")[at[:-1]] if has["velocity_feedforward"] else None,
+        motor_at_axis=motor[at[:-1]] if has["motor_position"] else None,
         motor_speed=signal("velocity")[window].reshape(cycles, n).mean(axis=1) / axis.ratio if has["velocity"] else None,
         current=current,
         current_ripple=ripple(samples),

@@ -1,8 +1,8 @@
-"""From a campaign to an identified machine: read, regress, split products, refine, compare on runs left out."""
+"""From a campaign to an identified machine: read, regress, split products, re-simulate, judge on what was left out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import math
@@ -11,19 +11,25 @@ import time
 
 import numpy as np
 
-from twin.errors import InputError, TwinError
+from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
+from twin.identify.choice import chosen, tables_of
 from twin.identify.direct import Direct, Runs, direct_route
+from twin.identify.drive_fit import fit_drives, is_driven_ideally
+from twin.identify.findings import Finding
+from twin.identify.held_out import LEFT_OUT_SHARE, Division, divided
 from twin.identify.noise import measured_noise
-from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, parameters_of, unseen, with_refined
+from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, parameters_of, unseen, with_drives, with_refined
+from twin.identify.position_control import NOT_RECORDED
 from twin.identify.products import split_machine, split_products
 from twin.identify.recording import prepared
-from twin.identify.result import Identification
+from twin.identify.result import Identification, Parameter
+from twin.identify.write import with_places
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
-from twin.simulation.gap import gap_of, predict_campaign
 from twin.simulation.run import simulate
-from twin.simulation.setpoints import AT_REST, recorded_setpoints
+from twin.simulation.setpoints import recorded_setpoints
+from twin.units import AXIS_UNITS
 
 
 def identify_campaign(
@@ -38,64 +44,81 @@ def identify_campaign(
     """Identify the machine of a campaign, starting from its machine file.
 
     `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
-    parameter_tolerance). `progress` is called with the name of each step that begins.
+    parameter_tolerance). `progress` is called with the name of each step that begins. With `gaps` what was found is judged on what was
+    left out, and `refused` says where it must not be written.
     """
     say = progress or (lambda _text: None)
     clock: dict[str, float] = {}
     started = time.perf_counter()
     say("reading signals")
     recording = prepared(machine, campaign)
-    training, left_out = recording.divided()
+    division = divided(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):
         raise InputError(
             f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
         )
     say("simulating instruments")
-    simulated = _simulated(machine, training)
+    simulated = _simulated(machine, division)
     say("regression")
-    direct = direct_route(machine, recording.part(training), simulated, say)
+    direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     against = impossible(direct)
     if against:
         recording = recording.without_current(against)
-        direct = direct_route(machine, recording.part(training), simulated, say)
+        direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
-    found = _with_loops(split_machine(machine, splits), direct)
+    training = [division.runs[i] for i in division.training()]
+    controlled = with_loops(machine, direct)
+    found = with_loops(split_machine(machine, splits), direct)
     found = _with_noise(found, measured_noise(machine, training))
-    say("regression on the runs left out")
-    other = direct_route(machine, recording.part(left_out)) if left_out else Direct()
+    say("regression on what was left out")
+    checking = division.part(recording.axis_runs, fitted=False)
+    other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
-    findings = [*recording.findings, *against.values(), *unseen(machine, parameters)]
+    not_found, notes = _on_position_control(machine, direct)
+    findings = [*recording.findings, *against.values(), *not_found, *unseen(machine, parameters)]
     clock["regression"] = time.perf_counter() - started
-    chosen, refined = "regression", None
+    stages = {"regression": found}
     if refine:
-        from twin.identify.refine import refined_machine
-
-        say("refinement by re-simulation")
-        refined = refined_machine(found, training, recording.part(training), direct.current, doubts_of(found, parameters), say)
-        parameters = with_refined(parameters, refined.machine, refined.deviations)
-        clock["refinement"] = time.perf_counter() - started
-    tables = {}
+        refined, parameters, said = _resimulated(found, division, recording.axis_runs, direct, parameters, against, say)
+        findings += said
+        clock["re-simulation"] = time.perf_counter() - started
+        if refined is not None:
+            stages["refined"] = refined
+    best, refused, tables = stages.get("refined", found), "", {}
+    route = "refined" if "refined" in stages else "regression"
     if gaps:
-        say("gap on the runs left out")
-        told = left_out or training
-        machines = {"before": machine, "regression": found, **({"refined": refined.machine} if refined else {})}
-        for name, candidate in machines.items():
-            tables[name] = pooled_gap(candidate, told)
-        if refined and _score(tables["refined"]) < 0.98 * _score(tables["regression"]):
-            chosen = "refined"
+        say("gap on what was left out")
+        if direct.position:
+            stages["control"] = controlled
+        all_tables = tables_of({"before": machine, **stages}, division)
+        choice = chosen(machine, stages, all_tables, division)
+        best, refused = choice.machine, choice.refused
+        findings += choice.findings
+        route = next((name for name, m in stages.items() if m is best), "each axis by itself")
+        tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started
-    best = refined.machine if refined and chosen == "refined" else found
+    else:
+        best, route = found, "regression"
     return Identification(
         machine, best, tuple(parameters), tuple(findings), tuple(recording.late), direct,
-        tuple(r.name for r in training), tuple(r.name for r in left_out), str(campaign.path),
-        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, chosen,
+        tuple(r.name for r in training), _left_out(division), str(campaign.path),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, tuple(notes),
     )  # fmt: skip
 
 
-def _simulated(machine: Machine, runs: Sequence[MeasuredRun]) -> Runs | None:
-    """The runs without noise, as the machine file has it: instruments. None where the machine file cannot follow the set points."""
+def _left_out(division: Division) -> tuple[str, ...]:
+    """What no fit has seen, as it is printed."""
+    names = [division.runs[i].name for i in division.left_out()]
+    stretches = [f"the last {100 * LEFT_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
+    return (*names, *stretches)
 
-    def one(run: MeasuredRun) -> MeasuredRun:
+
+def _simulated(machine: Machine, division: Division) -> Runs | None:
+    """The training runs without noise, as the machine file has it: instruments. None where the machine file cannot follow the set points."""
+    training = division.training()
+
+    def one(i: int) -> MeasuredRun:
+        run = division.runs[i]
         trace = simulate(
             machine.with_feedforward(run.feedforward),
             recorded_setpoints(run.trace, machine),
@@ -106,63 +129,111 @@ def _simulated(machine: Machine, runs: Sequence[MeasuredRun]) -> Runs | None:
 
     try:
         with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-            twins = list(pool.map(one, runs))
+            twins = dict(zip(training, pool.map(one, training)))
+        return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
     except TwinError:
         return None
-    return {a.name: [axis_run(machine, a, r) for r in twins] for a in machine.axes}
+
+
+def _resimulated(
+    found: Machine,
+    division: Division,
+    axis_runs: Runs,
+    direct: Direct,
+    parameters: list[Parameter],
+    against: dict[str, Finding],
+    say: Callable[[str], None],
+) -> tuple[Machine | None, list[Parameter], list[Finding]]:
+    """Both closed-loop fits: drives with a current loop below the band of their drive trains, ideal drives by every sample."""
+    from twin.identify.refine import refined_machine
+
+    training = division.training()
+    runs = [division.runs[i] for i in training]
+    part = division.part(axis_runs, fitted=True)
+    measured = {a: [seen[i] for i in training] for a, seen in part.items()}
+    machine, said = found, []
+    if any(not is_driven_ideally(a) for a in found.axes):
+        say("refinement by re-simulation")
+        try:
+            refined = refined_machine(found, runs, measured, direct.current, doubts_of(found, parameters), say)
+            machine = refined.machine
+            parameters = with_refined(parameters, machine, refined.deviations)
+        except SimulationError as error:
+            said.append(Finding("", "", f"not refined by re-simulation: {error}"))
+            return None, parameters, said
+    if any(is_driven_ideally(a) for a in found.axes):
+        say("drives in closed loop")
+        rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
+        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop}
+        try:
+            fits = fit_drives(machine, runs, rows, known, say, skipped=against)
+            machine = fits.machine
+            parameters = with_drives(parameters, found, fits)
+        except SimulationError as error:
+            said.append(Finding("", "", f"drives not fitted in closed loop: {error}"))
+            return None if machine is found else machine, parameters, said
+    return machine, parameters, said
 
 
 WORSE, WORSE_S = 0.3, 1e-3
 """Control values known no better than this, relative and in seconds, do not replace the machine file's."""
 
 
-def _with_loops(machine: Machine, direct: Direct) -> Machine:
+def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
+    """Findings: why a position controller was not identified. Notes: what the table of parameters does not say of those that were."""
+    findings, notes = [], []
+    for axis in machine.axes:
+        unit, factor = AXIS_UNITS[axis.kind].speed
+        reason = direct.unfitted.get(axis.name, "")
+        if reason and reason != NOT_RECORDED:
+            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the file's values stay"))
+        found = direct.position.get(axis.name)
+        if found is not None:
+            rms = found.residual_rms * factor
+            notes.append(
+                Finding("", axis.name, f"position controller: its law leaves {rms:.2g} {unit} RMS of the recorded speed set point")
+            )
+        if found is not None and found.interpolation != machine.setpoint_interpolation:
+            way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
+            notes.append(Finding("", axis.name, f"set points between the NC's cycles lie on {way}"))
+        loop = direct.drive_loop.get(axis.name)
+        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+            notes.append(Finding("", axis.name, loop.evidence(unit, factor)))
+            notes.append(
+                Finding(
+                    "",
+                    axis.name,
+                    f"lag of the speed loop behind its set point: {1e3 * loop.lag_s:.2f} ms (+-{1.96e3 * loop.lag_deviation:.2f} ms)",
+                )
+            )
+    return findings, notes
+
+
+def with_loops(machine: Machine, direct: Direct) -> Machine:
     """Control values and windings into the machine file; those that the signals did not show keep the file's."""
-    values: dict[str, float] = {}
+    values: dict[str, object] = {}
     for axis in machine.axes:
         for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
             if found is None:
                 continue
             for name, value in found.values.items():
                 half = found.quantile * found.deviations[name]
-                if half < (WORSE_S if name.endswith("delay_s") else WORSE * abs(value)):
+                fixed = name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False)
+                if fixed or half < (WORSE_S if name.endswith("delay_s") else WORSE * abs(value)):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
+        loop = direct.drive_loop.get(axis.name)
+        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+            values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        if mean is not None and math.isfinite(mean.fit.misfit):  # the winding, read off the saw-tooth
+        if mean is not None and axis.has_current_loop and math.isfinite(mean.fit.misfit):  # the winding, read off the saw-tooth
             values[f"axis.{axis.name}.motor.inductance_h"] = mean.fit.loop.inductance
             values[f"axis.{axis.name}.motor.resistance_ohm"] = mean.fit.loop.resistance
-    return machine.with_values(values)
+    ways = {p.interpolation for p in direct.position.values()}
+    if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
+        values["control.setpoint_interpolation"] = ways.pop()
+    return with_places(machine, values).with_values(values)
 
 
 def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:
     return machine.with_values({f"measurement.{k}": v for k, v in noise.items()}) if noise else machine
-
-
-def pooled_gap(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, dict[str, dict[str, float | str]]]:
-    """Gap over the runs: axis -> signal -> RMS, RMS of noise alone, unit."""
-    predictions = predict_campaign(machine, runs)
-    squares: dict[str, dict[str, list[tuple[float, float, str]]]] = {}
-    for run in runs:
-        for axis, signals in gap_of(machine, run, predictions[run.name]).items():
-            if np.max(np.abs(np.gradient(run.trace.get(axis, "setpoint"), run.trace.period))) < AT_REST[machine.axis(axis).kind]:
-                continue
-            for signal, g in signals.items():
-                squares.setdefault(axis, {}).setdefault(signal, []).append((g.rms, g.noise, g.unit))
-    return {
-        axis: {
-            s: {
-                "rms": math.sqrt(np.mean([v[0] ** 2 for v in values])),
-                "noise": math.sqrt(np.mean([v[1] ** 2 for v in values])),
-                "unit": values[0][2],
-            }
-            for s, values in signals.items()
-        }
-        for axis, signals in squares.items()
-    }
-
-
-def _score(table: dict[str, dict[str, dict[str, float | str]]]) -> float:
-    """Mean logarithm of gap over noise, as a factor."""
-    ratios = [math.log(max(float(g["rms"]) / max(float(g["noise"]), 1e-12), 0.1)) for signals in table.values() for g in signals.values()]
-    return math.exp(float(np.mean(ratios))) if ratios else math.inf

@@ -13,6 +13,7 @@ from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
 from twin.identify.drive_balance import NAMES as LINEAR_NAMES
+from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
@@ -39,6 +40,8 @@ class Direct:
     speed: dict[str, SpeedControl] = field(default_factory=dict)
     balance: dict[str, Balance] = field(default_factory=dict)  # 'X', 'Y', 'Z', and 'A C' for the pair
     current: dict[str, MeanCurrent] = field(default_factory=dict)
+    drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)
+    unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
 
 
 def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None) -> Direct:
@@ -49,12 +52,21 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
         here = moving.get(axis.name, [])
         if not here:
             continue
-        found = fit_position_control(axis, here)
-        if found is not None:
-            out.position[axis.name] = found
+        position = fit_position_control(axis, here, machine.setpoint_interpolation)
+        if isinstance(position, str):
+            out.unfitted[axis.name] = position
+        else:
+            out.position[axis.name] = position
         if any(r.current is not None for r in here):
             start = axis.commissioned_inertia or axis.rotor_inertia_kg_m2
             out.current[axis.name] = MeanCurrent.start(machine, axis, here, start, _partners(machine, axis, runs))  # type: ignore[arg-type]
+    _one_interpolation(machine, moving, out)
+    for axis in machine.axes:
+        if axis.name in out.position:
+            gain = out.position[axis.name].values["position_gain_per_s"]
+            loop = drive_position_loop(axis, moving[axis.name], gain)
+            if loop is not None:
+                out.drive_loop[axis.name] = loop
     _balances(machine, runs, out, ITERATIONS)
     if progress:
         progress("torque balance")
@@ -67,7 +79,7 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
         # the saw-tooth hangs on the speed controller: once more with what was found of it
         if not last:
             for axis in machine.axes:
-                found = out.speed.get(axis.name)  # type: ignore[assignment]
+                found = out.speed.get(axis.name)
                 if found is not None:
                     weight = found.values["torque_feedforward"] if math.isfinite(found.deviations["torque_feedforward"]) else 1.0
                     inertia = out.current[axis.name].fit.loop.inertia
@@ -83,6 +95,16 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
             if progress:
                 progress("torque balance, with the control's own weights")
     return out
+
+
+def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]], out: Direct) -> None:
+    """One control has one way to make set points between its cycles: an axis that shows another one than the file decides for all."""
+    shown = [p.interpolation for p in out.position.values() if p.interpolation != machine.setpoint_interpolation]
+    for name, found in list(out.position.items()):
+        if shown and found.interpolation != shown[0]:
+            again = fit_position_control(machine.axis(name), moving[name], shown[0], only=True)
+            if not isinstance(again, str):
+                out.position[name] = again
 
 
 def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:

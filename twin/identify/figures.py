@@ -229,10 +229,19 @@ def gap_figure(result: Identification) -> Any | None:
     if not result.gaps:
         return None
     stages = list(result.gaps)
-    keys = [(a, s) for a, signals in result.gaps[stages[0]].items() for s in signals]
+    keys = [
+        (a, s) for a, signals in result.gaps[stages[0]].items() for s in signals if all(s in g.get(a, {}) for g in result.gaps.values())
+    ]
+    if not keys:
+        return None
     figure, panels = new_figure(1, 1, height=3.0)
     panel = panels[0, 0]
-    looks = {"before": (SOFT, "machine file before"), "regression": ("#0b5394", "regression"), "refined": ("#2e8b57", "refined")}
+    looks = {
+        "before": (SOFT, "machine file before"),
+        "regression": ("#0b5394", "regression"),
+        "refined": ("#2e8b57", "refined"),
+        "control": ("#8a6d00", "control only"),
+    }
     for k, stage in enumerate(stages):
         ratio = [result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys]
         panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratio, 0.25, color=looks[stage][0], label=looks[stage][1])

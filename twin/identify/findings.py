@@ -14,7 +14,7 @@ import numpy as np
 from twin.identify.axis_run import AxisRun, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import _linearised
+from twin.identify.position_control import linearised
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import regress
@@ -107,11 +107,13 @@ def checked_flags(
 
 def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
     """Velocity feedforward of one run with the machine file's gain and delays; None where the axis hardly moves."""
+    if run.velocity_feedforward is not None and np.ptp(run.angle) * axis.ratio > 1e-5:
+        return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # recorded: nothing to guess
     if run.speed_setpoint is None or run.position is None:
         return None
     loops = axis.loops
     x = np.array([loops.position_gain_per_s, 0.0, loops.position_delay_s, loops.feedforward_delay_s])
-    columns, residual = _linearised(run, axis, x, 1.0)
+    columns, residual = linearised(run, axis, x, 1.0)
     slope = columns[:, 1]
     power = float(slope @ slope)
     return float(slope @ residual) / power if power > 1e-4 * len(slope) * axis.max_velocity**2 else None
@@ -193,7 +195,7 @@ def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
     rms = {}
     for cycles in range(-4, 5):
         moved = replace(seen, speed_setpoint=np.roll(seen.speed_setpoint, -cycles))
-        _, residual = _linearised(moved, axis, x, on)
+        _, residual = linearised(moved, axis, x, on)
         rms[cycles] = float(np.sqrt(np.mean(residual[8:-8] ** 2)))
     best = min(rms, key=lambda c: rms[c])
     return best * seen.cycle if rms[best] < SHARPER * rms[0] else 0.0

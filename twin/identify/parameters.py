@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
+from twin.identify.drive_fit import DriveFits
 from twin.identify.findings import Finding
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
@@ -26,6 +27,7 @@ LOOP_UNITS = {
     "speed_gain_nm_s_per_rad": "Nm s/rad",
     "speed_integral_time_s": "s",
     "torque_feedforward": "1",
+    "dsc_delay_s": "s",
 }
 FRICTION_KEYS = {"coulomb_friction": "coulomb_friction_nm", "viscous_friction": "viscous_friction_nm_s_per_rad"}
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
@@ -69,6 +71,16 @@ def _control(axis: Axis, direct: Direct, other: Direct) -> list[Parameter]:
                     f"axis.{axis.name}.loops.{name}", aside,
                 )
             )  # fmt: skip
+    loop, check_loop = direct.drive_loop.get(axis.name), other.drive_loop.get(axis.name)
+    if loop is not None and loop.closed_in_drive:
+        aside = (
+            _around(check_loop.delay_s, 1.96 * check_loop.delay_deviation)
+            if check_loop is not None and check_loop.closed_in_drive
+            else None
+        )
+        around = _around(loop.delay_s, 1.96 * loop.delay_deviation)
+        path = f"axis.{axis.name}.loops.dsc_delay_s"
+        out.append(Parameter(axis.name, "dsc_delay_s", "s", axis.loops.dsc_delay_s, around, around, False, 1.0, False, path, aside))
     return out
 
 
@@ -146,6 +158,50 @@ def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: 
             split = math.sqrt(max(p.value.half**2 - p.estimate.half**2, 0.0)) if p.product else 0.0
             p = replace(p, refined=_around(value, math.hypot(1.96 * d, split, 1.96 * (value - p.value.value))))
         out.append(p)
+    return out
+
+
+def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFits) -> list[Parameter]:
+    """The parameters with what the fit of drives in closed loop found; it adds those that no regression could see.
+
+    A number that the residual does not answer to is left out.
+    """
+    out = list(parameters)
+    for name, fit in fits.axes.items():
+        axis = before.axis(name)
+        r = axis.ratio
+        direct = axis.kind == "linear" and r == 1.0
+        mass, force, damping = ("kg", "N", "N s/m") if direct else ("kg m2", "Nm", "Nm s/rad")
+        rows = {
+            "inertia": ("inertia", mass, axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r, 1.0, ""),
+            "coulomb_friction_nm": ("coulomb_friction", force, axis.coulomb_friction_nm, 1.0, f"axis.{name}.coulomb_friction_nm"),
+            "viscous_friction_nm_s_per_rad": (
+                "viscous_friction",
+                damping,
+                axis.viscous_friction_nm_s_per_rad,
+                1.0,
+                f"axis.{name}.viscous_friction_nm_s_per_rad",
+            ),
+            "constant_force": ("constant_torque", force, 0.0, r, ""),
+        }
+        for field, value in fit.values.items():
+            if field in fit.unseen or not math.isfinite(fit.deviations[field]):
+                continue
+            told, unit, start, factor, path = rows.get(
+                field, (field, LOOP_UNITS.get(field, "1"), float(getattr(axis.loops, field, 0.0)), 1.0, f"axis.{name}.loops.{field}")
+            )
+            half = 1.96 * fit.deviations[field] * factor
+            around = _around(value * factor, half)
+            if field not in ("constant_force", "dsc_delay_s"):  # cannot be negative: the interval is one of the logarithm
+                wide = math.exp(min(half / abs(value * factor), 5.0))
+                around = Range(value * factor, value * factor / wide, value * factor * wide)
+            known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, told)), None)
+            if known is None:
+                is_product = field in rows
+                in_file = before.in_file(path, 0.0)[0] if path else ""
+                out.append(Parameter(name, told, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
+            else:
+                out[known] = replace(out[known], refined=around)
     return out
 
 

@@ -1,29 +1,57 @@
 """The position controller, read from its own signals: gain, feedforward weight and delays.
 
-At the start t of every position cycle the control makes, from the set point s and the scale x that the trace holds,
+At the start t of every position cycle the NC makes, from the set point s and the position x that the trace holds,
 
-    v* = Kv (s(t - d_pos) - x(t)) + a_v (s(t - d_ff) - s(t - d_ff - Tp)) / Tp
+    v* = Kv (s(t - d_pos) - x(t)) + a_v f,    f = (s(t - d_ff) - s(t - d_ff - Tp)) / Tp,  or the recorded feedforward
 
 v* is recorded without noise and x as the control saw it, so the law holds to rounding and to whatever it does not contain.
-The four unknowns follow by Gauss-Newton on the splines of the set points; a weight of its own for each run shows a wrong flag.
+
+For known delays the law is linear in Kv and a_v. So the delays are tried on a grid of quarter cycles, for set points between the NC's
+samples on a cubic spline and on a straight line (a delay of 1.5 cycles is then the mean of two neighbouring cycles, as a SINUMERIK makes
+it). The best starts are refined by a damped Gauss-Newton search. A machine file that is far off therefore does no harm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import math
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from twin.identify.axis_run import AxisRun
-from twin.machine.machine import Axis
+from twin.machine.axis import Axis
+from twin.machine.keys import INTERPOLATIONS
 from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
-ITERATIONS = 8
+
+MOST_DELAY_CYCLES = 12
+STEPS_A_CYCLE = 4
+"""The grid of delays: up to so many position cycles, in steps of a quarter cycle."""
+
+STARTS = 3
+"""So many local minima of the grid are refined."""
+
+GRID_ROWS = 4000
+"""The grid reads at most so many cycles; the refinement reads all."""
 
 UNTOLD = 3.0
 """A gain within so many standard deviations of 0 is none."""
+
+CLEARLY_LESS = 0.8
+"""The other interpolation counts where it leaves less than this part of what the machine file's leaves."""
+
+OUT_OF_LINE = 8.0
+"""Cycles whose residual is beyond so many robust standard deviations are left out: a lost sample, a step of a counter."""
+
+TRIMMED = 0.97
+"""Starts are compared by this part of the cycles, the ones nearest to the law: a lost sample decides nothing."""
+
+NOT_RECORDED = "no speed set point is recorded"
+
+EVERY = slice(None)
 
 FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
 """What rounded columns and the splines of the set points leave, as a standard deviation: not random from sample to sample."""
@@ -31,7 +59,10 @@ FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_de
 
 @dataclass(frozen=True)
 class PositionControl:
-    """Values of NAMES with their fit, residual RMS of v* [axis units a second], and the feedforward weight of each run."""
+    """Values of NAMES with their fit, residual RMS of v* [axis units a second], and the feedforward weight of each run.
+
+    `interpolation` is how set points between the NC's samples are made; `from_recorded_feedforward`: f is a recorded signal.
+    """
 
     values: dict[str, float]
     deviations: dict[str, float]
@@ -39,59 +70,220 @@ class PositionControl:
     condition: float
     residual_rms: float
     weight_by_run: dict[str, float]
+    interpolation: str = "cubic"
+    from_recorded_feedforward: bool = False
 
 
-def fit_position_control(axis: Axis, runs: Sequence[AxisRun]) -> PositionControl | None:
-    """Gauss-Newton from the machine file's values; None where no run has scale and speed set point."""
-    runs = [r for r in runs if r.speed_setpoint is not None and r.position is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
+def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False) -> PositionControl | str:
+    """The law that leaves least of the recorded speed set point; a text that says why where there is none.
+
+    `interpolation` is the machine file's, 'cubic' or 'linear': the other one must leave clearly less to be taken
+    (`only`: it is not tried).
+    """
+    if not any(r.speed_setpoint is not None for r in runs):
+        return NOT_RECORDED
+    if not any(seen_position(r, axis) is not None for r in runs):
+        return "the position that the control used is not recorded"
+    runs = [r for r in runs if r.speed_setpoint is not None and seen_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
     if not runs:
-        return None
-    loops = axis.loops
-    x = np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
-    on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
-    fit: Fit | None = None
-    for _ in range(ITERATIONS):
-        rows, y, clusters = [], [], []
-        for k, run in enumerate(runs):
-            j, e = _linearised(run, axis, x, on[k])
-            use = ~run.limited
-            rows.append(j[use])
-            y.append(e[use])
-            clusters.append((run.strokes + 100_000 * k)[use])
-        fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
-        x = x + fit.values
-        if np.all(np.abs(fit.values) < 1e-9):
-            break
-    assert fit is not None
-    if not np.all(np.isfinite(x)) or x[0] <= UNTOLD * fit.deviations[0]:
-        return None  # a run of one speed tells no gain from a delay
+        return "the axis does not move where its speed set point is recorded"
+    ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
+    found = [(law, *law.search()) for law in (_Law(axis, runs, way) for way in ways)]
+    law, x, _ = found[-1] if found[-1][2] < CLEARLY_LESS * found[0][2] else found[0]
+    if not np.all(np.isfinite(x)):
+        return "too few cycles without a limit or a lost sample"
+    fit, x = law.polished(x)
+    if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
+        return "one speed only: the set point's delay and the position gain are one number; record accelerations"
+    if x[0] <= UNTOLD * fit.deviations[0]:
+        return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     values = dict(zip(NAMES, x.tolist()))
     deviations = {n: float(np.hypot(d, FLOOR[n])) for n, d in zip(NAMES, fit.deviations)}
     return PositionControl(
-        values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), _weights(axis, runs, x)
+        values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), law.weights(x), law.way, law.recorded
     )
 
 
-def _linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (cycle, 4) of the four corrections and the residual of v* (cycle,), in axis units a second."""
-    kv, a_v, d_pos, d_ff = x
-    t, tp = run.start, run.cycle
-    assert run.position is not None
-    assert run.speed_setpoint is not None
-    error = run.setpoint_at(t - d_pos) - run.position
-    slope = (run.setpoint_at(t - d_ff) - run.setpoint_at(t - d_ff - tp)) / tp
-    residual = run.speed_setpoint * axis.ratio - kv * error - on * a_v * slope
-    moved = (run.setpoint(np.clip(t - d_pos, 0.0, run.end), 1)) * (t > d_pos)
-    change = (run.setpoint(np.clip(t - d_ff, 0.0, run.end), 1) - run.setpoint(np.clip(t - d_ff - tp, 0.0, run.end), 1)) / tp
-    return np.column_stack([error, on * slope, -kv * moved, -on * a_v * change]), residual
+def seen_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
+    """Position (cycle,) that closes the position loop, axis units: the scale, or the motor encoder where the machine file says so."""
+    if axis.encoder == "motor" and run.motor_at_axis is not None:
+        return run.motor_at_axis
+    return run.position
 
 
-def _weights(axis: Axis, runs: Sequence[AxisRun], x: np.ndarray) -> dict[str, float]:
-    """Feedforward weight of each run alone, the rest as found: about 0 or a_v; NaN where the axis hardly moves."""
-    out = {}
-    for run in runs:
-        columns, residual = _linearised(run, axis, np.array([x[0], 0.0, x[2], x[3]]), 1.0)
-        slope = columns[:, 1]
-        power = float(slope @ slope)
-        out[run.run] = float(slope @ residual / power) if power > 1e-3 * len(slope) * axis.max_velocity**2 * 1e-2 else float("nan")
-    return out
+class _Law:
+    """The rows of all runs for one way of reading set points between samples."""
+
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str):
+        self.axis, self.runs, self.way = axis, runs, way
+        self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
+        self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
+            r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
+        )
+
+    def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
+        """Set point of a run at any times, between the NC's cycles as this way has it."""
+        if self.way == "cubic":
+            return run.setpoint_at(times)
+        return np.interp(times, run.start, run.setpoint_at(run.start))
+
+    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+        """Control error (row,) of one run for a delay of the set point."""
+        position = seen_position(run, self.axis)
+        assert position is not None
+        return self.read(run, run.start[rows] - delay) - position[rows]
+
+    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+        """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
+        if self.recorded:
+            return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
+        t = run.start[rows] - delay
+        return (self.read(run, t) - self.read(run, t - run.cycle)) / run.cycle
+
+    def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
+        """v* less the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
+        out = []
+        for run, on, kept in zip(self.runs, self.on, rows or [EVERY] * len(self.runs)):
+            assert run.speed_setpoint is not None
+            law = x[0] * self.error(run, x[2], kept) + x[1] * on * self.fed(run, x[3], kept)
+            out.append(run.speed_setpoint[kept] * self.axis.ratio - law)
+        return out
+
+    def usable(self, run: AxisRun) -> np.ndarray:
+        """(cycle,) neither limited nor so near to the beginning that a delayed set point is not recorded."""
+        early = np.arange(len(run.start)) < min(MOST_DELAY_CYCLES, len(run.start) // 4)
+        return ~run.limited & ~early
+
+    def search(self) -> tuple[np.ndarray, float]:
+        """Best values of NAMES and the RMS that they leave, from the grid and a damped search."""
+        tp = self.runs[0].cycle
+        grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
+        keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
+        every = max(1, sum(len(k) for k in keep) // GRID_ROWS)
+        keep = [k[::every] for k in keep]
+        y = np.concatenate([r.speed_setpoint[k] * self.axis.ratio for r, k in zip(self.runs, keep)])  # type: ignore[index]
+        if len(y) < 8:
+            return np.full(4, np.nan), math.inf
+        feeds = grid if any(self.on) and not self.recorded else grid[:1]
+        errors = np.array([np.concatenate([self.error(r, d, k) for r, k in zip(self.runs, keep)]) for d in grid])
+        fed = np.array([np.concatenate([o * self.fed(r, d, k) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
+        left, kv, a_v = _left(errors, fed, y)
+        starts = []
+        for i, j in _minima(left)[:STARTS]:
+            starts.append(np.array([kv[i, j], a_v[i, j], grid[i], feeds[j]]))
+        loops = self.axis.loops
+        starts.append(
+            np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
+        )
+        scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp])
+
+        def rest(x: np.ndarray) -> np.ndarray:
+            return np.concatenate(self.residual(x, keep))
+
+        best, least = starts[0], math.inf
+        for start in starts:
+            spread = 1.4826 * float(np.median(np.abs(rest(start)))) or 1e-12
+            try:
+                found = least_squares(rest, start, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40)
+            except (ValueError, np.linalg.LinAlgError):
+                continue
+            squares = np.sort(found.fun**2)
+            rms = float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)])))
+            if rms < least and found.x[0] > 0.0 and found.x[2] > -tp and found.x[3] > -tp:
+                best, least = found.x, rms
+        return best, least
+
+    def polished(self, x: np.ndarray) -> tuple[Fit, np.ndarray]:
+        """The regression at the solution, with intervals by strokes and without cycles that are far out of line."""
+        fit: Fit | None = None
+        usable = [self.usable(r) for r in self.runs]
+        for _ in range(4):
+            rows, y, clusters = [], [], []
+            for k, (run, on, use) in enumerate(zip(self.runs, self.on, usable)):
+                columns = self._slopes(run, on, x)
+                e = self.residual(x)[k]
+                spread = max(1.4826 * float(np.median(np.abs(e[use]))) if use.any() else 0.0, 1e-9)
+                use = use & (np.abs(e) < OUT_OF_LINE * spread)
+                rows.append(columns[use])
+                y.append(e[use])
+                clusters.append((run.strokes + 100_000 * k)[use])
+            fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
+            step = fit.values
+            if not np.all(np.isfinite(step)) or abs(step[0]) > 0.1 * abs(x[0]) or np.max(np.abs(step[2:])) > 0.5 * self.runs[0].cycle:
+                break  # what the search has found is kept: the last steps may only polish it
+            x = x + step
+            if np.all(np.abs(step) < 1e-9):
+                break
+        assert fit is not None
+        if self.recorded:
+            x = np.array([*x[:3], self._delay_of_feedforward(x[1])])
+        return fit, x
+
+    def _slopes(self, run: AxisRun, on: float, x: np.ndarray) -> np.ndarray:
+        """Columns (cycle, 4): change of the law with each value."""
+        error, fed = self.error(run, x[2]), on * self.fed(run, x[3])
+        h = 1e-3 * run.cycle
+        moved = (self.read(run, run.start - x[2] + h) - self.read(run, run.start - x[2] - h)) / (2.0 * h)
+        if self.way == "cubic":
+            moved = run.setpoint(np.clip(run.start - x[2], 0.0, run.end), 1) * (run.start > x[2])
+        change = np.zeros(len(error)) if self.recorded else on * (self.fed(run, x[3] - h) - self.fed(run, x[3] + h)) / (2.0 * h)
+        return np.column_stack([error, fed, -x[0] * moved, -x[1] * change])
+
+    def _delay_of_feedforward(self, weight: float) -> float:
+        """Delay [s] that makes the recorded feedforward from the set points; the machine file's where none does."""
+        tp = self.runs[0].cycle
+        grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
+        left = np.zeros(len(grid))
+        power = 0.0
+        for run in self.runs:
+            f = run.velocity_feedforward
+            if f is None:
+                continue
+            use = self.usable(run)
+            power += float(np.sum(f[use] ** 2))
+            for k, d in enumerate(grid):
+                t = run.start - d
+                e = f - (self.read(run, t) - self.read(run, t - tp)) / tp
+                left[k] += float(np.sum(np.minimum(np.abs(e[use]), 0.1 * (np.abs(f[use]).max() if use.any() else 0.0)) ** 2))
+        return float(grid[int(np.argmin(left))]) if power > 0.0 and left.min() < 0.01 * power else self.axis.loops.feedforward_delay_s
+
+    def weights(self, x: np.ndarray) -> dict[str, float]:
+        """Feedforward weight of each run alone, the rest as found: about 0 or a_v; NaN where the axis hardly moves."""
+        out = {}
+        for run in self.runs:
+            assert run.speed_setpoint is not None
+            error, slope = self.error(run, x[2]), self.fed(run, x[3])
+            power = float(slope @ slope)
+            left = run.speed_setpoint * self.axis.ratio - x[0] * error
+            out[run.run] = float(slope @ left / power) if power > 1e-5 * len(slope) * self.axis.max_velocity**2 else math.nan
+        return out
+
+
+def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (cycle, 4) of corrections to NAMES at x, and the residual of v* (cycle,) [axis units a second], of one run."""
+    law = _Law(axis, [run], "cubic")
+    law.on, law.recorded = [on], False
+    return law._slopes(run, on, x), law.residual(x)[0]
+
+
+def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sum of squares (delay, feedforward delay) that the best gain and weight leave, and these two."""
+    ee, ff, ef = np.sum(errors**2, axis=1)[:, None], np.sum(fed**2, axis=1)[None, :], errors @ fed.T
+    ey, fy = (errors @ y)[:, None], (fed @ y)[None, :]
+    determinant = ee * ff - ef**2
+    alone = determinant <= 1e-9 * ee * np.maximum(ff, 1e-300)
+    safe = np.where(alone, 1.0, determinant)
+    kv = np.where(alone, ey / np.maximum(ee, 1e-300), (ff * ey - ef * fy) / safe)
+    a_v = np.where(alone, 0.0, (ee * fy - ef * ey) / safe)
+    left = float(y @ y) - kv * ey - a_v * fy
+    return np.where(kv > 0.0, left, np.inf), kv, a_v
+
+
+def _minima(left: np.ndarray) -> list[tuple[int, int]]:
+    """Places of the local minima of a grid, lowest first."""
+    padded = np.pad(left, 1, constant_values=np.inf)
+    here = np.isfinite(left)
+    for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
+        here &= left <= padded[i : i + left.shape[0], j : j + left.shape[1]]
+    places = [(int(i), int(j)) for i, j in zip(*np.nonzero(here))]
+    return sorted(places, key=lambda p: float(left[p]))

@@ -78,7 +78,8 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
     out = []
     for axis in name.split():
         rotor = inertia_key(machine.axis(axis))
-        known = [] if machine.axis(axis).effort == "torque" else ["motor.torque_constant_nm_per_a"]
+        # the constant of an ideal actuator is what the numbers are counted in
+        known = ["motor.torque_constant_nm_per_a"] if machine.axis(axis).has_current_loop else []
         keys = [*known, rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
         # a weight tells the mass; elsewhere the inertia is one number, and the rotor stands for it
         if is_vertical(machine, axis) and rotor != "moving_mass_kg":

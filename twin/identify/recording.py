@@ -9,7 +9,6 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
-from twin.identify.direct import Runs
 from twin.identify.findings import (
     LATE_S,
     Finding,
@@ -27,9 +26,6 @@ from twin.recordings.campaign import Campaign, MeasuredRun
 SHORT_S = 0.5
 """A run shorter than this tells nothing below 20 Hz: it is left out."""
 
-LEFT_OUT_SHARE = 0.3
-"""Share of the runs, the last ones, that no fit sees (none of fewer than three)."""
-
 
 @dataclass(frozen=True)
 class Recording:
@@ -40,26 +36,10 @@ class Recording:
     findings: list[Finding]
     late: list[Late]
 
-    def divided(self) -> tuple[list[MeasuredRun], list[MeasuredRun]]:
-        """Runs to learn from, and the last ones to check on; the only run with a feedforward setting is never left out."""
-        count = max(int(LEFT_OUT_SHARE * len(self.runs)), 1) if len(self.runs) >= 3 else 0
-        training = list(self.runs)
-        aside: list[MeasuredRun] = []
-        for run in reversed(self.runs):
-            if len(aside) < count and sum(r.feedforward == run.feedforward for r in training) > 1:
-                training = [r for r in training if r is not run]
-                aside.insert(0, run)
-        return training, aside
-
     def without_current(self, axes: Iterable[str]) -> Recording:
         """The same as if the current of these axes had not been recorded."""
         changed = {a: [replace(r, current=None, current_ripple=None) if r else None for r in self.axis_runs[a]] for a in axes}
         return replace(self, axis_runs={**self.axis_runs, **changed})
-
-    def part(self, runs: Sequence[MeasuredRun]) -> Runs:
-        """The axis runs of some of the runs."""
-        names = {r.name for r in runs}
-        return {a: [x for x, r in zip(seen, self.runs) if r.name in names] for a, seen in self.axis_runs.items()}
 
 
 def prepared(machine: Machine, campaign: Campaign) -> Recording:

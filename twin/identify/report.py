@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from twin.identify import figures
@@ -58,12 +59,12 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
 def _summary(result: Identification) -> Section:
     times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
     if any(p.refined for p in result.parameters):
-        route = "re-simulation" if result.chosen == "refined" else "regression"
-        chosen = f"the {route}: re-simulation is taken where it leaves a smaller gap on the runs left out"
+        route = {"refined": "the re-simulation", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
+        chosen = f"{route}: of each axis what leaves the smallest gap on what was left out"
     else:
         chosen = "the regression, without re-simulation"
     lines = [
-        f"The machine file that was written holds the values of {chosen}.",
+        result.refused or f"The machine file that was written holds the values of {chosen}.",
         "Current and motion tell inertia, friction and gravity only as products with each motor's torque constant. "
         + (
             "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
@@ -73,7 +74,7 @@ def _summary(result: Identification) -> Section:
         ),
         f"Time: {times}.",
     ]
-    findings = [str(f) for f in result.findings] or ["Nothing was found wrong with the recording."]
+    findings = [str(f) for f in (*result.findings, *result.notes)] or ["Nothing was found wrong with the recording."]
     return Section("In short", lines, items=findings)
 
 
@@ -116,7 +117,7 @@ def _parameters(result: Identification) -> Section:
                 f"{p.refined.value:.6g}" if p.refined else "",
                 _half(p.refined),
                 _aside(p),
-                f"{p.condition:.0f}",
+                f"{p.condition:.0f}" if math.isfinite(p.condition) else "",
                 "yes" if p.at_bound else "",
             ]
         )
@@ -146,6 +147,8 @@ def _gap(result: Identification, picture: Figure | None) -> Section:
         stages = list(result.gaps)
         for axis, signals in result.gaps[stages[0]].items():
             for signal, g in signals.items():
+                if not all(signal in result.gaps[s].get(axis, {}) for s in stages):
+                    continue
                 rows.append(
                     [
                         axis,

@@ -67,6 +67,8 @@ class Identification:
     gaps: dict[str, Any] = field(default_factory=dict)  # 'before', 'regression', 'refined' -> axis -> signal -> {rms, noise, unit}
     seconds: dict[str, float] = field(default_factory=dict)
     chosen: str = "regression"
+    refused: str = ""  # why no machine file is to be written
+    notes: tuple[Finding, ...] = ()  # what was found besides parameters
 
     def parameter(self, axis: str, name: str) -> Parameter:
         """The parameter of that axis and name."""

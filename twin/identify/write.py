@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from twin.identify.result import Identification, Parameter, Range
-from twin.machine.machine import Machine, write_machine
+from twin.machine.machine import Machine, machine_from_document, write_machine
 
 
 def machine_comments(result: Identification) -> dict[str, str]:
@@ -21,7 +23,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
             bound = ", at its bound" if p.at_bound else ""
             out[p.path] = f"identified  95 % {r.low:.6g} .. {r.high:.6g}{bound}, campaign {name}"
     for path in changed:
-        if path in out:
+        if path in out or path == "effect":
             continue
         if path.startswith("measurement."):
             out[path] = f"identified  from standstill, campaign {name}"
@@ -59,8 +61,8 @@ def write_identified(result: Identification, path: str | Path) -> None:
         value: Any = result.machine.document
         for key in where.split("."):
             value = value[key]
-        values[where] = [float(f"{v:.7g}") for v in value] if isinstance(value, list) else float(f"{value:.7g}")
-    machine = result.before.with_values(values)
+        values[where] = _rounded(value)
+    machine = with_places(result.before, values).with_values(values)
     table = {
         "campaign": Path(result.campaign).name,
         "route": result.chosen,
@@ -74,6 +76,31 @@ def write_identified(result: Identification, path: str | Path) -> None:
     write_machine(machine, path, machine_comments(result))
 
 
+def _rounded(value: Any) -> Any:
+    """Numbers with seven digits, also inside lists and tables; words as they are."""
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(v) for v in value]
+    return value if isinstance(value, str | bool | int) else float(f"{value:.7g}")
+
+
+def with_places(machine: Machine, values: Mapping[str, object]) -> Machine:
+    """The machine with a place in its file for loop values that the file leaves out because they are 0 by default."""
+    document = copy.deepcopy(dict(machine.document))
+    added = False
+    for path in values:
+        parts = machine.in_file(path, 0.0)[0].split(".")
+        if parts[0] == "axis" and parts[2] == "loops" and len(parts) == 4 and parts[3] not in document["axis"][parts[1]].get("loops", {}):
+            document["axis"][parts[1]].setdefault("loops", {})[parts[3]] = 0.0
+            added = True
+    if not added:
+        return machine
+    return machine_from_document(document, machine.model_path, machine.path, str(machine.path or machine.name)).with_axes(
+        machine.axis_names
+    )
+
+
 def as_json(result: Identification) -> dict[str, Any]:
     """Machine-readable result: parameters, findings, skew, gaps, times."""
 
@@ -83,6 +110,7 @@ def as_json(result: Identification) -> dict[str, Any]:
     return {
         "campaign": result.campaign,
         "route": result.chosen,
+        "refused": result.refused,
         "fitted_runs": list(result.training),
         "left_out_runs": list(result.left_out),
         "parameters": [
@@ -96,6 +124,7 @@ def as_json(result: Identification) -> dict[str, Any]:
             for p in result.parameters
         ],
         "findings": [{"run": f.run, "axis": f.axis, "text": f.text} for f in result.findings],
+        "notes": [{"axis": f.axis, "text": f.text} for f in result.notes],
         "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.late],
         "gap": result.gaps,
         "tolerance_holds": result.tolerance_holds,

@@ -1,0 +1,130 @@
+"""Which numbers go into the machine file: axis by axis the best of what was found, and never worse than the file before.
+
+Judged by the gap on what no fit has seen. An axis whose loops would be unstable, or whose gap grows, keeps its numbers, and it is said why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import copy
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError, SimulationError
+from twin.identify.findings import Finding
+from twin.identify.held_out import Division, Table, gap_or_reason
+from twin.machine.loops import loops_of
+from twin.machine.machine import Machine, machine_from_document
+
+WORSE = 1.02
+"""A gap counts as grown from this factor on."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The machine to write, what was said on the way, and why nothing is to be written ('' where something is)."""
+
+    machine: Machine
+    findings: tuple[Finding, ...]
+    refused: str = ""
+
+
+def ratio(after: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> float:
+    """Geometric mean over the signals of one axis: gap after over gap before, both at least the noise."""
+    logs = []
+    for signal in after.keys() & before.keys():
+        a, b = after[signal], before[signal]
+        floor = max(min(float(a["noise"]), float(b["noise"])), 1e-12)
+        logs.append(math.log(max(float(a["rms"]), floor) / max(float(b["rms"]), floor)))
+    return math.exp(float(np.mean(logs))) if logs else math.inf
+
+
+def unstable_loops(machine: Machine) -> dict[str, str]:
+    """Axis -> the first of its loops that is unstable."""
+    out: dict[str, str] = {}
+    for axis in machine.axes:
+        try:
+            for loop in loops_of(machine, axis):
+                if not loop.is_stable:
+                    out[axis.name] = loop.name
+                    break
+        except (InputError, SimulationError, ValueError, np.linalg.LinAlgError):
+            continue
+    return out
+
+
+def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
+    """The best stage of each axis; `stages` in the order of preference where they are equal, `tables` their gaps and that of 'before'."""
+    start = tables["before"]
+    shaky = {name: unstable_loops(machine) for name, machine in stages.items()}
+    was_shaky = unstable_loops(before)
+    findings: list[Finding] = []
+    best: dict[str, str] = {}
+    names = [a.name for a in before.axes]
+    groups = [[n] for n in names if n not in ("A", "C") or not before.bodies]
+    pair = [n for n in names if n in ("A", "C") and before.bodies]
+    for group in [*groups, *([pair] if pair else [])]:
+        scores = {}
+        for name, table in tables.items():
+            if isinstance(table, str) or name == "before" or any(a in shaky[name] and a not in was_shaky for a in group):
+                continue
+            known = [a for a in group if a in table]
+            if not known:
+                continue
+            scores[name] = (
+                1.0 if isinstance(start, str) else math.exp(float(np.mean([math.log(ratio(table[a], start.get(a, {}))) for a in known])))
+            )
+        good = {name: s for name, s in scores.items() if s <= WORSE}
+        if good:
+            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / WORSE))
+            best.update(dict.fromkeys(group, stage))
+        elif moved := [a for a in group if any(not isinstance(t, str) and a in t for t in tables.values())]:
+            findings += [Finding("", a, _why(a, scores, shaky, tables)) for a in moved]
+    moving = {a for t in tables.values() if not isinstance(t, str) for a in t}
+    if isinstance(start, str):
+        findings.append(Finding("", "", f"the machine file before cannot follow the recorded set points ({start})"))
+    if not best and stages:
+        reasons = "; ".join(str(f) for f in findings) or next(
+            (t for t in tables.values() if isinstance(t, str)), "nothing moves on what was left out"
+        )
+        # an axis that could not be judged is no reason to refuse: nothing is known to be worse
+        if moving or any(isinstance(t, str) for t in tables.values()):
+            return Choice(before, tuple(findings), f"no machine file is written: nothing found is better than the file before ({reasons})")
+        return Choice(next(iter(stages.values())), tuple(findings))
+    unjudged = {a: next(iter(stages)) for a in names if a not in best and a not in moving}
+    return Choice(_assembled(before, stages, {**unjudged, **best}), tuple(findings))
+
+
+def _why(axis: str, scores: Mapping[str, float], shaky: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
+    loops = sorted({f"the {s[axis]} loop would be unstable" for s in shaky.values() if axis in s})
+    grown = [f"the gap on what was left out would grow {min(scores.values()):.2g} times" for _ in (0,) if scores]
+    failed = [t for t in tables.values() if isinstance(t, str)]
+    return f"keeps the numbers of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
+
+
+def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
+    """One machine with the table, effects and bodies of each axis from its stage; the rest from the first stage."""
+    if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
+        return stages[next(iter(stage_of.values()))]
+    base = stages[next(iter(stage_of.values()))] if stage_of else before
+    document = copy.deepcopy(dict(base.document))
+    effects = [dict(e) for e in base.effects if e.get("axis") not in before.axis_names]
+    for axis in before.axes:
+        source = stages[stage_of[axis.name]] if axis.name in stage_of else before
+        document["axis"][axis.name] = copy.deepcopy(source.document["axis"][axis.name])
+        effects += [dict(e) for e in source.effects if e.get("axis") == axis.name]
+    if before.bodies and "A" in before.axis_names:
+        source = stages[stage_of["A"]] if "A" in stage_of else before
+        document["body"] = copy.deepcopy(source.document["body"])
+    if effects or "effect" in document:
+        document["effect"] = effects
+    machine = machine_from_document(document, before.model_path, before.path, str(before.path or before.name))
+    return machine.with_axes(before.axis_names)
+
+
+def tables_of(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
+    """Gap of each machine on what was left out, or why there is none."""
+    return {name: gap_or_reason(machine, division) for name, machine in machines.items()}

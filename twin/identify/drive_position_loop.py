@@ -1,0 +1,178 @@
+"""Where is the position loop closed: in the NC or in the drive (dynamic servo control, DSC)?
+
+The NC's speed set point v*(t) and the position x(t) are recorded. Two laws say which speed the axis is told to follow:
+
+    closed in the NC      u(T) = v*(T)
+    closed in the drive   u(T) = v*(T - Td) - Kv (x(T) - x(T - Td))        the drive uses its newest encoder value
+
+The axis follows u with a lag of the speed loop, v(T) = u(T - lag). Each law is fitted on every second piece of the motion and judged on the
+pieces between them, in turn. At a steady speed the second law gives v* = (1 + Kv Td) v, so Td is known well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import firwin
+
+from twin.identify.axis_run import AxisRun
+from twin.identify.position_control import seen_position
+from twin.machine.axis import Axis
+from twin.recordings.least_squares import regress
+
+MOST_DELAY_S, MOST_LAG_S = 0.03, 0.03
+"""Longest delay of the drive's position loop and longest lag of the speed loop that are tried [s]."""
+
+MOST_CYCLES = 10
+"""Delay and lag are at most so many position cycles."""
+
+PASS_HZ, REACH_S = 50.0, 0.02
+"""Speed and set point are compared below this frequency, through a symmetric window of this half length."""
+
+PIECE_S = 0.05
+LEAST_PIECES = 4
+MOVES = 0.05
+"""Pieces in which the axis moves slower than this share of its fastest take no part."""
+
+MOST_PIECES_READ = 32
+"""So many pieces, evenly spread over the motion, decide; more take time and add nothing."""
+
+CLEARER = 1.3
+"""On the pieces left out the drive-side law must leave so many times less than the NC-side law."""
+
+MOST_PIECES = 0.75
+"""Share of these pieces on which it must be the better one."""
+
+
+@dataclass(frozen=True)
+class DrivePositionLoop:
+    """Result of the comparison: delay Td and lag of the speed loop [s] with standard deviations, and the evidence.
+
+    `left_nc`, `left_drive`: RMS of the followed speed on pieces left out [axis units a second]; `better`: share of these pieces on which
+    the drive-side law is the better one; `closed_in_drive` is the verdict.
+    """
+
+    closed_in_drive: bool
+    delay_s: float
+    delay_deviation: float
+    lag_s: float
+    lag_deviation: float
+    left_nc: float
+    left_drive: float
+    pieces: int
+    better: float
+
+    def evidence(self, unit: str, factor: float) -> str:
+        """One line; `factor` turns axis units into `unit`."""
+        where = "drive" if self.closed_in_drive else "NC"
+        return (
+            f"position loop closed in the {where}: on {self.pieces} pieces left out the followed speed differs by {self.left_drive * factor:.3g} {unit} "
+            f"(drive) and {self.left_nc * factor:.3g} {unit} (NC)"
+        )
+
+
+def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: float) -> DrivePositionLoop | None:
+    """Compare both laws; None where speed set point, position or enough motion lack."""
+    pieces = [p for r in runs for p in _pieces_of(axis, r)]
+    if len(pieces) < LEAST_PIECES:
+        return None
+    fastest = max(float(np.abs(p.speed).max()) for p in pieces)
+    pieces = [p for p in pieces if np.abs(p.speed).max() > MOVES * fastest]
+    if len(pieces) < LEAST_PIECES:
+        return None
+    pieces = [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES_READ).astype(int))]
+    cycle = runs[0].cycle
+    x = _fitted(pieces, position_gain, cycle, drive=True)
+    alone = _fitted(pieces, position_gain, cycle, drive=False)
+    left_nc, left_drive = (float(np.sqrt(np.mean(np.concatenate([p.left(v, position_gain) for p in pieces]) ** 2))) for v in (alone, x))
+    if left_nc < CLEARER * left_drive:  # not even where it is fitted: there is nothing to judge
+        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces), 0.0)
+    squares = np.zeros((2, len(pieces)))
+    for held_out in (0, 1):
+        training = [p for k, p in enumerate(pieces) if k % 2 != held_out]
+        for law in (0, 1):
+            x = _fitted(training, position_gain, cycle, drive=bool(law))
+            for k in range(held_out, len(pieces), 2):
+                squares[law, k] = np.mean(pieces[k].left(x, position_gain) ** 2)
+    left_nc, left_drive = (float(np.sqrt(np.mean(s))) for s in squares)
+    better = float(np.mean(squares[1] < squares[0]))
+    h = 0.05 * cycle
+    columns, e, groups = [], [], []
+    for k, p in enumerate(pieces):
+        columns.append(np.column_stack([(p.left(x + d, position_gain) - p.left(x - d, position_gain)) / (2.0 * h) for d in h * np.eye(2)]))
+        e.append(p.left(x, position_gain))
+        groups.append(np.full(len(e[-1]), k))
+    fit = regress(np.vstack(columns), np.concatenate(e), np.concatenate(groups))
+    closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and bool(x[0] > 4.0 * fit.deviations[0])
+    return DrivePositionLoop(
+        closed, float(x[0]), float(fit.deviations[0]), float(x[1]), float(fit.deviations[1]), left_nc, left_drive, len(pieces), better
+    )
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of one run: rows (row,), and what the laws read: times, v*, position and filtered speed of the whole run."""
+
+    rows: slice
+    start: np.ndarray
+    middle: np.ndarray
+    command: np.ndarray
+    position: np.ndarray
+    all_speed: np.ndarray
+    window: np.ndarray
+
+    @property
+    def speed(self) -> np.ndarray:
+        return self.all_speed[self.rows]
+
+    def left(self, x: np.ndarray, gain: float) -> np.ndarray:
+        """Followed speed less the law's (row,), for x = (Td, lag)."""
+        half = len(self.window) // 2
+        # only what the window of the piece sees
+        low, high = max(self.rows.start - half, 0), min(self.rows.stop + half, len(self.middle))
+        at = self.middle[low:high] - x[1]
+        u = np.interp(at - x[0], self.start, self.command)
+        if x[0] != 0.0:
+            u = u - gain * (np.interp(at, self.start, self.position) - np.interp(at - x[0], self.start, self.position))
+        padded = np.pad(u, (half - (self.rows.start - low), half - (high - self.rows.stop)), "edge")
+        return self.speed - np.convolve(padded, self.window, "valid")
+
+
+def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
+    position = seen_position(run, axis)
+    if run.speed_setpoint is None or position is None:
+        return []
+    cycle = run.cycle
+    window = np.ones(1)
+    if cycle < 0.2 / PASS_HZ:
+        window = firwin(2 * round(REACH_S / cycle) + 1, PASS_HZ, fs=1.0 / cycle)
+    half = len(window) // 2
+    speed = np.convolve(np.pad(run.speed * axis.ratio, half, "edge"), window, "valid")
+    n = max(round(PIECE_S / cycle), 8)
+    skipped = min(MOST_CYCLES + half, len(speed) // 4)
+    out = []
+    for first in range(skipped, len(speed) - half - n + 1, n):
+        rows = slice(first, first + n)
+        if not run.limited[rows].any():
+            out.append(_Piece(rows, run.start, run.middle, run.speed_setpoint * axis.ratio, position, speed, window))
+    return out
+
+
+def _fitted(pieces: Sequence[_Piece], gain: float, cycle: float, drive: bool) -> np.ndarray:
+    """(Td, lag) that leave least; Td = 0 where the loop is closed in the NC."""
+    step = cycle
+    delays = np.arange(step, min(MOST_DELAY_S, MOST_CYCLES * cycle), step) if drive else np.zeros(1)
+    lags = np.arange(0.0, min(MOST_LAG_S, MOST_CYCLES * cycle), step)
+
+    def left(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([p.left(x, gain) for p in pieces])
+
+    squares = np.array([[np.sum(left(np.array([d, g])) ** 2) for g in lags] for d in delays])
+    i, j = np.unravel_index(int(np.argmin(squares)), squares.shape)
+    if drive:
+        return least_squares(left, [delays[i], lags[j]], x_scale=step, bounds=([0.0, 0.0], np.inf), diff_step=1e-3).x
+    found = least_squares(lambda g: left(np.array([0.0, g[0]])), [lags[j]], x_scale=step, bounds=(0.0, np.inf), diff_step=1e-3)
+    return np.array([0.0, found.x[0]])
