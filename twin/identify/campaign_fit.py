@@ -24,7 +24,6 @@ from twin.identify.position_control import NOT_RECORDED
 from twin.identify.products import split_machine, split_products
 from twin.identify.recording import prepared
 from twin.identify.result import Identification, Parameter
-from twin.identify.write import with_places
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.run import simulate
@@ -232,7 +231,7 @@ def with_loops(machine: Machine, direct: Direct) -> Machine:
     ways = {p.interpolation for p in direct.position.values()}
     if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
         values["control.setpoint_interpolation"] = ways.pop()
-    return with_places(machine, values).with_values(values)
+    return machine.with_values(values)
 
 
 def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:

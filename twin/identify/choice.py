@@ -17,7 +17,7 @@ from twin.errors import InputError, SimulationError
 from twin.identify.findings import Finding
 from twin.identify.held_out import Division, Table, gap_or_reason
 from twin.machine.loops import loops_of
-from twin.machine.machine import Machine, machine_from_document
+from twin.machine.machine import Machine
 
 WORSE = 1.02
 """A gap counts as grown from this factor on."""
@@ -121,8 +121,7 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
         document["body"] = copy.deepcopy(source.document["body"])
     if effects or "effect" in document:
         document["effect"] = effects
-    machine = machine_from_document(document, before.model_path, before.path, str(before.path or before.name))
-    return machine.with_axes(before.axis_names)
+    return Machine(document, before.model_path, before.path)
 
 
 def tables_of(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:

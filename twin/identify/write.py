@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from twin.identify.result import Identification, Parameter, Range
-from twin.machine.machine import Machine, machine_from_document, write_machine
+from twin.machine.machine import Machine, write_machine
 
 
 def machine_comments(result: Identification) -> dict[str, str]:
@@ -62,7 +60,7 @@ def write_identified(result: Identification, path: str | Path) -> None:
         for key in where.split("."):
             value = value[key]
         values[where] = _rounded(value)
-    machine = with_places(result.before, values).with_values(values)
+    machine = result.before.with_values(values)
     table = {
         "campaign": Path(result.campaign).name,
         "route": result.chosen,
@@ -83,22 +81,6 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_rounded(v) for v in value]
     return value if isinstance(value, str | bool | int) else float(f"{value:.7g}")
-
-
-def with_places(machine: Machine, values: Mapping[str, object]) -> Machine:
-    """The machine with a place in its file for loop values that the file leaves out because they are 0 by default."""
-    document = copy.deepcopy(dict(machine.document))
-    added = False
-    for path in values:
-        parts = machine.in_file(path, 0.0)[0].split(".")
-        if parts[0] == "axis" and parts[2] == "loops" and len(parts) == 4 and parts[3] not in document["axis"][parts[1]].get("loops", {}):
-            document["axis"][parts[1]].setdefault("loops", {})[parts[3]] = 0.0
-            added = True
-    if not added:
-        return machine
-    return machine_from_document(document, machine.model_path, machine.path, str(machine.path or machine.name)).with_axes(
-        machine.axis_names
-    )
 
 
 def as_json(result: Identification) -> dict[str, Any]:
