@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -122,3 +123,51 @@ def write_mdf(path: Path, groups: list[tuple[Array, Mapping[str, tuple[Array, st
             file.append([Signal(values, times, name=name, unit=unit) for name, (values, unit) in columns.items()])
         file.save(path, overwrite=True)
     return path
+
+
+def write_edge(
+    path: Path,
+    columns: Mapping[str, Array],
+    *,
+    cycle_ms: float = 2.0,
+    lost: tuple[int, int] | None = None,
+    blocks: Mapping[int, str] | None = None,
+    labels: Mapping[str, str] | None = None,
+) -> Path:
+    """A SINUMERIK Edge recording: `SIGNAL|axis` -> values; cycles lost[0] .. lost[1] are missing, `blocks` became active at a cycle."""
+    first = 1000
+    count = len(next(iter(columns.values())))
+    kept = [k for k in range(count) if lost is None or not lost[0] <= k < lost[1]]
+    signals = [{"Name": "CYCLE", "Type": "INTEGER", "Axis": "Cycle", "Address": "CYCLE"}]
+    signals += [{"Name": n, "Type": "DOUBLE", "Axis": (labels or {}).get(n.rpartition("|")[2], ""), "Address": n} for n in columns]
+    payload: list[dict[str, object]] = [
+        {"HFCallEvent": {"HFProbeCounter": first, "Channel": 1, "SeekOffset": 1, "Path": "/_N_MPF_DIR/_PART"}}
+    ]
+    for start in range(0, len(kept), 100):
+        rows = kept[start : start + 100]
+        for k in (k for k in (blocks or {}) if rows[0] <= k <= rows[-1]):
+            payload.append({"HFBlockEvent": {"HFProbeCounter": first + k, "Channel": 1, "SeekOffset": 10 * k, "GCode": (blocks or {})[k]}})
+        payload.append({"HFTimestamp": {"Time": "2023-12-22T14:26:01.312Z", "HFProbeCounter": first + rows[0]}})
+        payload.append({"HFData": [[first + k, *(float(v[k]) for v in columns.values())] for k in rows]})
+    header = {
+        "SignalListHFData": signals,
+        "CycleTimeMs": cycle_ms,
+        "Initial": {"Time": "2023-12-22T14:25:56.836Z", "HFProbeCounter": first - 500},
+    }
+    path.write_text(json.dumps({"Header": header, "Payload": payload, "Footer": {}}), encoding="utf-8")
+    return path
+
+
+def edge_columns(time: Array) -> dict[str, Array]:
+    """Signals of a control on three axes: 1 moves and counts its current the other way round, 2 spins, 3 stands."""
+    m = move(time)
+    lag = move(time - 0.004)
+    slope = np.gradient(m["soll"], time)
+    command = 30.0 * (m["soll"] - lag["ist"]) + slope
+    still, spin = np.full_like(time, 12.5), 4000.0 * time
+    return {
+        "DES_POS|1": m["soll"], "ENC_POS|1": lag["ist"], "CMD_SPEED|1": command, "VEL_FFW|1": slope, "TORQUE_FFW|1": 0.0 * time,
+        "CURRENT|1": -lag["strom"], "LOAD|1": np.abs(lag["strom"]),
+        "DES_POS|2": spin, "ENC_POS|2": spin - 3.0, "CURRENT|2": 0.1 * np.sin(time),
+        "DES_POS|3": still, "ENC_POS|3": still + 1e-4 * np.sin(900.0 * time),
+    }  # fmt: skip

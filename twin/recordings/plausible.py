@@ -95,7 +95,7 @@ def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float,
             moved = own[base][step:] - own[base][:-step]
             summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
             ratio = _ratio(summed[step:] - summed[:-step], moved)
-            if ratio is not None and (text := _mistake(*ratio, kind, loose=signal == "velocity_feedforward")):
+            if ratio is not None and (text := _mistake(*ratio, kind, loose=signal != "velocity")):
                 out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(ratio[0])} times the slope of {axis}.{base}: {text}"))
     return out
 

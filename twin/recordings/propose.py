@@ -37,8 +37,9 @@ _SPEED_UNITS = {
     "rotary": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "deg/min": 60.0, "rev/min": 1.0 / 6.0},
 }
 """Number that a speed of 1 mm/s or 1 deg/s makes in each unit."""
-_NEAR = {"velocity": 0.05, "velocity_feedforward": 0.25, "velocity_setpoint": 0.3}
-"""How far the ratio of a speed to the slope of its position may lie off a unit's: feedforward has a weight, a set point leads."""
+_NEAR = {"velocity": 1.05, "velocity_feedforward": 1.4, "velocity_setpoint": 2.0}
+"""Factor by which a speed may be off the slope of its position in a unit: a feedforward has a weight, a set point leads (1.17 to 1.5 where the
+drive closes the position loop)."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +234,7 @@ def _speed(
         return replace(column, unit=told.unit, sign=sign, remark=remark)
     units = _SPEED_UNITS[kind]
     nearest = min(units, key=lambda u: abs(np.log(abs(ratio) / units[u])))
-    if abs(abs(ratio) / units[nearest] - 1.0) <= _NEAR[column.signal]:
+    if abs(np.log(abs(ratio) / units[nearest])) <= np.log(_NEAR[column.signal]):
         found = "" if nearest in ("mm/s", "deg/s") else "unit found from the slope of the position"
         return replace(column, unit=nearest, sign=sign, remark=remark or found)
     travel = 60.0 / abs(ratio)  # a motor in rev/min

@@ -148,24 +148,19 @@ def _facts(known: Understood, trace: Written) -> list[str]:
 
 
 def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
-    """Block events beside the traces, each in the run that it falls into or that comes next; times [s] of that run's trace."""
+    """Block events beside the traces, each in the run that it falls into; times [s] of that run's trace, below 0 for a block from before."""
     import pyarrow as pa
     import pyarrow.parquet
 
     rows: list[dict[str, Any]] = []
     for known, traces in runs:
-        for event in known.events:
-            trace = next((t for t in traces if event.time <= t.piece.end), None)
-            if trace is not None:
-                rows.append(
-                    {
-                        "time": event.time - trace.piece.begin,
-                        "channel": event.channel,
-                        "block": event.block,
-                        "text": event.text,
-                        "run": trace.name,
-                    }
-                )
+        for trace in traces:
+            begin, end = trace.piece.begin, trace.piece.end
+            # a block that began before the trace is still active in it: the last one of each channel goes with it
+            before = {event.channel: event for event in known.events if event.time < begin}
+            for event in [*before.values(), *(e for e in known.events if begin <= e.time <= end)]:
+                named = {"channel": event.channel, "block": event.block, "text": event.text, "run": trace.name}
+                rows.append({"time": event.time - begin, **named})
     if not rows:
         path.unlink(missing_ok=True)
         return

@@ -1,0 +1,181 @@
+"""What controls write is imported by one command: names are understood, and units, signs and axes follow from the numbers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.recorded_files import edge_columns, move, write_csv, write_edge
+from twin.cli import main
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.names import meaning_of
+
+TIME = np.arange(3000) * 2e-3
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
+    """Runs of `twin import FILES --out`."""
+    assert main(["import", *map(str, files), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    return {run.name: run for run in read_campaign(tmp_path / "out").runs}
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "signal", "unit"),
+    [
+        ("DES_POS|12", "12", "setpoint", ""),
+        ("/Nck/!SD/nckServoDataCmdPos64 [u1, 2]", "2", "setpoint", ""),
+        ("/Nck/!SEMA/measPos1 [u1, 2]", "2", "motor_position", ""),
+        ("Lagesollwert X", "X", "setpoint", ""),
+        ("Drehzahlistwert", "X", "velocity", ""),
+        ("Stromistwert Z", "Z", "current", "A"),
+        ("s noml", "X", "setpoint", ""),
+        ("V (NOM RPM)", "X", "velocity_setpoint", "mm/min"),
+        ("I nominal Y", "Y", "current", "A"),
+        ("joint.0.motor-pos-cmd", "0", "setpoint", ""),
+        ("joint.1.f-error", "1", "following_error", ""),
+        ("rec.act_vel_mot_deg_per_s(3)", "3", "velocity", "deg/s"),
+        ("tau_ff_all(1)", "1", "torque_feedforward", "Nm"),
+        ("set_point", "X", "setpoint", ""),
+    ],
+)
+def test_known_names(name: str, axis: str, signal: str, unit: str) -> None:
+    told = meaning_of(name)
+    assert told is not None
+    assert (told.axis, told.signal, told.unit) == (axis, signal, unit)
+
+
+@pytest.mark.parametrize("name", ["fault_type", "tau_c_all(1)", "m_all(2)", "Spindle speed", "run", "Kraft", "pid.x.output"])
+def test_names_that_mean_nothing(name: str) -> None:
+    assert meaning_of(name) is None
+
+
+def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = edge_columns(TIME)
+    file = write_edge(tmp_path / "rec.json", columns, lost=(1200, 1500), blocks={10: "N10 G1 X5", 1600: "G0 X0"}, labels={"3": "C1"})
+    runs = imported(tmp_path, file)
+    out = capsys.readouterr().out
+    assert "axis 2 spins" in out
+    assert "axis 3 (C1) does not move" in out
+    assert list(runs) == ["rec_1", "rec_2"]
+    first, second = runs["rec_1"], runs["rec_2"]
+    assert first.feedforward == "velocity"
+    # counters are the time: the second part begins where they go on
+    assert len(first.trace.time) == 1200
+    assert second.started_at - first.started_at == pytest.approx(1500 * 2e-3)
+    assert first.trace.axes == ("1",)
+    for signal, name, factor in (
+        ("setpoint", "DES_POS|1", 1e3),
+        ("position", "ENC_POS|1", 1e3),
+        ("velocity_setpoint", "CMD_SPEED|1", 1e3),
+        ("velocity_feedforward", "VEL_FFW|1", 1e3),
+        ("current", "CURRENT|1", -1.0),  # it pushes against the motion: turned round
+    ):
+        assert np.allclose(second.trace.get("1", signal) * factor, columns[name][1500:], rtol=0, atol=1e-9)
+    assert first.fact("1", "current").sign == -1
+    active = second.block_at(0.5)
+    assert active is not None
+    assert (active.block, active.text) == ("_PART/@16000", "G0 X0")
+    before = second.block_at(0.1)
+    assert before is not None  # it began in the first part
+    assert before.block == "_PART/N10"
+    assert before.time < 0.0
+    named = first.block_at(1.0)
+    assert named is not None
+    assert named.block == "_PART/N10"
+
+
+def test_a_map_that_is_edited_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_edge(tmp_path / "rec.json", edge_columns(TIME[:500]))
+    imported(tmp_path, file)
+    imported(tmp_path, file)  # again: the same map
+    path = tmp_path / "out" / "map.toml"
+    path.write_text(path.read_text(encoding="utf-8").replace('axis = "1"', 'axis = "X"'), encoding="utf-8")
+    assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "holds a map already" in capsys.readouterr().err
+    assert main(["import", str(file), "--map", str(path), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    assert read_campaign(tmp_path / "out").runs[0].trace.axes == ("X",)
+
+
+def test_units_of_speeds_follow_from_the_position(tmp_path: Path) -> None:
+    m = move(TIME)
+    table = {"t": TIME, "Lagesollwert X": m["soll"], "Lageistwert X": m["ist"], "Drehzahlistwert X": -m["speed"] / 8.0 * 60.0}
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    assert np.abs(run.trace.get("X", "velocity") * 1e3 - m["speed"]).max() < 2e-3 * np.abs(m["speed"]).max()
+    text = (tmp_path / "out" / "map.toml").read_text(encoding="utf-8")
+    assert 'unit = "rev/min"' in text
+    assert "mm_per_rev = 8.0" in text or "mm_per_rev = 7.99" in text
+
+
+def test_encoders_apart_and_a_late_one(tmp_path: Path) -> None:
+    m, late = move(TIME), move(TIME - 3e-3)
+    table = {"t": TIME, "set_point": m["soll"], "act_pos_mot": m["ist"], "act_pos_se": late["ist"] + 0.25, "current": m["strom"]}
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    fact = run.fact("X", "position")
+    assert fact.latency == pytest.approx(3e-3, abs=5e-5)
+    assert fact.latency_left == 0.0
+    assert fact.offset == pytest.approx(0.25e-3, rel=1e-3)
+    assert fact.offset_left == 0.0
+    gap = run.trace.get("X", "position") - run.trace.get("X", "motor_position")
+    assert np.abs(gap).max() < 2e-6
+
+
+def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = np.arange(320) * 0.04
+    stroke = 40.0 - 40.0 * np.cos(time * 2.0 * np.pi / 12.8)
+    speed, acceleration = np.gradient(stroke, 0.04), np.gradient(np.gradient(stroke, 0.04), 0.04)
+    lines = ["set_point,position_error,current,profile,load,trial,time"]
+    for trial in range(4):
+        for k in range(320):
+            force = abs(0.4 * np.sign(speed[k]) + 0.01 * speed[k] + 0.02 * acceleration[k])
+            error = 0.02 * speed[k]
+            lines.append(f"{float(stroke[k])!r},{float(error)!r},{float(force)!r},trap,{20 if trial < 2 else 40},{trial + 1},{float(time[k])!r}")
+    (tmp_path / "strokes.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    runs = imported(tmp_path, tmp_path / "strokes.csv")
+    assert "columns of words, passed over: profile" in capsys.readouterr().out
+    assert list(runs) == [f"strokes_{i}" for i in (1, 2, 3, 4)]
+    assert [run.labels for run in runs.values()] == [{"load": 20.0 if i < 3 else 40.0, "trial": float(i)} for i in (1, 2, 3, 4)]
+    assert all(len(run.trace.time) == 320 for run in runs.values())
+    assert all(run.fact("X", "current").unsigned for run in runs.values())
+
+
+def test_a_disturbance_keeps_its_unit(tmp_path: Path) -> None:
+    m = move(TIME)
+    table = {"t": TIME, "set_point": m["soll"], "position": m["ist"], "pulses_N": np.where(TIME > 3.0, 50.0, 0.0)}
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    assert list(run.trace.disturbances("X")) == ["N"]
+    assert run.trace.disturbances("X")["N"].max() == 50.0
+
+
+def test_no_axis_moves_is_said_only_if_none_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {n: v for n, v in edge_columns(TIME[:400]).items() if n.endswith("|3")}
+    file = write_edge(tmp_path / "rec.json", columns)
+    assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "does not move" in error
+    assert len(error.strip().splitlines()) == 1
+
+
+@pytest.mark.skipif(
+    not (DATA / "sinumerik" / "recording.json").exists(), reason="recording of a production machine not beside the repository"
+)
+def test_a_production_machine(tmp_path: Path) -> None:
+    runs = imported(tmp_path, DATA / "sinumerik" / "recording.json")
+    assert [len(run.trace.time) for run in runs.values()] == [1494, 322]
+    (first, second) = runs.values()
+    assert first.trace.axes == ("1", "2", "6")
+    assert [first.fact(axis, "current").sign for axis in first.trace.axes] == [-1, -1, 1]
+    active = second.block_at(0.45)
+    assert active is not None
+    assert active.block == "_CUTTING/N7"
+
+
+@pytest.mark.skipif(not (DATA / "kr300" / "FF_A.mat").exists(), reason="recordings of a robot not beside the repository")
+def test_a_robot_with_two_encoders(tmp_path: Path) -> None:
+    (run,) = imported(tmp_path, DATA / "kr300" / "FF_A.mat").values()
+    for axis in ("1", "2", "3"):
+        assert run.fact(axis, "position").latency == pytest.approx(3.0e-3, abs=0.15e-3)
+        assert run.fact(axis, "position").offset_left == 0.0
+    content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))
+    assert content["runs"]["FF_A"]["period_s"] == 0.004
