@@ -130,7 +130,9 @@ def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: P
         for k in range(320):
             force = abs(0.4 * np.sign(speed[k]) + 0.01 * speed[k] + 0.02 * acceleration[k])
             error = 0.02 * speed[k]
-            lines.append(f"{float(stroke[k])!r},{float(error)!r},{float(force)!r},trap,{20 if trial < 2 else 40},{trial + 1},{float(time[k])!r}")
+            lines.append(
+                f"{float(stroke[k])!r},{float(error)!r},{float(force)!r},trap,{20 if trial < 2 else 40},{trial + 1},{float(time[k])!r}"
+            )
     (tmp_path / "strokes.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     runs = imported(tmp_path, tmp_path / "strokes.csv")
     assert "columns of words, passed over: profile" in capsys.readouterr().out
