@@ -54,8 +54,8 @@ class Check:
         if isinstance(self.golden, str) or isinstance(self.now, str):
             return f"{self.quantity}: {self.golden} before, {self.now} now"
         if self.golden is not None and self.now is not None:
-            told = f"{self.quantity}: {self.golden:.6g} before, {self.now:.6g} now {self.unit}".rstrip()
-            return f"{told} (allowed to differ by {self.allowed:.2g})"
+            text = f"{self.quantity}: {self.golden:.6g} before, {self.now:.6g} now {self.unit}".rstrip()
+            return f"{text} (allowed to differ by {self.allowed:.2g})"
         return f"{self.quantity} {self.found:.4g} {self.unit} (allowed {self.allowed:.4g})"
 
 
@@ -87,7 +87,7 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
 
 
 def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
-    """Unit in which a signal's difference is told, and the factor from SI."""
+    """Unit in which a signal's difference is printed, and the factor from SI."""
     units = AXIS_UNITS[machine.axis(axis).kind]
     if signal in ("setpoint", "position", "motor_position"):
         return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)

@@ -31,7 +31,7 @@ class Feature:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a case; `failed` tells why a simulation stopped before its end ('' where it did not)."""
+    """Result of a case; `failed` is the reason why a simulation stopped before its end ('' where it did not)."""
 
     features: Mapping[str, Feature]
     trace: Trace | None = None

@@ -125,8 +125,8 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
         verdict = Verdict(case, BROKEN, text=f"cannot run: {' '.join(str(error).split()).removeprefix(f'{case.where}: ')}")
     except Exception as error:
         line = traceback.extract_tb(error.__traceback__)[-1]
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        verdict = Verdict(case, BROKEN, text=f"cannot run: {told} in {Path(line.filename).name}, line {line.lineno}")
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        verdict = Verdict(case, BROKEN, text=f"cannot run: {reason} in {Path(line.filename).name}, line {line.lineno}")
     return replace(verdict, seconds=time.perf_counter() - began)
 
 
@@ -137,12 +137,12 @@ def _judged(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
         text = f"the simulation stops: {outcome.failed}" if stopped else "no golden result so far"
         return Verdict(case, BROKEN if stopped else PASSED, text=text, new=new, stopped=stopped)
     checks, new_names = tuple(compare(case, golden, outcome)), uncompared(golden, new)
-    told = (
+    shift = (
         f"{case.name}: {len(new_names)} without golden value, e.g. {new_names[0]}; to compare them from now on: --update"
         if new_names
         else ""
     )
-    note = "; ".join(filter(None, (version_note(golden), told)))
+    note = "; ".join(filter(None, (version_note(golden), shift)))
     if all(check.ok for check in checks):
         return Verdict(case, PASSED, checks=checks, note=note, new=new, golden=golden)
     place = None

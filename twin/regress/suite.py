@@ -156,9 +156,9 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     for key, value in table.items():
         if key not in known:
             raise InputError(f"{where}: unknown key '{key}' for kind {kind}; {nearest(key, known)}")
-        expected, told = _TYPES.get(key, (object, ""))
+        expected, kind = _TYPES.get(key, (object, ""))
         if not isinstance(value, expected) or value in ([], {}, ""):
-            raise InputError(f"{where}: {key} = {value!r}: expected {told or 'a word'}")
+            raise InputError(f"{where}: {key} = {value!r}: expected {kind or 'a word'}")
     if table.get("feedforward") is not None and table["feedforward"] not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{table['feedforward']}'; use one of {', '.join(FEEDFORWARD)}")
     for key in ("keep_every_ms", "zone_um"):
@@ -184,8 +184,8 @@ def _check_source(case: Case) -> None:
     }[case.kind]
     given = [key for key in one_of if key in table]
     if len(given) != 1:
-        told = "none is given" if not given else f"{' and '.join(given)} are given"
-        raise InputError(f"{case.where}: give one of {', '.join(one_of)}; {told}")
+        found = "none is given" if not given else f"{' and '.join(given)} are given"
+        raise InputError(f"{case.where}: give one of {', '.join(one_of)}; {found}")
     if "recorded" in table and not isinstance(table.get("moves"), dict):
         raise InputError(f"{case.where}: 'recorded' needs moves to record; write [moves.X] with distances_mm and speed_mm_per_s")
     if case.kind == "cut" and "part" not in table:

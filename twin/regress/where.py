@@ -39,7 +39,7 @@ SHARE = 0.35
 """Share of the change of its output that a block must have made itself to be named: of blocks that were changed the current loop shows
 least, 0.37 for its gain; of blocks before the changed one it shows most, 0.24 for friction and 0.41 for the measuring system."""
 SEEN = 1e-4
-"""A regressed law is not told in directions in which its inputs move by less than this share of the strongest."""
+"""A regressed law is left open in directions in which its inputs move by less than this share of the strongest."""
 TAPS = 5
 """Samples of set points and speed from which the current loop's torque follows: it settles within one or two of them."""
 AT_LIMIT = 0.998
@@ -50,7 +50,7 @@ SLIDING = 1e-3
 
 @dataclass(frozen=True)
 class Place:
-    """Where a case left its golden result: axis, time, block ('': not told), and what share of the change of its output each block made."""
+    """Where a case left its golden result: axis, time, block ('': unknown), and what share of the change of its output each block made."""
 
     axis: str
     since_s: float | None
@@ -93,7 +93,7 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
     if on_cycles:
         blocks.append(("position controller", lambda trace: _position_controller(axis, cycle, trace)))
-    if each_cycle:  # on samples further apart the faster loops cannot be told apart
+    if each_cycle:  # on samples further apart the faster loops cannot be separated
         if measured_speed:
             blocks.append(("speed controller", lambda trace: _speed_controller(axis, inertia, cycle, trace)))
         else:
@@ -121,10 +121,10 @@ def _own_change(rows: np.ndarray, output: np.ndarray, new_rows: np.ndarray, new_
     """
     law, *_ = np.linalg.lstsq(rows, output, rcond=SEEN)
     change = new_output - output - (new_rows - rows) @ law
-    told = np.concatenate([change, np.zeros(len(rows))])
+    wanted = np.concatenate([change, np.zeros(len(rows))])
     both = np.vstack([new_rows - rows, rows])
-    other, *_ = np.linalg.lstsq(both, told, rcond=SEEN)
-    left = told - both @ other
+    other, *_ = np.linalg.lstsq(both, wanted, rcond=SEEN)
+    left = wanted - both @ other
     return np.hypot(left[: len(rows)], left[len(rows) :])
 
 
@@ -135,7 +135,7 @@ def _share(own: np.ndarray, output: np.ndarray) -> float:
 
 
 def _scaled(rows: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Rows by the RMS of the reference's columns; a column that stands still there tells nothing."""
+    """Rows by the RMS of the reference's columns; a column that stands still there carries no information."""
     size = np.sqrt(np.mean(reference**2, axis=0))
     return np.where(size > 1e-12, rows / np.maximum(size, 1e-12), 0.0)
 
@@ -158,7 +158,7 @@ def _position_controller(axis: Axis, cycle: float, trace: Trace) -> Law:
 def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """What the speed controller commands [A, V, Nm], and the samples before it meets its limit.
 
-    With an integral it is told from the first sample on: what the integral holds there, e.g. a weight, is not the controller's doing.
+    With an integral it is taken relative to the first sample: what the integral holds there, such as a weight, is not an output of this law.
     """
     command = trace.get(axis.name, "current_setpoint" if axis.effort == "current" else axis.effort)
     limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
@@ -180,9 +180,9 @@ def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) ->
     forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
     integral = _speed_integral(axis, cycle, trace) / loops.speed_integral_time_s
     torque = loops.speed_gain_nm_s_per_rad * (error + integral) + forward
-    told = torque / axis.commissioned_torque_constant
+    current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
-    return told - (told[0] if axis.has_speed_integral else 0.0), command, free
+    return current - (current[0] if axis.has_speed_integral else 0.0), command, free
 
 
 def _speed_controller_of_samples(axis: Axis, cycle: float, trace: Trace) -> Law:
@@ -204,7 +204,7 @@ def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
 
 def _current_loop(axis: Axis, trace: Trace) -> Law:
     columns = [np.ones(len(trace.time))]
-    for signal in ("velocity_setpoint", "current_setpoint", "velocity"):  # w* and w tell how i* went on between the samples
+    for signal in ("velocity_setpoint", "current_setpoint", "velocity"):  # i* between the samples follows from w* and w
         columns += _samples(axis, trace, signal)
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 

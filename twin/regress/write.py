@@ -108,8 +108,8 @@ def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
             ElementTree.SubElement(one, "skipped", {"message": _plain(v.text)})
         elif v.status in (FAILED, BROKEN):
             tag, kind = ("failure", "regression") if v.status == FAILED else ("error", "cannot run")
-            told = ElementTree.SubElement(one, tag, {"message": _plain(v.text), "type": kind})
-            told.text = _plain("\n".join(c.text for c in v.failed_checks))
+            element = ElementTree.SubElement(one, tag, {"message": _plain(v.text), "type": kind})
+            element.text = _plain("\n".join(c.text for c in v.failed_checks))
         if v.note:
             ElementTree.SubElement(one, "system-out").text = _plain(v.note)
     ElementTree.indent(root)
