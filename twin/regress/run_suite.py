@@ -125,8 +125,8 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
         verdict = Verdict(case, BROKEN, text=f"cannot run: {' '.join(str(error).split()).removeprefix(f'{case.where}: ')}")
     except Exception as error:
         line = traceback.extract_tb(error.__traceback__)[-1]
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        verdict = Verdict(case, BROKEN, text=f"cannot run: {reason} in {Path(line.filename).name}, line {line.lineno}")
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        verdict = Verdict(case, BROKEN, text=f"cannot run: {cause} in {Path(line.filename).name}, line {line.lineno}")
     return replace(verdict, seconds=time.perf_counter() - began)
 
 
