@@ -68,7 +68,7 @@ MUTATIONS = (
              "+= drives.current_integral_gain[a]", "+= 0.9 * drives.current_integral_gain[a]", "", ("current loop",)),
     Mutation("torque feedforward one cycle late", "twin/simulation/setpoints.py", "def command_of", "acceleration = (now - 2.0 * before + earlier) / tp**2",
              "acceleration = np.roll((now - 2.0 * before + earlier) / tp**2, 1)", "", ("speed controller",)),
-    Mutation("current set point one cycle late", "twin/simulation/loop.py", "speed_controller(a, drives, state, measured_speed", "current_setpoint = state.current_setpoint[a]",
+    Mutation("current set point one cycle late", "twin/simulation/loop.py", "def current_cycle", "current_setpoint = state.current_setpoint[a]",
              "current_setpoint = signals[a, X_CURRENT_SETPOINT]; signals[a, X_CURRENT_SETPOINT] = state.current_setpoint[a]", "", ("current loop",)),
     # integrator and time
     Mutation("integrator: winding by Euler", "twin/simulation/cascade.py", "def winding", "return final + away * drives.mean_decay[a]", "return final + away", "",

@@ -19,7 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.simulation.cascade import current_controller, drive_position_loop, position_controller, speed_controller, speed_seen, winding
+from twin.simulation.cascade import (
+    Drives,
+    DriveState,
+    current_controller,
+    drive_position_loop,
+    position_controller,
+    speed_controller,
+    speed_seen,
+    winding,
+)
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_terms import (
     CURRENT,
@@ -45,25 +54,46 @@ from twin.simulation.loop_terms import (
     X_SETPOINT,
     X_STEP,
     X_TIME,
+    TermTable,
 )
 
-RECORDED = (
-    "position",
-    "motor_position",
-    "velocity",
-    "velocity_setpoint",
-    "current",
-    "current_setpoint",
-    "torque",
-    "torque_feedforward",
-    "torque_friction",
-    "torque_gravity",
-    "drive_velocity_setpoint",
-)
-"""Channels of the record, in SI; torques in Nm at the motor: the motor's, the feedforward's, and what friction and gravity take."""
 
-MEASURED = ("position", "motor_position", "velocity", "current")
-"""Channels that follow in each row of the record: these once more, as the control saw them, with noise and rounding."""
+class Record(NamedTuple):
+    """What is recorded, each (row, axis) in SI; torques in Nm at the motor. The last four are as the control saw them, with noise and rounding."""
+
+    position: np.ndarray  # measuring system at the load
+    motor_position: np.ndarray  # motor encoder, axis units
+    velocity: np.ndarray  # of the motor, axis units
+    velocity_setpoint: np.ndarray  # as the position controller of the NC computes it
+    current: np.ndarray  # A, or the command of an axis without current loop
+    current_setpoint: np.ndarray
+    torque: np.ndarray  # the motor's
+    torque_feedforward: np.ndarray  # in force in the drive
+    torque_friction: np.ndarray  # what friction takes
+    torque_gravity: np.ndarray  # what gravity takes
+    drive_velocity_setpoint: np.ndarray  # in force in the drive
+    seen_position: np.ndarray
+    seen_motor_position: np.ndarray
+    seen_velocity: np.ndarray
+    seen_current: np.ndarray
+
+    def rows(self, first: int) -> Record:
+        """The record from a row on."""
+        return Record(*(values[first:] for values in self))
+
+
+SEEN = "seen_"
+RECORDED = tuple(name for name in Record._fields if not name.startswith(SEEN))
+"""Channels of the record."""
+
+MEASURED = tuple(name.removeprefix(SEEN) for name in Record._fields if name.startswith(SEEN))
+"""Channels that the record has once more, as the control saw them."""
+
+
+def empty_record(rows: int, axes: int) -> Record:
+    """A record to be filled; all channels of a row lie side by side in memory."""
+    return Record(*np.moveaxis(np.empty((rows, axes, len(Record._fields))), -1, 0))
+
 
 CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
 
@@ -109,151 +139,201 @@ class Sensing(NamedTuple):
     motor_resolution: np.ndarray
 
 
+class Simulation(NamedTuple):
+    """All that a run advances: mechanics, cycles, drives with their state, terms with theirs, and the signals (axis, signal) between them."""
+
+    engine: Engine
+    schedule: Schedule
+    drives: Drives
+    state: DriveState
+    terms: TermTable
+    signals: np.ndarray
+
+
 @compiled
-def advance(engine, schedule, drives, state, terms, signals, command, sensing, first_tick, ticks, record, limited):  # type: ignore[no-untyped-def]
+def advance(simulation, command, sensing, first_tick, ticks, record, limited):  # type: ignore[no-untyped-def]
     """Advance by `ticks` ticks from `first_tick` on; returns -1, or tick * axes + axis where a run diverged.
 
-    `command` is that of the position cycles of this stretch (`twin.simulation.setpoints.Command`);
-    record (row, axis, channel) gets each record_ticks-th tick; limited (axis, 2) counts ticks at the current and voltage limit.
-    `first_tick` is a multiple of the position cycle and of the record's.
+    `command` is that of the position cycles of this stretch (`twin.simulation.setpoints.Command`); each record_ticks-th tick fills a
+    row of `record` (a Record); limited (axis, 2) counts cycles at the current and voltage limit. `first_tick` is a multiple of the
+    position cycle and of the record's.
     """
+    engine, schedule, drives, state, terms, signals = simulation
     axes = drives.ratio.size
-    h = schedule.tick
-    noisy = sensing.noise.size > 0
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
-    has_setpoint = terms.start[SETPOINT + 1] > terms.start[SETPOINT]
-    has_current = terms.start[CURRENT + 1] > terms.start[CURRENT]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE]
 
     for n in range(ticks):
         k = first_tick + n
+        recorded = n % schedule.record_ticks == 0
+        row = n // schedule.record_ticks
 
-        # measure: mechanics at the tick, then what the encoders make of it
         for a in range(axes):
-            x = signals[a]
-            speed = engine.qvel[engine.load_dof[a]]
-            middle = engine.qpos[engine.load_position[a]]
-            rotor_speed = engine.qvel[engine.rotor_dof[a]]
-            rotor_middle = engine.qpos[engine.rotor_position[a]]
-            x[X_TIME] = k * h
-            x[X_STEP] = h
-            x[X_LOAD_ACCELERATION] = (speed - x[X_LOAD_SPEED]) / h
-            x[X_LOAD_SPEED] = speed
-            x[X_LOAD_MIDDLE] = middle
-            x[X_LOAD_POSITION] = middle - 0.5 * h * speed
-            x[X_ROTOR_SPEED] = rotor_speed
-            x[X_ROTOR_MIDDLE] = rotor_middle
-            x[X_ROTOR_POSITION] = rotor_middle - 0.5 * h * rotor_speed
-            x[X_SCALE] = x[X_LOAD_POSITION]
-            x[X_MOTOR_POSITION] = x[X_ROTOR_POSITION]
-            x[X_MOTOR_SPEED] = rotor_speed
-            if not abs(rotor_speed) < schedule.speed_bound[a] or not abs(speed) < schedule.speed_bound[a]:
+            read_mechanics(a, engine, signals, k, schedule.tick)
+            if diverged(a, signals, schedule):
                 return k * axes + a
         if has_measure:
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
-            x = signals[a]
-            scale = x[X_SCALE]
-            motor_position = x[X_MOTOR_POSITION]
-            motor_speed = measured_speed = x[X_MOTOR_SPEED]
-            current = state.current[a]
-            measured_current = current
-            if noisy:
-                noise = sensing.noise[n, a]
-                if drives.on_motor_encoder[a]:  # the one encoder that the control has
-                    motor_position += noise[0]
-                else:
-                    scale = rounded(scale + noise[0], sensing.position_resolution[a])
-                motor_position = rounded(motor_position, sensing.motor_resolution[a])
-                measured_speed += noise[1]
-                measured_current += noise[2]
-
+            scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
             closed_on = motor_position if drives.on_motor_encoder[a] else scale
-
-            # control: each loop at its own cycle; what is constant is divided by first, for nothing waits for that
             if k % schedule.position_ticks == 0:
-                cycle = n // schedule.position_ticks
-                setpoint = command.setpoint[cycle, a]
-                if has_setpoint:
-                    x[X_SETPOINT] = setpoint
-                    call_axis_terms(terms, SETPOINT, signals, a)
-                    setpoint = x[X_SETPOINT]
-                fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
-                position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
+                position_cycle(a, drives, state, terms, signals, command, n // schedule.position_ticks, closed_on)
             differentiated = drives.mean_cycles[a] > 0
             if k % schedule.speed_ticks == 0:
                 if drives.dsc[a]:
                     drive_position_loop(a, drives, state, closed_on)
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
+                # what is constant is divided by first, for nothing waits for that
                 if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])):
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
                 measured_speed = state.seen_speed[a]
-            if k % schedule.current_ticks == 0:
-                current_setpoint = state.current_setpoint[a]
-                if has_current:
-                    x[X_CURRENT_SETPOINT] = current_setpoint
-                    call_axis_terms(terms, CURRENT, signals, a)
-                    current_setpoint = x[X_CURRENT_SETPOINT]
-                if current_controller(a, drives, state, current_setpoint, measured_current):
-                    limited[a, VOLTAGE_LIMIT] += 1
-                if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
-                    current = measured_current = state.current[a]
-
-            if n % schedule.record_ticks == 0:
-                row = record[n // schedule.record_ticks, a]
-                row[0] = x[X_SCALE]
-                row[1] = x[X_MOTOR_POSITION]
-                row[2] = measured_speed if differentiated else motor_speed
-                row[3] = state.commanded_speed[a] * drives.ratio[a]
-                row[4] = current
-                row[5] = state.current_setpoint[a]
-                row[6] = drives.torque_constant[a] * current
-                row[7] = state.torque_feedforward[a]
-                row[10] = state.speed_setpoint[a] * drives.ratio[a]
-                row[11] = scale
-                row[12] = motor_position
-                row[13] = measured_speed if noisy or differentiated else motor_speed
-                row[14] = measured_current
-
+            if k % schedule.current_ticks == 0 and current_cycle(a, drives, state, terms, signals, measured_current):
+                limited[a, VOLTAGE_LIMIT] += 1
+            current = state.current[a]
+            if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
+                measured_current = current
+            motor_speed = signals[a, X_MOTOR_SPEED]
+            if recorded:
+                record_control(a, row, record, drives, state, signals)
+                record.velocity[row, a] = measured_speed if differentiated else motor_speed
+                record.seen_position[row, a] = scale
+                record.seen_motor_position[row, a] = motor_position
+                record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
+                record.seen_current[row, a] = measured_current
             # winding: the motor turns as fast as its encoder shows
             torque = drives.torque_constant[a] * winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = torque
 
-        # step: forces beyond the model's own, then the engine
         if has_force:
-            for a in range(axes):
-                x = signals[a]
-                x[X_LOAD_FORCE] = 0.0
-                x[X_ROTOR_FORCE] = 0.0
-                x[X_MOTOR_TORQUE] = 0.0
-                x[X_FRICTION_FORCE] = 0.0
-                x[X_FRICTION_LEVEL] = engine.coulomb_level[a]
-            call_terms(terms, FORCE, signals)
-            for a in range(axes):
-                x = signals[a]
-                engine.ctrl[engine.actuator[a]] += x[X_MOTOR_TORQUE]
-                engine.frictionloss[engine.load_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
-                on_load = x[X_LOAD_FORCE] + x[X_FRICTION_FORCE]
-                if engine.rotor_dof[a] == engine.load_dof[a]:
-                    engine.applied[engine.load_dof[a]] = on_load + x[X_ROTOR_FORCE]
-                else:
-                    engine.applied[engine.load_dof[a]] = on_load
-                    engine.applied[engine.rotor_dof[a]] = x[X_ROTOR_FORCE]
+            forces_of_terms(engine, terms, signals)
         call_address_2(engine.step, engine.model, engine.data)
-
-        if n % schedule.record_ticks == 0:
+        if recorded:
             for a in range(axes):
-                row = record[n // schedule.record_ticks, a]
-                dof = engine.load_dof[a]
-                row[8] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
-                row[9] = engine.bias[dof] * drives.ratio[a]
+                record_forces(a, row, record, engine, drives, signals)
 
     if has_force:
         for a in range(axes):
             engine.frictionloss[engine.load_dof[a]] = engine.coulomb_level[a]
     return -1
+
+
+@compiled(inline=True)
+def read_mechanics(a, engine, signals, k, h):  # type: ignore[no-untyped-def]
+    """Load and rotor of axis `a` at tick `k`, and what ideal encoders make of them."""
+    # measure: mechanics at the tick, half a step of speed behind the engine's positions
+    x = signals[a]
+    speed = engine.qvel[engine.load_dof[a]]
+    middle = engine.qpos[engine.load_position[a]]
+    rotor_speed = engine.qvel[engine.rotor_dof[a]]
+    rotor_middle = engine.qpos[engine.rotor_position[a]]
+    x[X_TIME] = k * h
+    x[X_STEP] = h
+    x[X_LOAD_ACCELERATION] = (speed - x[X_LOAD_SPEED]) / h
+    x[X_LOAD_SPEED] = speed
+    x[X_LOAD_MIDDLE] = middle
+    x[X_LOAD_POSITION] = middle - 0.5 * h * speed
+    x[X_ROTOR_SPEED] = rotor_speed
+    x[X_ROTOR_MIDDLE] = rotor_middle
+    x[X_ROTOR_POSITION] = rotor_middle - 0.5 * h * rotor_speed
+    x[X_SCALE] = x[X_LOAD_POSITION]
+    x[X_MOTOR_POSITION] = x[X_ROTOR_POSITION]
+    x[X_MOTOR_SPEED] = rotor_speed
+
+
+@compiled(inline=True)
+def diverged(a, signals, schedule):  # type: ignore[no-untyped-def]
+    """Is axis `a` faster than it could ever be, or its speed no number?"""
+    bound = schedule.speed_bound[a]
+    return not abs(signals[a, X_ROTOR_SPEED]) < bound or not abs(signals[a, X_LOAD_SPEED]) < bound
+
+
+@compiled(inline=True)
+def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-untyped-def]
+    """Scale, motor position, motor speed [axis units] and current of axis `a` with the noise and rounding of tick `n` of the stretch."""
+    scale = signals[a, X_SCALE]
+    motor_position = signals[a, X_MOTOR_POSITION]
+    speed = signals[a, X_MOTOR_SPEED]
+    current = state.current[a]
+    if sensing.noise.size > 0:
+        noise = sensing.noise[n, a]
+        if drives.on_motor_encoder[a]:  # the one encoder that the control has
+            motor_position += noise[0]
+        else:
+            scale = rounded(scale + noise[0], sensing.position_resolution[a])
+        motor_position = rounded(motor_position, sensing.motor_resolution[a])
+        speed += noise[1]
+        current += noise[2]
+    return scale, motor_position, speed, current
+
+
+@compiled(inline=True)
+def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):  # type: ignore[no-untyped-def]
+    """The position controller of axis `a`: command of this position cycle, through the terms, against the measured position."""
+    setpoint = command.setpoint[cycle, a]
+    if terms.start[SETPOINT + 1] > terms.start[SETPOINT]:
+        signals[a, X_SETPOINT] = setpoint
+        call_axis_terms(terms, SETPOINT, signals, a)
+        setpoint = signals[a, X_SETPOINT]
+    fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
+    position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
+
+
+@compiled(inline=True)
+def current_cycle(a, drives, state, terms, signals, measured_current):  # type: ignore[no-untyped-def]
+    """The current controller of axis `a`, its set point through the terms; True where the voltage limit is met."""
+    current_setpoint = state.current_setpoint[a]
+    if terms.start[CURRENT + 1] > terms.start[CURRENT]:
+        signals[a, X_CURRENT_SETPOINT] = current_setpoint
+        call_axis_terms(terms, CURRENT, signals, a)
+        current_setpoint = signals[a, X_CURRENT_SETPOINT]
+    return current_controller(a, drives, state, current_setpoint, measured_current)
+
+
+@compiled(inline=True)
+def record_control(a, row, record, drives, state, signals):  # type: ignore[no-untyped-def]
+    """Encoders and drive of axis `a` at the tick, after its controllers."""
+    record.position[row, a] = signals[a, X_SCALE]
+    record.motor_position[row, a] = signals[a, X_MOTOR_POSITION]
+    record.velocity_setpoint[row, a] = state.commanded_speed[a] * drives.ratio[a]
+    record.drive_velocity_setpoint[row, a] = state.speed_setpoint[a] * drives.ratio[a]
+    record.current[row, a] = state.current[a]
+    record.current_setpoint[row, a] = state.current_setpoint[a]
+    record.torque[row, a] = drives.torque_constant[a] * state.current[a]
+    record.torque_feedforward[row, a] = state.torque_feedforward[a]
+
+
+@compiled(inline=True)
+def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
+    """How the torque of axis `a` splits in the step after the tick."""
+    dof = engine.load_dof[a]
+    record.torque_friction[row, a] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
+    record.torque_gravity[row, a] = engine.bias[dof] * drives.ratio[a]
+
+
+@compiled(inline=True)
+def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
+    """Forces beyond the model's own, given to the engine for its next step."""
+    for a in range(len(engine.load_dof)):
+        x = signals[a]
+        x[X_LOAD_FORCE] = 0.0
+        x[X_ROTOR_FORCE] = 0.0
+        x[X_MOTOR_TORQUE] = 0.0
+        x[X_FRICTION_FORCE] = 0.0
+        x[X_FRICTION_LEVEL] = engine.coulomb_level[a]
+    call_terms(terms, FORCE, signals)
+    for a in range(len(engine.load_dof)):
+        x = signals[a]
+        engine.ctrl[engine.actuator[a]] += x[X_MOTOR_TORQUE]
+        engine.frictionloss[engine.load_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
+        on_load = x[X_LOAD_FORCE] + x[X_FRICTION_FORCE]
+        if engine.rotor_dof[a] == engine.load_dof[a]:
+            engine.applied[engine.load_dof[a]] = on_load + x[X_ROTOR_FORCE]
+        else:
+            engine.applied[engine.load_dof[a]] = on_load
+            engine.applied[engine.rotor_dof[a]] = x[X_ROTOR_FORCE]
 
 
 @compiled

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import itertools
 from typing import Protocol
 
@@ -18,7 +18,7 @@ from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import cascade, loop
-from twin.simulation.loop_terms import SIGNAL_COUNT, X_LOAD_SPEED, term_table
+from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.mujoco_plant import FullPlant
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.result import Run
@@ -74,11 +74,63 @@ def simulate(
     inertia = commissioned_inertia(machine)
     actual = apply_effects(machine, started_at)
     actual.lead_ticks = round(setpoints.lead / machine.base_tick)
-    plant = (plant_of or FullPlant)(actual)
-    drives = cascade.drives_of(actual.machine)
-    terms = term_table(actual.terms)
+    schedule = _schedule(machine, sample_period)
+    plant = (plant_of or FullPlant)(actual)  # owns the memory behind the addresses of its engine: it must live as long as the loop runs
+    simulation = _at_rest(machine, actual, plant, setpoints, schedule)
+    rng = None if noise_seed is None else np.random.default_rng(noise_seed)
 
-    # at rest on the first set point, integrators carrying gravity and constant forces
+    period = schedule.record_ticks * schedule.tick
+    rows = int(np.floor(setpoints.duration / period + 1e-9)) + 1
+    if rows < 2:
+        raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {period:.4g} s: record it more often")
+    axes = len(machine.axes)
+    record = loop.empty_record(rows, axes)
+    limited = np.zeros((axes, 2), np.int64)
+    total = (rows - 1) * schedule.record_ticks + 1
+    for first, ticks in _stretches(schedule, total, actual.lead_ticks):
+        command = command_of(actual.machine, inertia, setpoints, first // schedule.position_ticks, -(-ticks // schedule.position_ticks))
+        lead = first < 0  # before the first sample nothing is recorded or counted
+        failed = loop.advance(
+            simulation,
+            command,
+            _sensing(machine, rng, ticks),
+            first,
+            ticks,
+            loop.empty_record(-first // schedule.record_ticks + 1, axes) if lead else record.rows(first // schedule.record_ticks),
+            np.zeros_like(limited) if lead else limited,
+        )
+        if failed >= 0:
+            raise _divergence(machine, setpoints, record, schedule, failed)
+        if progress:
+            progress((first + ticks) / total)
+    names = machine.axis_names
+    trace, without_noise = _traces(machine, setpoints, record, rows, period)
+    _check_standing(trace, machine, simulation.drives)
+    return Run(
+        trace,
+        without_noise,
+        dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
+        dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
+        machine,
+    )
+
+
+def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:
+    """Cycles of the controllers and of the record in ticks."""
+    h = machine.base_tick
+    return loop.Schedule(
+        tick=h,
+        position_ticks=round(machine.position_cycle / h),
+        speed_ticks=round(machine.speed_cycle / h),
+        current_ticks=round(machine.current_cycle / h),
+        record_ticks=max(1, round((sample_period or machine.sample_period) / h)),
+        speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
+    )
+
+
+def _at_rest(machine: Machine, actual: Change, plant: PlantFace, setpoints: Setpoints, schedule: loop.Schedule) -> loop.Simulation:
+    """The simulation at rest on the first set point, integrators carrying gravity and constant forces."""
+    drives = cascade.drives_of(actual.machine)
     start = setpoints.start - actual.scale_offset
     held_force = plant.place_at_rest(start, actual.constant_force, actual)
     sag = _sag(actual.machine, held_force)
@@ -87,65 +139,28 @@ def simulate(
     state = cascade.drives_at_rest(drives, held_force * drives.ratio)
     _check_held(machine, state, drives)
     signals = np.zeros((len(machine.axes), SIGNAL_COUNT))
-    signals[:, X_LOAD_SPEED] = 0.0
+    return loop.Simulation(plant.engine, schedule, drives, state, term_table(actual.terms), signals)
 
-    h = machine.base_tick
-    record_ticks = max(1, round((sample_period or machine.sample_period) / h))
-    position_ticks = round(machine.position_cycle / h)
-    schedule = loop.Schedule(
-        tick=h,
-        position_ticks=position_ticks,
-        speed_ticks=round(machine.speed_cycle / h),
-        current_ticks=round(machine.current_cycle / h),
-        record_ticks=record_ticks,
-        speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
-    )
-    rng = None if noise_seed is None else np.random.default_rng(noise_seed)
 
-    rows = int(np.floor(setpoints.duration / (record_ticks * h) + 1e-9)) + 1
-    if rows < 2:
-        raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {record_ticks * h:.4g} s: record it more often")
-    record = np.empty((rows, len(machine.axes), len(loop.RECORDED) + len(loop.MEASURED)))
-    limited = np.zeros((len(machine.axes), 2), np.int64)
-    total = (rows - 1) * record_ticks + 1
-    stretch = int(np.lcm(position_ticks, record_ticks)) * max(1, STRETCH_TICKS // int(np.lcm(position_ticks, record_ticks)))
-    for first in (*([-actual.lead_ticks] if actual.lead_ticks else []), *range(0, max(total - 1, 1), stretch)):
+def _stretches(schedule: loop.Schedule, total: int, lead_ticks: int) -> Iterator[tuple[int, int]]:
+    """First tick and number of ticks of each call of the loop: the lead-in, then whole cycles of control and record."""
+    if lead_ticks:
+        yield -lead_ticks, lead_ticks
+    cycle = int(np.lcm(schedule.position_ticks, schedule.record_ticks))
+    stretch = cycle * max(1, STRETCH_TICKS // cycle)
+    for first in range(0, max(total - 1, 1), stretch):
         # the last sample is no stretch of its own
-        ticks = -first if first < 0 else total - first if total - first <= stretch + 1 else stretch
-        command = command_of(actual.machine, inertia, setpoints, first // position_ticks, -(-ticks // position_ticks))
-        failed = loop.advance(
-            plant.engine,
-            schedule,
-            drives,
-            state,
-            terms,
-            signals,
-            command,
-            _sensing(machine, rng, ticks),
-            first,
-            ticks,
-            record[first // record_ticks :] if first >= 0 else np.empty((-first // record_ticks + 1, *record.shape[1:])),
-            limited if first >= 0 else np.zeros_like(limited),
-        )
-        if failed >= 0:
-            tick, axis = divmod(failed, len(machine.axes))
-            kept = _traces(machine, setpoints, record[: tick // record_ticks], record_ticks * h)[0] if tick >= 2 * record_ticks else None
-            raise SimulationError(
-                f"simulation diverges: axis {machine.axes[axis].name} at {tick * h:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
-                "lower its gains or the size of its effects",
-                kept,
-            )
-        if progress:
-            progress((first + ticks) / total)
-    names = machine.axis_names
-    trace, without_noise = _traces(machine, setpoints, record, record_ticks * h)
-    _check_standing(trace, machine, drives)
-    return Run(
-        trace,
-        without_noise,
-        dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
-        dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
-        machine,
+        yield first, total - first if total - first <= stretch + 1 else stretch
+
+
+def _divergence(machine: Machine, setpoints: Setpoints, record: loop.Record, schedule: loop.Schedule, failed: int) -> SimulationError:
+    """The error of an axis that left all bounds, with the trace up to there."""
+    tick, axis = divmod(failed, len(machine.axes))
+    rows, period = tick // schedule.record_ticks, schedule.record_ticks * schedule.tick
+    return SimulationError(
+        f"simulation diverges: axis {machine.axes[axis].name} at {tick * schedule.tick:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
+        "lower its gains or the size of its effects",
+        _traces(machine, setpoints, record, rows, period)[0] if rows >= 2 else None,
     )
 
 
@@ -208,28 +223,28 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int) -> l
     )
 
 
-def _traces(machine: Machine, setpoints: Setpoints, record: np.ndarray, period: float) -> tuple[Trace, Trace]:
-    """The record as the control's samples show it, and without noise."""
-    time = np.arange(len(record)) * period
+def _traces(machine: Machine, setpoints: Setpoints, record: loop.Record, rows: int, period: float) -> tuple[Trace, Trace]:
+    """The first rows of the record as the control's samples show it, and without noise."""
+    time = np.arange(rows) * period
     # in parts, so that the splines of a long program need no more memory than a short one's
-    parts = -(-max(len(time), len(setpoints.position)) // SPLINE_SAMPLES)
-    ends = np.linspace(0, len(time), parts + 1).astype(int).tolist()
+    parts = -(-max(rows, len(setpoints.position)) // SPLINE_SAMPLES)
+    ends = np.linspace(0, rows, parts + 1).astype(int).tolist()
     positions = np.concatenate([setpoints.at_cycles(i, j - i, period, [0.0])[0] for i, j in itertools.pairwise(ends) if j > i])
     signals = {}
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]
-        for c, channel in enumerate(loop.RECORDED):
+        for channel in loop.RECORDED:
             if channel == "drive_velocity_setpoint" and not axis.loops.dsc_delay_s:
                 continue  # the NC's own
             if axis.effort != "current" and channel in ("current", "current_setpoint"):
                 continue  # an axis without current: its command, a voltage or the torque
-            signals[axis.name, channel] = record[:, a, c]
+            signals[axis.name, channel] = getattr(record, channel)[:rows, a]
         if axis.effort == "voltage":
-            signals[axis.name, axis.effort] = record[:, a, loop.RECORDED.index("current")]
+            signals[axis.name, axis.effort] = record.current[:rows, a]
     seen = dict(signals)
     for a, axis in enumerate(machine.axes):
-        for c, channel in enumerate(loop.MEASURED, len(loop.RECORDED)):
+        for channel in loop.MEASURED:
             key = (axis.name, axis.effort if channel == "current" else channel)
             if key != (axis.name, "torque"):  # a command is no measurement
-                seen[key] = record[:, a, c]
+                seen[key] = getattr(record, loop.SEEN + channel)[:rows, a]
     return Trace(time, seen, machine.kinds), Trace(time, signals, machine.kinds)
