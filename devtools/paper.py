@@ -39,8 +39,8 @@ from twin.surface.picture import draw_cut
 ROOT = Path(__file__).resolve().parent.parent
 VARIANT = ROOT / "models" / "mikron_ucp710_paper.toml"
 SPEEDS_MM_PER_S = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 100.0, 150.0, 200.0, 250.0)
-ZONE_UM = 30.0
-"""Rays of the marks: the depths differ by less than 0.1 um from those at the part files' 10 to 20 um."""
+ZONES_UM = {"part1_tangent_planes": 30.0, "part2_vertical_corner": 20.0, "part3_dome": 30.0}
+"""Spacing of the rays; on part 2 as in its file, so that a ray stands on the edge itself, where the mark is deepest."""
 
 Row = tuple[str, str, str, str]
 """What, the paper's, ours, and why they differ."""
@@ -141,7 +141,7 @@ def parts(out: Path) -> list[Row]:
         part = read_part(files[1])
         word = "velocity+torque" if name == "part3_dome" else "off"
         levels = levels_of_program(files[0], machine, part.tool, ("programmed", "commanded", "followed"), (word,))
-        machining = machine_part(part, levels, zone_spacing=ZONE_UM * 1e-6)
+        machining = machine_part(part, levels, zone_spacing=ZONES_UM[name] * 1e-6)
         one = machining.cuts[-1]
         draw_cut(machining, one, out / f"{name}.png")
         draw_geometry(part, levels[0].path.tip, out / f"{name}_geometry.png")
