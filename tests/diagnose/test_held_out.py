@@ -5,20 +5,21 @@ from types import SimpleNamespace
 import pytest
 
 from twin.diagnose import corrected
-from twin.errors import SimulationError
+from twin.errors import InputError, SimulationError
 
 RUNS = [SimpleNamespace(name=name) for name in ("first", "second", "third")]
 FOLDS = [[0], [1], [2]]
 
 
 @pytest.fixture
-def machines(monkeypatch):
-    """Machines are words; `unstable` holds those that diverge."""
+def machines(monkeypatch, request):
+    """Machines are words; `unstable` holds those that cannot be simulated: they diverge, or a spring is stiffer than a tick follows."""
+    error = getattr(request, "param", SimulationError)
     unstable = set()
 
     def predict_each(jobs, threads=None):
         if any(job.machine in unstable for job in jobs):
-            raise SimulationError("simulation diverges")
+            raise error("no machine runs like that")
         return [f"{job.machine} on {job.run.name}" for job in jobs]
 
     monkeypatch.setattr(corrected, "_fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
@@ -38,6 +39,7 @@ def test_each_run_is_predicted_by_the_others(machines):
     assert after([[0, 1, 2]]) == (["fitted to all"] * 3, [])
 
 
+@pytest.mark.parametrize("machines", [SimulationError, InputError], indirect=True)
 def test_an_unstable_machine_gives_way_to_the_one_fitted_to_all(machines):
     machines.add("without [1]")
     assert after() == (["without [0]", "fitted to all", "without [2]"], ["first", "third"])

@@ -80,6 +80,12 @@ class Channel:
         return np.hypot(np.hypot(self.sigma, self.model), self.doubt)
 
     @property
+    def expected(self) -> np.ndarray:
+        """Square that noise and doubt make of a weighted sample (sample,). Model error lowers what a sample weighs, not what is expected of
+        it: thresholds are shares of this, and a healthy machine need not use up its model error."""
+        return (np.square(self.sigma) + np.square(self.doubt)) * self._weight(np.square(self.doubt)) ** 2
+
+    @property
     def weight(self) -> np.ndarray:
         """What a sample weighs (sample,)."""
         return self._weight(np.square(self.model) + np.square(self.doubt))

@@ -13,7 +13,7 @@ from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.effects import Setting, settings_of, with_effects
-from twin.errors import SimulationError
+from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
@@ -94,7 +94,7 @@ def held_out_gaps(
     jobs = [*nominal, *itertools.chain(*by_fold)]
     try:
         simulated = predict_each(jobs, threads=threads)
-    except SimulationError:
+    except TwinError:  # unstable, or a size that no tick can follow
         left_out = [without if _can_run(of_fold, threads) else [] for without, of_fold in zip(left_out, by_fold)]
         jobs = [*nominal, *itertools.chain(*(corrected(without, fold) for without, fold in zip(left_out, folds)))]
         simulated = predict_each(jobs, threads=threads)
@@ -109,7 +109,7 @@ def held_out_gaps(
 def _can_run(jobs: Sequence[Job], threads: int) -> bool:
     try:
         predict_each([job._replace(realisations=1) for job in jobs], threads=threads)
-    except SimulationError:
+    except TwinError:
         return False
     return True
 

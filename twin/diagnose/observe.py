@@ -89,7 +89,7 @@ class Group:
     @functools.cached_property
     def expected(self) -> np.ndarray:
         """Squares that noise and doubt make of each row (row,), weighted."""
-        return np.concatenate([c.spread**2 for c in self.channels] or [np.zeros(0)]) * self.weights**2
+        return np.concatenate([c.expected for c in self.channels] or [np.zeros(0)])
 
     def response(
         self,
@@ -386,6 +386,8 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noi
     window = min(51, len(square) | 1)
     smooth = np.convolve(np.pad(square, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(square)]
     level = float(np.mean(square))
+    if len(residual) < 3:  # no second difference
+        return np.sqrt(np.maximum(smooth, 0.5 * level))
     measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
     expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
     if noisier is None:
