@@ -170,7 +170,7 @@ def test_bad_paths_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "only_current.csv").write_text("time [s],X.current [A]\n0,1\n0.1,2\n")
     expected = {
         "missing.rrd": "no such file or folder",
-        "empty_folder": "neither run.rrd nor trace.parquet",
+        "empty_folder": "neither a recording (.rrd) nor trace.parquet",
         "text.rrd": "not a recording",
         "nothing.rrd": "the recording is empty",
         "half.rrd": "truncated or damaged",

@@ -123,9 +123,12 @@ def source_of(path: Path) -> Source:
     from twin.replay.viewer import check_recording
 
     if path.is_dir():
-        recording, trace = path / "run.rrd", next((path / f"trace{end}" for end in TRACE_ENDINGS if (path / f"trace{end}").is_file()), None)
+        recording, trace = (
+            _recording_in(path),
+            next((path / f"trace{end}" for end in TRACE_ENDINGS if (path / f"trace{end}").is_file()), None),
+        )
         if not recording.is_file() and trace is None:
-            raise InputError(f"{path}: no run: neither run.rrd nor trace.parquet lies in this folder; {_WHAT}")
+            raise InputError(f"{path}: no run: neither a recording (.rrd) nor trace.parquet lies in this folder; {_WHAT}")
         return Source(path, path.resolve().name, check_recording(recording) if recording.is_file() else None, trace)
     ending = path.suffix.lower()
     if not path.exists():
@@ -143,6 +146,12 @@ def source_of(path: Path) -> Source:
     raise InputError(
         f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
     )
+
+
+def _recording_in(folder: Path) -> Path:
+    """The recording that a command wrote to a folder: that of the run, else that of a diagnosis, a cut, a study or the demo."""
+    names = ("run.rrd", "diagnosis.rrd", "cut.rrd")
+    return next((file for file in (*(folder / name for name in names), *sorted(folder.glob("*.rrd"))) if file.is_file()), folder / names[0])
 
 
 def _label(path: Path) -> str:

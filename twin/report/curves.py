@@ -40,17 +40,17 @@ class Panel:
 
 def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
     """A figure with one panel below the other over time (sample,) [s]; legends stand beside the panels, never on curves."""
-    figure, grid = new_figure(len(panels), 1, height=1.7, sharex=True)
+    figure, grid = new_figure(len(panels), 1, height=1.7 if len(panels) > 1 else 2.6, sharex=True)
     for axes, panel in zip(grid[:, 0], panels):
         for curve in panel.curves:
             asked = curve.colour == SETPOINT
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour))
             axes.plot(time, curve.values, curve.dashes, color=colour, linewidth=WIDE if asked else THIN, label=curve.label or None)
-        axes.set_ylabel(panel.label)
+        axes.set_ylabel(panel.label, fontsize=9)
         axes.margins(x=0.0)
         if any(curve.label for curve in panel.curves):
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    grid[0, 0].set_title(title)
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8.5)
+    grid[0, 0].set_title(title, loc="left", fontsize=10.5, weight="bold")
     grid[-1, 0].set_xlabel("time in s")
     figure.align_ylabels(grid[:, 0])
     return figure
