@@ -1,6 +1,6 @@
-"""What is missing, impossible or unusual in a machine, told in one line each with its numbers.
+"""Findings about a machine file: what is missing, impossible or unusual, one line each with its numbers.
 
-missing      a number that `twin machine new` assumed and nobody has replaced, or one without which something cannot be told
+missing      a number that `twin machine new` assumed and nobody has replaced, or one that a check would need
 impossible   the axis cannot do what its own data ask: full acceleration, highest speed, hold its weight, stand still
 unusual      outside what is found on machines of this class; the rule stands in the line
 """
@@ -49,7 +49,7 @@ MOST_INERTIA_ERROR = 0.2
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to know about a machine: level missing, impossible or unusual; axis '' for the machine as a whole."""
+    """One finding; its level is missing, impossible or unusual, its axis '' for the machine as a whole."""
 
     level: str
     axis: str
@@ -94,7 +94,7 @@ def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
 
 
 def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
-    """All axes, and what there is to say, the worst first."""
+    """The numbers of all axes, and the findings with the worst first."""
     checks = [check_axis(machine, axis) for axis in machine.axes]
     findings = [*_of_machine(machine)]
     for check in checks:

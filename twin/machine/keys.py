@@ -1,4 +1,4 @@
-"""The keys of a machine file: what may stand in which table, and within which bounds.
+"""The keys of a machine file: which table may hold which key, and within which bounds.
 
 Those of an axis come from the table in `twin.machine.parameters`. A key that is missing, misspelt or impossible is reported
 with its table and the nearest match.

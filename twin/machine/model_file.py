@@ -2,7 +2,7 @@
 
 An MJCF or URDF is XML that names further files. Here it is parsed without entities and external references (defusedxml),
 every file that it names must exist inside the folder of the model, and what a machine of axes cannot be (free and ball
-joints, closed loops, moving bodies without mass) is told before the engine sees it.
+joints, closed loops, moving bodies without mass) is refused before the engine reads it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 LARGEST_BYTES = 50_000_000
-"""A larger file is no description of a machine; meshes lie in files of their own."""
+"""Largest MJCF or URDF that is read [bytes]. A machine needs less; meshes are files of their own."""
 
 _ASSET_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "texturedir", "texture": "texturedir"}
 _LOOPS = ("connect", "weld")

@@ -44,6 +44,7 @@ def sheet(machine: Machine) -> str:
     row("current integral time", "ms", each(lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.has_current_loop else "-"))
     row("feedforward", "speed, torque", each(lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}"))
     row("position delay", "ms", each(lambda a: _g(a.loops.position_delay_s * 1e3)))
+    row("loop closed in", "", each(lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC"))
     row("speed from", "", each(lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder"))
     row("speed filter", "ms", each(lambda a: _g(a.loops.speed_filter_time_s * 1e3) if a.loops.speed_filter_time_s else "-"))
     row("loop closed on", "", each(lambda a: a.encoder))

@@ -1,4 +1,4 @@
-"""The reduced plant: each axis by itself in closed form, for fits and screening, some ten times faster than the engine.
+"""The decoupled plant: each axis by itself in closed form, some ten times faster than the engine, for fits and screening.
 
 Per axis (and per rotor that turns on its own) and tick h, in the engine's own order so that both agree:
 
@@ -7,8 +7,8 @@ Per axis (and per rotor that turns on its own) and tick h, in the engine's own o
     v += h (M a + f) / (M + h D);  q += h v         semi-implicit, viscous friction implicit
 
 M(t) and the bias b(t) (gravity, Coriolis, the other axis' acceleration) are read off the MJCF along a known motion, the
-nominal run: what an effect changes of the motion is micrometres. The compiled loop is the same; only the address of the
-step differs. A test holds the reduced plant to the MuJoCo run.
+nominal run; an effect changes that motion by micrometres only. The compiled loop is the same one; only the address of the step
+differs. A test holds the decoupled plant to the MuJoCo run.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SERIES_PERIOD = 2e-3
 class Motion:
     """A known motion of all axes: position, speed, acceleration, each (sample, axis) in SI, with its period [s].
 
-    `loads` remembers what was read off the model on it.
+    `loads` keeps inertia and bias of the models that were evaluated along it.
     """
 
     position: np.ndarray
@@ -68,7 +68,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Loads:
-    """What the reduced plant needs of a compiled model: per axis, and inertia and bias along a motion without rotors."""
+    """What the decoupled plant takes from a compiled model: inertia and bias of the loads along a motion, without rotors, and friction constants."""
 
     inertia: np.ndarray  # (row, axis) load alone
     bias: np.ndarray  # (row, axis)
@@ -156,7 +156,7 @@ _lock = threading.Lock()
 
 
 def loads_along(change: Change, motion: Motion, machine: Machine | None = None) -> _Loads:
-    """Loads of a changed machine (or of `machine`, with its edits); remembered, because fits ask for the same masses again and again."""
+    """Loads of a changed machine (or of `machine` with its edits) along a motion; kept, because a fit asks for the same masses many times."""
     machine = machine or change.machine
     # the loads depend on neither friction nor drives, and on effects only where they edit the model
     edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)
@@ -201,7 +201,7 @@ COUPLED = 1e-9
 
 
 def _bodies_of(model: mujoco.MjModel) -> bytes:
-    """What an edit of the model can change of the loads."""
+    """The part of a model that decides its loads and that an edit can change."""
     parts = (
         model.body_mass, model.body_inertia, model.body_pos, model.body_quat, model.body_ipos, model.body_iquat,
         model.jnt_pos, model.jnt_axis, model.dof_armature, model.opt.gravity,
@@ -238,7 +238,7 @@ def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np
 
 @compiled
 def _read_along(stages, forces, full_inertia, model, data, views, places, motion, own, inertia, bias):  # type: ignore[no-untyped-def]
-    """Fill inertia and bias (row, axis): of the engine's forward dynamics what these take, at each row of the motion."""
+    """Fill inertia and bias (row, axis) at each row of the motion, with the stages of the engine's forward dynamics that they need."""
     qpos, qvel, engine_bias, full = views
     load_position, load_dof = places
     position, speed, acceleration = motion

@@ -87,7 +87,7 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     spec.compiler.discardvisual = True  # pictures load the file themselves; geoms without mass only cost time here
     spec.option.timestep = machine.base_tick
     spec.option.gravity = [0.0, 0.0, -machine.gravity]
-    # travel is the control's business: a joint limit would push an axis that overshoots its end by a micrometre
+    # the control watches the travel: a joint limit would push an axis that overshoots its end by a micrometre
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _set_engine(spec)
     _set_inertias(spec, where)
@@ -131,7 +131,7 @@ def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
 
 
 def _set_engine(spec: mujoco.MjSpec) -> None:
-    """The engine as the twin needs it, whatever the model's file was made for: no contacts, no drives of its own, steps that the reduced plant copies."""
+    """Set the engine up for the twin: no contacts, no drives of the model's own, and the steps that the decoupled plant copies."""
     option = spec.option
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_PGS
@@ -151,7 +151,7 @@ def _set_engine(spec: mujoco.MjSpec) -> None:
 
 
 def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
-    """Masses that the file leaves to its shapes become explicit, so that they can be set and scaled."""
+    """Make masses explicit that the file derives from shapes, so that they can be set and scaled."""
     from_shapes = [b for b in spec.bodies[1:] if b.geoms and (not b.explicitinertial or spec.compiler.inertiafromgeom == 1)]
     if not from_shapes or spec.compiler.inertiafromgeom == 0:
         return

@@ -25,16 +25,16 @@ from twin.simulation.result import Run
 from twin.simulation.setpoints import Setpoints, check_travel, command_of, setpoints_of
 
 STRETCH_TICKS = 16_000
-"""Ticks that are advanced in one call: bounds the memory of a run beyond its trace, and the time between two reports."""
+"""Ticks advanced in one call of the loop. It bounds the memory that a run needs beside its trace, and the time between two progress reports."""
 
 SPLINE_SAMPLES = 20_000
-"""Set points that are interpolated in one go for the record."""
+"""Most set points that are interpolated at once for the record."""
 
 DIVERGED_SPEED = 3.0
-"""An axis faster than this multiple of its highest speed has left every bound that its control would allow."""
+"""Multiple of its highest speed beyond which an axis has diverged."""
 
 SWINGS_AT_REST = 8
-"""So many turns from one current limit to the other after the last set point are no settling."""
+"""Swings from one current limit to the other after the last set point from which an axis counts as unstable."""
 
 SETPOINT_ROUNDING = 1e-12
 """A set point that changes by less from sample to sample stands still [m, rad]."""

@@ -54,7 +54,7 @@ AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
 """Set point speeds up to which an axis is at rest [m/s, rad/s]."""
 
 LIMIT_TOLERANCE = 0.01
-"""Recorded set points are rounded: a limit counts as exceeded beyond this fraction."""
+"""Fraction by which set points may exceed a limit before a warning: recorded ones are rounded."""
 
 
 class Setpoints:
@@ -155,7 +155,7 @@ class Setpoints:
 
 
 class Command(NamedTuple):
-    """What the position controllers of all axes get in a stretch of position cycles, each (cycle, axis)."""
+    """Inputs of all position controllers over a stretch of position cycles, each (cycle, axis)."""
 
     setpoint: np.ndarray  # delayed, m or rad
     velocity_feedforward: np.ndarray  # m/s or rad/s
@@ -207,7 +207,7 @@ def delay_weights(delay: float, cycle: float, linear: bool) -> list[tuple[float,
 
 
 class _Law(NamedTuple):
-    """What makes the command of an axis from its set points: delays [s], factor of the speed, inertia [kg m2 at the motor] and ratio."""
+    """The numbers that turn an axis' set points into its command: delays [s], speed weight, fed inertia [kg m2 at the motor], ratio, interpolation."""
 
     delay: float
     feedforward_delay: float
