@@ -60,10 +60,12 @@ LIMIT_TOLERANCE = 0.01
 class Setpoints:
     """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s].
 
-    `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in.
+    `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in. `injected` (sample, axis) is what a test rig
+    adds to the drive's command, as torque at the motor [Nm]; nothing is added outside the samples.
     """
 
-    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None):
+    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None, injected: np.ndarray | None = None):
+        self.injected = injected
         self.position = np.ascontiguousarray(position, float)
         self.period = period
         self.before = self.position[:0] if before is None else before
@@ -91,7 +93,12 @@ class Setpoints:
         """The same set points of some axes only, by index; remembered, with their spline."""
         if axes not in self._parts:
             index = list(axes)
-            self._parts[axes] = Setpoints(self.position[:, index], self.period, self.before[:, index] if len(self.before) else None)
+            self._parts[axes] = Setpoints(
+                self.position[:, index],
+                self.period,
+                self.before[:, index] if len(self.before) else None,
+                None if self.injected is None else self.injected[:, index],
+            )
         return self._parts[axes]
 
     def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:
@@ -110,6 +117,14 @@ class Setpoints:
                 self._cycles[period, delay] = known
             out.append(known[lead + first : lead + first + count])
         return out
+
+    def injected_at(self, first: int, count: int, period: float) -> np.ndarray | float:
+        """(cycle, axis) injected torque [Nm] at position cycles, held from its sample on; 0 where nothing is injected."""
+        if self.injected is None:
+            return 0.0
+        rows = np.floor(np.arange(first, first + count) * period / self.period + 1e-9).astype(int)
+        inside = (rows >= 0) & (rows < len(self.injected))
+        return np.where(inside[:, None], self.injected[np.clip(rows, 0, len(self.injected) - 1)], 0.0)
 
     def command(self, key: object, period: float, first: int, count: int, of: Callable[[int, int], Command]) -> Command:
         """A stretch of the command that `of(first, count)` gives; of short runs the whole is remembered under `key`."""
@@ -192,6 +207,7 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
             out.velocity_feedforward[:, a] = law.velocity_feedforward * (now - before) / tp
             acceleration = (now - 2.0 * before + earlier) / tp**2
             out.torque_feedforward[:, a] = law.fed_inertia * acceleration / law.ratio
+        out.torque_feedforward[:] += setpoints.injected_at(first, count, tp)
         return out
 
     return setpoints.command((tp, *laws), tp, first_cycle, count, of)
@@ -238,7 +254,26 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
             columns.append(trace.get(axis.name, "setpoint"))
         else:
             columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
-    return Setpoints(np.column_stack(columns), trace.period)
+    return Setpoints(np.column_stack(columns), trace.period, injected=_injected(trace, machine))
+
+
+def _injected(trace: Trace, machine: Machine) -> np.ndarray | None:
+    """(sample, axis) torque at the motor [Nm] that recorded disturbances stand for, or None.
+
+    One in V or A is added to the command of a drive that takes it; one in Nm or N acts as the command that would make it.
+    """
+    out = np.zeros((len(trace.time), len(machine.axes)))
+    found = False
+    for a, axis in enumerate(machine.axes):
+        for unit, values in trace.disturbances(axis.name).items():
+            if unit in ("V", "A") and unit != axis.effort_unit:
+                raise InputError(
+                    f"axis {axis.name}: a disturbance in {unit}, but its drive takes {axis.effort_unit}; record or map it in {axis.effort_unit}, Nm or N"
+                )
+            factor = {"N": axis.ratio, "Nm": 1.0}.get(unit, axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
+            out[:, a] += factor * values
+            found = True
+    return out if found else None
 
 
 def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
@@ -257,7 +292,7 @@ def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
     t = np.arange(n) / n
     x = np.minimum(t / UP_TO_SPEED, 1.0)  # the speed grows as 3 x^2 - 2 x^3, then stays
     missing = np.where(x < 1.0, UP_TO_SPEED * (0.5 - x**3 + 0.5 * x**4) + 1.0 - UP_TO_SPEED, 1.0 - t)  # its integral from t to 1
-    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed))
+    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed), setpoints.injected)
 
 
 def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
