@@ -62,10 +62,11 @@ def carry_out(args: argparse.Namespace) -> int:
         print(note)
     rows = []
     for p in result.parameters:
-        r = p.refined if result.chosen == "refined" and p.refined else p.value
+        taken = result.taken(p)
+        r = taken or p.refined or p.value
         product = f"{p.estimate.value:.6g} +- {p.estimate.half:.2g}" if p.product else ""
-        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {r.half:.2g}", p.unit, product])
-    print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt"], rows, left=2))
+        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {r.half:.2g}", p.unit, product, "yes" if taken else "no"])
+    print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The products contradict parameter_tolerance; the file's torque constants were kept.")
     print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}")

@@ -12,5 +12,7 @@ The direct route, block by block:
     drive_balance       inertia, friction, gravity of a linear axis        tilting_pair       the same of A and C together
     least_squares       regression with intervals by strokes               products           what fixes the torque constants
     parameters          the table of all that was found                    noise              measuring noise from standstill
-The second route: refine (re-simulation in MuJoCo). single_axis: an axis under another control (EMPS benchmark).
+    drive_position_loop position loop in the NC or in the drive    held_out           what no fit sees, and the gap there
+The second route: refine (drives with a current loop), drive_fit (lumped drives, every sample). choice: which numbers the file gets.
+ single_axis: an axis under another control (EMPS benchmark).
 """

@@ -25,6 +25,9 @@ from twin.recordings.campaign import MeasuredRun
 BAND_HZ = 20.0
 """Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
 
+NYQUIST = 0.4
+"""Band times position cycle from which on there is nothing above it to take away (0.5 is the sampling theorem's limit)."""
+
 REACH_S = 0.06
 """Half length of the filter: what lies further away takes no part."""
 
@@ -101,7 +104,9 @@ class AxisRun:
 
 @functools.lru_cache(maxsize=16)
 def _window(cycle: float) -> np.ndarray:
-    """Low-pass of BAND_HZ as a symmetric window (Hamming) of REACH_S to each side; sum 1."""
+    """Low-pass of BAND_HZ as a symmetric window (Hamming) of REACH_S to each side; sum 1. Slower cycles hold no more than the band: 1."""
+    if cycle * BAND_HZ >= NYQUIST:
+        return np.ones(1)
     return firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
 
 
@@ -149,6 +154,10 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
     motor = signal("motor_position") if has["motor_position"] else signal("position")
     angle = motor[at] / axis.ratio
+    if cycles < 3:
+        raise InputError(
+            f"run {run.name}: {len(time)} samples are {cycles} position cycles; record at least 3 cycles of {cycle * 1e3:g} ms"
+        )
     spline = CubicSpline(time[at], angle)
     window = slice(first, first + n * cycles)
     samples = signal(axis.effort)[window] if has[axis.effort] else None

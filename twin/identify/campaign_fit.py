@@ -74,7 +74,7 @@ def identify_campaign(
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
     not_found, notes = _on_position_control(machine, direct)
-    findings = [*recording.findings, *against.values(), *not_found, *unseen(machine, parameters)]
+    findings = [*recording.findings, *against.values(), *not_found]
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:
@@ -83,15 +83,17 @@ def identify_campaign(
         clock["re-simulation"] = time.perf_counter() - started
         if refined is not None:
             stages["refined"] = refined
+    findings += unseen(machine, parameters)
     best, refused, tables = stages.get("refined", found), "", {}
     route = "refined" if "refined" in stages else "regression"
+    stage_of: dict[str, str] | None = None
     if gaps:
         say("gap on what was left out")
         if direct.position:
             stages["control"] = controlled
         all_tables = tables_of({"before": machine, **stages}, division)
         choice = chosen(machine, stages, all_tables, division)
-        best, refused = choice.machine, choice.refused
+        best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
@@ -101,7 +103,7 @@ def identify_campaign(
     return Identification(
         machine, best, tuple(parameters), tuple(findings), tuple(recording.late), direct,
         tuple(r.name for r in training), _left_out(division), str(campaign.path),
-        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, tuple(notes),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 from typing import Any
 
@@ -30,6 +30,7 @@ class Choice:
     machine: Machine
     findings: tuple[Finding, ...]
     refused: str = ""
+    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage whose numbers it has; the file before where it is missing
 
 
 def ratio(after: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> float:
@@ -93,9 +94,10 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
         # an axis that could not be judged is no reason to refuse: nothing is known to be worse
         if moving or any(isinstance(t, str) for t in tables.values()):
             return Choice(before, tuple(findings), f"no machine file is written: nothing found is better than the file before ({reasons})")
-        return Choice(next(iter(stages.values())), tuple(findings))
+        return Choice(next(iter(stages.values())), tuple(findings), "", dict.fromkeys(names, next(iter(stages))))
     unjudged = {a: next(iter(stages)) for a in names if a not in best and a not in moving}
-    return Choice(_assembled(before, stages, {**unjudged, **best}), tuple(findings))
+    stage_of = {**unjudged, **best}
+    return Choice(_assembled(before, stages, stage_of), tuple(findings), "", stage_of)
 
 
 def _why(axis: str, scores: Mapping[str, float], shaky: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:

@@ -22,7 +22,7 @@ from twin.errors import InputError, SimulationError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import RELATED
-from twin.simulation.gap import at_times, simulated_period
+from twin.simulation.gap import at_times, is_moving, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import recorded_setpoints
 
@@ -151,9 +151,15 @@ class _Work:
         known: Collection[tuple[str, str]],
         skipped: Collection[str],
     ):
-        self.machine, self.runs, self.rows = machine, runs, rows
+        self.machine, self.runs = machine, runs
         self.names = [a.name for a in machine.axes if is_driven_ideally(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
+        # the command of an axis that stands still is history: it counts where the set point moves
+        self.used = {
+            (n, s): [r & is_moving(run.trace, machine.axis(n)) if s == machine.axis(n).effort else r for run, r in zip(runs, rows[n])]
+            for n in self.names
+            for s in self.signals(n)
+        }
         self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
         self.scale = {
             (n, s): max(max(float(np.ptp(r.trace.get(n, s))) for r in runs if r.trace.has(n, s)), 1e-12)
@@ -276,7 +282,7 @@ class _Work:
             for s in self.signals(n):
                 parts = [
                     (run.trace.get(n, s) - trace.get(n, s))[rows] / self.scale[n, s]
-                    for run, trace, rows in zip(self.runs, traces, self.rows[n])
+                    for run, trace, rows in zip(self.runs, traces, self.used[n, s])
                     if run.trace.has(n, s)
                 ]
                 own[s] = np.concatenate(parts)
@@ -307,7 +313,7 @@ class _Work:
         """Cluster of each residual row of an axis; all signals of a piece of time are one cluster."""
         out = []
         for s in self.signals(name):
-            for i, (run, rows) in enumerate(zip(self.runs, self.rows[name])):
+            for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s])):
                 if run.trace.has(name, s):
                     out.append((1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows])
         return np.concatenate(out)

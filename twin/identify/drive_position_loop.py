@@ -40,6 +40,9 @@ MOVES = 0.05
 MOST_PIECES_READ = 32
 """So many pieces, evenly spread over the motion, decide; more take time and add nothing."""
 
+LEAST_DELAY_CYCLES = 0.25
+"""A shorter delay than this part of a position cycle is none: a telegram to a drive takes longer."""
+
 CLEARER = 1.3
 """On the pieces left out the drive-side law must leave so many times less than the NC-side law."""
 
@@ -106,7 +109,9 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
         e.append(p.left(x, position_gain))
         groups.append(np.full(len(e[-1]), k))
     fit = regress(np.vstack(columns), np.concatenate(e), np.concatenate(groups))
-    closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and bool(x[0] > 4.0 * fit.deviations[0])
+    closed = (
+        left_nc > CLEARER * left_drive and better >= MOST_PIECES and bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
+    )
     return DrivePositionLoop(
         closed, float(x[0]), float(fit.deviations[0]), float(x[1]), float(fit.deviations[1]), left_nc, left_drive, len(pieces), better
     )

@@ -179,7 +179,7 @@ def _most_probable(
         return np.concatenate([((predicted(x) - values) / scale)[use], x / prior])
 
     found = least_squares(residual, np.zeros(len(prior)), x_scale=prior)
-    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+    return found.x, np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
 
 
 def _scaled(machine: Machine, factors: Mapping[str, tuple[float, float]]) -> dict[str, object]:

@@ -307,14 +307,14 @@ def _gauss_newton(
     pieces (an axis about to stick) from steering.
     """
     length = np.linalg.norm(columns, axis=0)
-    seen = length > 0.0
+    seen = (length > 0.0) & np.isfinite(length)
     change, spread = np.zeros(columns.shape[1]), prior.copy()
     if not seen.any():
         return change, spread
     scale = max(float(np.median(np.abs(rows))) * 1.48, 1e-9)
     weight = np.minimum(1.0, 3.0 * scale / np.maximum(np.abs(rows), 1e-12))
     x = columns[:, seen] / length[seen]
-    bread = np.linalg.inv((x * weight[:, None]).T @ x + 1e-10 * np.eye(int(seen.sum())))
+    bread = np.linalg.pinv((x * weight[:, None]).T @ x + 1e-10 * np.eye(int(seen.sum())), hermitian=True)
     found = -bread @ (x * weight[:, None]).T @ rows
     left = rows + x @ found
     _, group = np.unique(clusters, return_inverse=True)
@@ -324,7 +324,7 @@ def _gauss_newton(
     information = np.linalg.pinv(covariance, hermitian=True)
     known = 0.5 * np.where(np.isfinite(prior[seen]), prior[seen], np.inf) ** -2.0
     information = 0.5 * information
-    joined = np.linalg.inv(information + np.diag(known) + 1e-30 * np.eye(len(known)))
+    joined = np.linalg.pinv(information + np.diag(known), hermitian=True)
     change[seen] = joined @ (information @ (found / length[seen]) - known * so_far[seen])
     spread[seen] = np.sqrt(np.diag(joined))
     return change, spread

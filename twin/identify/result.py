@@ -68,7 +68,16 @@ class Identification:
     seconds: dict[str, float] = field(default_factory=dict)
     chosen: str = "regression"
     refused: str = ""  # why no machine file is to be written
+    stage_of: dict[str, str] | None = None  # axis -> stage that was taken; None: `chosen` for all; an axis that is missing keeps its file
     notes: tuple[Finding, ...] = ()  # what was found besides parameters
+
+    def taken(self, p: Parameter) -> Range | None:
+        """The range of a parameter that the machine file gets; None where the axis keeps the number of the file before."""
+        stage = self.chosen if self.stage_of is None else self.stage_of.get(p.axis, "")
+        control = p.name.endswith(("delay_s", "gain_per_s", "velocity_feedforward"))
+        if stage == "refined" and p.refined is not None:
+            return p.refined
+        return p.value if stage in ("refined", "regression") or (stage == "control" and control) else None
 
     def parameter(self, axis: str, name: str) -> Parameter:
         """The parameter of that axis and name."""

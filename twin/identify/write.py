@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
 
 
 def _final(p: Parameter, result: Identification) -> Range:
-    return p.refined if result.chosen == "refined" and p.refined is not None else p.value
+    return result.taken(p) or p.value
 
 
 def _changed(before: Machine, after: Machine) -> list[str]:
@@ -101,7 +102,8 @@ def as_json(result: Identification) -> dict[str, Any]:
                 **(told(_final(p, result)) or {}),
                 "product_at_file_torque_constant": told(p.estimate) if p.product else None,
                 "regression": told(p.value), "refined": told(p.refined), "left_out": told(p.left_out),
-                "condition": p.condition, "at_bound": p.at_bound,
+                "taken": result.taken(p) is not None,
+                "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }
             for p in result.parameters
         ],

@@ -1,0 +1,89 @@
+"""The position controller and the place of its loop, on signals that are made here from the law."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.drive_position_loop import drive_position_loop
+from twin.identify.position_control import fit_position_control
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+
+TP, KV = 2e-3, 33.3333
+
+
+def made(machine: Machine, delay_cycles: float = 1.5, td: float = 5.25e-3, in_drive: bool = True, noise: float = 0.0) -> AxisRun:
+    """An axis that follows u with a lag of 1.3 ms, sampled at its position cycle; its NC computes v* with half-cycle delays."""
+    h, every = 1e-4, 20
+    t = np.arange(0.0, 4.0, h)
+    # a slow and a fast sway: speeds up to 0.3 m/s
+    s = 0.04 * np.sin(2 * np.pi * 0.5 * t) + 0.01 * (1 - np.cos(2 * np.pi * 2.3 * t))
+    cycle = s[::every]
+    v_ff = np.diff(cycle, prepend=cycle[0]) / TP
+    whole = int(delay_cycles)
+    part = delay_cycles - whole
+    late = (1 - part) * np.roll(cycle, whole) + part * np.roll(cycle, whole + 1)
+    late[: whole + 1] = cycle[0]
+    x, v = np.zeros(len(t)), 0.0
+    x[0] = s[0]
+    sent = np.zeros(len(t))
+    for k in range(len(t) - 1):
+        n = k // every
+        sent[k] = KV * (late[n] - x[n * every]) + v_ff[n]
+        back = max(k - round(td / h), 0)
+        u = sent[back] - KV * (x[k] - x[back]) if in_drive else sent[k]
+        v += (u - v) * h / 1.3e-3
+        x[k + 1] = x[k] + h * v
+    rng = np.random.default_rng(3)
+    position = x[::every] + noise * rng.standard_normal(len(cycle))
+    command = KV * (late - position) + v_ff
+    signals = {
+        ("X", "setpoint"): cycle,
+        ("X", "position"): position,
+        ("X", "velocity_setpoint"): command,
+        ("X", "velocity_feedforward"): v_ff,
+    }
+    run = MeasuredRun("made", Trace(t[::every], signals, {"X": "linear"}), "velocity", 0.0)
+    seen = axis_run(machine, machine.axis("X"), run)
+    assert seen is not None
+    return seen
+
+
+@pytest.mark.parametrize("start", [1.0, 35.0, 400.0])
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_half_cycle_delay_is_found_from_any_start(mikron: Machine, start: float, recorded: bool) -> None:
+    axis = mikron.with_values({"axis.X.loops.position_gain_per_s": start, "axis.X.loops.position_delay_s": 0.0}).axis("X")
+    run = made(mikron)
+    found = fit_position_control(axis, [run if recorded else replace(run, velocity_feedforward=None)])
+    assert not isinstance(found, str)
+    assert found.values["position_gain_per_s"] == pytest.approx(KV, rel=1e-3)
+    assert found.values["position_delay_s"] == pytest.approx(1.5 * TP, abs=2e-5)
+    assert found.values["velocity_feedforward"] == pytest.approx(1.0, abs=1e-3)
+    assert found.interpolation == "linear"
+    assert found.residual_rms < 2e-5
+
+
+def test_one_speed_says_why_there_is_no_gain(mikron: Machine) -> None:
+    run = made(mikron)
+    still = replace(run, speed_setpoint=None)
+    assert fit_position_control(mikron.axis("X"), [still]) == "no speed set point is recorded"
+
+
+@pytest.mark.parametrize("td", [3.0e-3, 5.25e-3, 8.0e-3])
+@pytest.mark.parametrize("noise", [0.0, 2e-7])
+def test_a_loop_closed_in_the_drive_is_recognised(mikron: Machine, td: float, noise: float) -> None:
+    found = drive_position_loop(mikron.axis("X"), [made(mikron, td=td, noise=noise)], KV)
+    assert found is not None
+    assert found.closed_in_drive
+    assert found.delay_s == pytest.approx(td, abs=0.3e-3)
+
+
+def test_a_loop_closed_in_the_nc_is_not_taken_for_one_in_the_drive(mikron: Machine) -> None:
+    found = drive_position_loop(mikron.axis("X"), [made(mikron, in_drive=False)], KV)
+    assert found is not None
+    assert not found.closed_in_drive
