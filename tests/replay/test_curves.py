@@ -13,6 +13,8 @@ from twin.replay.curves import axis_curves, not_recorded, torque_parts
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
 from twin.replay.paths import error_scale, kept_points
+from twin.replay.scene import scene_of
+from twin.replay.toolpaths import tool_paths_of
 
 MACHINE = load_machine()
 
@@ -192,3 +194,17 @@ def test_every_curve_has_a_name_with_a_unit_and_an_entity_of_its_own() -> None:
     difference = next(c for c in curves if "difference_position" in c.path)
     assert difference.name == "X position, after - before [um]"
     assert np.allclose(difference.values, 1.0)
+
+
+def test_a_run_with_its_own_set_points_is_held_against_these() -> None:
+    """Two variants of a study on different paths: the second one follows its own, not the first one's."""
+    time = np.arange(200) * 1e-3
+    scene = scene_of(MACHINE)
+
+    def run(length: float) -> Trace:
+        asked = length * np.sin(np.linspace(0.0, np.pi, len(time)))
+        return Trace(time, {("X", "setpoint"): asked, ("X", "position"): asked, ("Y", "position"): np.full(len(time), 1e-6)}, MACHINE.kinds)
+
+    paths = tool_paths_of(scene, MACHINE, {"a": run(0.01), "b": run(0.2)}, None)
+    assert paths is not None
+    assert max(contour.error.max() for contour in paths.contours.values()) < 2e-6

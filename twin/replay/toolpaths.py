@@ -26,6 +26,10 @@ SHOWN_DEVIATION = 0.25
 """The view that opens first magnifies the deviation to at most this share of the path's extent."""
 
 
+SAME_SETPOINT = 1e-6
+"""Set points that differ by less, by the rounding of a recording, are the same [m, rad]."""
+
+
 @dataclass(frozen=True)
 class ToolPaths:
     """Tool points in the part frame (sample, 3) [m]: programmed, commanded (None where unknown), followed by run."""
@@ -70,9 +74,25 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], pro
     reference, reference_time = (commanded, main.time) if ideal is None or programmed is None else (ideal, programmed.time)
     window = search_window(machine)
     followed = {label: tool_point(scene, followed_joints(trace))[0] for label, trace in runs.items()}
-    contours = {label: contour_of(runs[label].time, points, reference_time, reference, window) for label, points in followed.items()}
+    contours = {}
+    for label, points in followed.items():
+        # a run with set points of its own is held against these: another variant's path says nothing about its following
+        own = programmed is None and not _same_setpoints(runs[label], main)
+        asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else reference
+        contours[label] = contour_of(runs[label].time, points, runs[label].time if own else reference_time, asked, window)
     times = {label: trace.time for label, trace in runs.items()}
     return ToolPaths(reference_time, ideal, commanded, followed, times, contours, error_scale(next(iter(contours.values())).error))
+
+
+def _same_setpoints(trace: Trace, other: Trace) -> bool:
+    """Whether both were asked for the same motion, as far as the first has set points."""
+    return all(
+        other.has(axis, "setpoint")
+        and len(other.time) == len(trace.time)
+        and np.allclose(trace.get(axis, "setpoint"), other.get(axis, "setpoint"), rtol=0.0, atol=SAME_SETPOINT)
+        for axis in trace.axes
+        if trace.has(axis, "setpoint")
+    )
 
 
 def path_extent(paths: ToolPaths) -> float:
