@@ -31,7 +31,7 @@ from twin.simulation.run import commissioned_inertia
 from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")
-"""Signals any of which tells the motion of an axis."""
+"""Signals any of which shows how an axis moves."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 

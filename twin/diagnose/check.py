@@ -66,7 +66,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     for signal, lost in (
         ("motor_position", "transmission and measurement cannot be cut from the mechanics"),
         ("velocity_setpoint", "the position controller cannot be cut from the speed controller"),
-        ("current", "controller, motor and load cannot be told apart"),
+        ("current", "faults of controller, motor and load look alike"),
         ("velocity", "the speed controller cannot be cut"),
         ("position", "what the scale sees is not known"),
     ):

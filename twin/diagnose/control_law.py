@@ -47,8 +47,9 @@ def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
-    told = axis.commissioned_torque_constant
-    error = u * told * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - _differentiated(position, view, axis))
+    error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
+        wanted - _differentiated(position, view, axis)
+    )
     error[np.abs(u) > view.thresholds.clipped * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
     error[: axis.loops.speed_mean_cycles + 1] = 0.0  # and the first ones not where the axis was before
     return error

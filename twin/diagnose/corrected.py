@@ -20,7 +20,7 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
-"""Realisations of noise where the reduced plant tells all."""
+"""Realisations of noise where the decoupled plant alone is simulated."""
 
 
 def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
@@ -79,7 +79,7 @@ def held_out_gaps(
 ) -> HeldOut:
     """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo.
 
-    `motions` are the runs' nominal ones, for what noise makes; without `engine` the reduced plant along them tells all. Where the machine
+    `motions` are the runs' nominal ones, for what noise makes; without `engine` only the decoupled plant along them is simulated. Where the machine
     fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one fitted to all.
     """
     left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]

@@ -132,18 +132,18 @@ def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
 
 
 def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit, alone: float) -> bool:
-    """Do the other runs leave a direction of the effects' parameters untold? Then leaving these out would leave it to chance.
+    """Is some direction of the effects' parameters known from these runs alone? A fit without them would leave it to chance.
 
     Told of the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
     """
     p = fit.columns.shape[1]
     if not p:
         return False
-    of_all, of_others = (_told(n, p) for n in (normal, normal - information))
+    of_all, of_others = (_information(n, p) for n in (normal, normal - information))
     return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
 
 
-def _told(normal: np.ndarray, p: int) -> np.ndarray:
+def _information(normal: np.ndarray, p: int) -> np.ndarray:
     """Information about the first p parameters with the others free; never quite none, so that no direction divides by zero."""
-    told = normal[:p, :p] - normal[:p, p:] @ np.linalg.lstsq(normal[p:, p:], normal[p:, :p], rcond=None)[0]
-    return told + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)
+    information = normal[:p, :p] - normal[:p, p:] @ np.linalg.lstsq(normal[p:, p:], normal[p:, :p], rcond=None)[0]
+    return information + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)

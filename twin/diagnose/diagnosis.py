@@ -260,7 +260,7 @@ def diagnose(
     progress: Callable[[str], None] | None = None,
     thresholds: Thresholds = DEFAULT,
 ) -> Diagnosis:
-    """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core unless told otherwise.
+    """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core by default.
 
     Raises InputError where the campaign is another machine's, holds no measured signal or no motion, or where the machine has effects.
     """

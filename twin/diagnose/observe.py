@@ -345,7 +345,7 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
     tuning leaves, weighted.
 
     A drive train rings with the noise in the loop, which a rigid one does not; and what it rings with at each change of the set point is
-    motion that the twin knows now, where beside a rigid one it looked like a noisy sensor. Where an axis is, it tells as before: that is
+    motion that the twin knows now, where beside a rigid one it looked like a noisy sensor. The noise of the position stays as it was: that is
     slow, and where it creeps to is chance about any machine.
     """
     seen = []

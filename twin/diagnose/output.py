@@ -55,7 +55,7 @@ def summary_text(document: dict[str, Any]) -> str:
         f"  gap {gap['before']:.2f} before, {gap['after']:.2f} after, 1 = noise alone; re-tuning alone closes {gap['retuning_share']:.0%}"
     )
     for rival in document["ambiguous_with"]:
-        lines.append(f"  not told apart here: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")
+        lines.append(f"  could also be: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")
     if document["not_visible"]:
         lines.append(f"  would not show here, at usual size: {unseen_text(document)}")
     lines += [f"  note: {note}" for note in document["notes"]]

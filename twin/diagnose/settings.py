@@ -122,7 +122,6 @@ class Thresholds:
     size_steps: int = _of(3, "steps", "steps of each of these fits")
     no_size: float = _of(5.0, "sizes", "half a 95 % interval from which an effect has no size")
     shows_nothing: float = _of(1e-9, "share of the evidence", "less is no change at all")
-    plainly_seen: float = _of(5e-3, "share of the signal", "gap of position and current below which no block is blamed")
 
     # verdict
     temperature: float = _of(3.0, "nat", "divides evidence before it becomes a probability")

@@ -26,7 +26,7 @@ NORMAL["damping"] = NORMAL["elasticity"]
 """Normal imperfections, and the effects they are when they are large: springs, measured by 1 / stiffness, and the damping of the first."""
 
 SPRINGS = ("elasticity", "slip")
-"""Those that cannot be less than none."""
+"""Normal imperfections with a stiffness: they give nothing or something, never less than nothing."""
 
 
 @dataclass(frozen=True)

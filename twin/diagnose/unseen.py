@@ -1,4 +1,4 @@
-"""Effects that runs and signals would not show if the machine had them in a usual size: of these "none" says nothing.
+"""Effects of usual size that these runs and signals would not show. The verdict "none" does not rule them out.
 
     s = 1/2 sum of credit (a - J theta)^2        a: what the effect changes, over noise; J theta: what re-tuning takes up of it
 

@@ -1,4 +1,4 @@
-"""What is said of what was found: which effects, how probable, and whether something is left that is not known."""
+"""The verdict on the last state: which effects, how probable, and whether something is left that no effect explains."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.machine.machine import Machine
 def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[float]:
     """Probability of each candidate of a round against its rivals and against none of them, which has what the best one needs.
 
-    Of a round whose best was refused for another reason than its evidence, or taken out again, nothing is left.
+    All are 0 where the best candidate had the evidence and was refused all the same, or was accepted and removed later.
     """
     t = found.thresholds
     best = next((c for c in candidates if c.plausible), None)
@@ -63,8 +63,8 @@ def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) 
 def is_unknown(f: Found) -> bool:
     """Is something left of a group of axes that no effect found explains?
 
-    Or is what was found one thing in one run and another in the next, or explained by parameters that no machine near the tolerance has?
-    Asked of each axis: the next one, quieter than was expected, hides nothing.
+    Also where an effect has another size in each run, or where only parameters far outside the tolerance explain the gap. Each axis is
+    judged by itself: a quiet one does not make up for a loud one.
     """
     group, t = f.group, f.thresholds
     before, after = excess_of(group, f.retuned), excess_of(group, f.fit)

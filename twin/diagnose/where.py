@@ -66,7 +66,7 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
     """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
 
     Current loop and mechanics share the force balance, transmission and measurement the windup, and what the recorded
-    signals cannot cut is seen in the next block: the effect's own block tells them apart.
+    signals cannot cut is seen in the next block: the block of the effect found decides.
     """
     block, axis = setting.effect.block, setting.axis
     # of two P controllers one law is recorded
@@ -187,7 +187,7 @@ def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int,
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
     width = max(10, min(n // 3, round(stretch_s / step)))
-    # what changes tells more than what is merely off by a constant
+    # what changes says more than a constant
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
     at = int(np.argmax(energy)) if len(energy) else 0
