@@ -16,7 +16,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings.force_sign import force_sign
 from twin.recordings.names import Meaning, meaning_of
-from twin.recordings.signals import BLOCK, Recording, Signal
+from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Recording, Signal
 from twin.recordings.timing import timing_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
@@ -141,6 +141,14 @@ def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[st
 def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal) -> None:
     """Columns of one axis, or why it is left out."""
     names = ", ".join(s.name for _, s in found.values())
+    unsound = {signal: place for signal, (_, one) in found.items() if (place := _unsound(one))}
+    if "setpoint" in unsound:
+        out.left_out.append(f"axis {axis}: its set point '{found['setpoint'][1].name}' {unsound['setpoint']}")
+        return
+    for signal in unsound:
+        told, one = found[signal]
+        out.columns.append(Proposed(one.name, axis, signal, told.unit, doubt=unsound[signal]))
+    found = {signal: one for signal, one in found.items() if signal not in unsound}
     label = found["setpoint"][1].description
     called = f"axis {axis}" + (f" ({label})" if label else "")
     rows = _longest(found["setpoint"][1])
@@ -163,6 +171,8 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
         else f"assumed: the file says no unit; {'deg for a rotary' if kind == 'linear' else 'mm for a linear'} axis"
     )
     period = float(np.median(np.diff(time)))
+    if not period > 0.0:
+        raise InputError(f"column '{found['setpoint'][1].name}': its time stands still; repair it, or give [time] interval_ms in a map")
     position = next((values[s] for s in ("position", "motor_position") if s in values and np.ptp(values[s]) > 0.0), None)
     if position is None and "following_error" in values:
         position = setpoint - values["following_error"]
@@ -277,6 +287,16 @@ def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
         return None
     turns = total / (2.0 * np.pi) if kind == "rotary" else total * 1e3 / 360.0
     return turns if turns > ONE_WAY_TURNS else None
+
+
+def _unsound(signal: Signal) -> str:
+    """Where a column holds NaN, infinity or a number that nobody measures; "" where it does not."""
+    for first, values in signal.blocks():
+        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        if bad.any():
+            row = int(np.argmax(bad))
+            return f"holds {values[row]:g} at sample {first + row + 1}: repair it"
+    return ""
 
 
 def _head(column: object) -> np.ndarray:
