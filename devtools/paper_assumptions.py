@@ -42,10 +42,11 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         mine = [row for row in rows if Assumptions(**{k: v for k, v in row.items() if k in fields}) in wanted]
         for row in mine:
             marks = {name: row[name] for name in PAPER}
+            assumed = Assumptions(**{k: v for k, v in row.items() if k in fields})
             off = worst(marks)
             colour = GREEN if off <= AGREES else AMBER if off <= 2 * AGREES else RED if off <= 1.0 else SOFT
             factor = 1e3 if key == "tolerance" else 1.0
-            x, y = (row["feedforward"], 1e2 * off) if key == "feedforward" else (row["gain"], row[key] * factor)
+            x, y = (assumed.feedforward, 1e2 * off) if key == "feedforward" else (assumed.gain, getattr(assumed, key) * factor)
             ax.plot(x, y, "o", color=colour, ms=9)
             ax.annotate(
                 "/".join(f"{marks[n]:.0f}" for n in PAPER), (x, y), xytext=(0, 7), textcoords="offset points", ha="center", fontsize=6.5

@@ -14,6 +14,7 @@ from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, machine_part, report_of
+from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import Part, read_part
 from twin.surface.shapes import MeshFile
 
@@ -43,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="velocity+torque | velocity | off, of the simulated run of a program; several are allowed (default: first and last)",
     )
     parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: as the part file says)")
+    parser.add_argument(
+        "--measured", metavar="MAP", help="measured height map (.npz .csv .x3p) of the zone: registered and compared with every cut"
+    )
     parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
     parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")
 
@@ -59,6 +63,7 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"--zone-um {args.zone_um:g}: give a spacing above 0")
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
+    measured = read_height_map(Path(args.measured)) if args.measured else None
     out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
     with Progress("tool paths") as bar:
         paths = paths_of(Path(args.input), machine, part, levels, words, progress=bar)
@@ -67,6 +72,8 @@ def carry_out(args: argparse.Namespace) -> int:
             part, paths, threads=args.threads, zone_spacing=args.zone_um * 1e-6 if args.zone_um else None, progress=bar
         )
     reports = [report_of(machining, one) for one in machining.cuts]
+    if measured is not None:
+        _compare(machining, reports, measured, out)
     work = machining.statistics
     write_json(
         {
@@ -97,6 +104,30 @@ def carry_out(args: argparse.Namespace) -> int:
     print(f"{work.tests / 1e6:.1f} million ray-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
     return 0
+
+
+def _compare(machining: Machining, reports: list[dict[str, Any]], measured: HeightMap, out: Path) -> None:
+    """Add to each report how the measured map differs from the cut, print it, and draw both beside each other."""
+    from twin.surface.picture import draw_measured
+
+    for one, report in zip(machining.cuts, reports):
+        if not one.finest.is_grid:
+            continue
+        simulated = HeightMap(one.finest.u, one.finest.v, one.finest.map())
+        found = compare(measured, simulated)
+        depths = found.depth(simulated.height)
+        report["measured"] = {
+            "difference_rms_um": found.rms * 1e6,
+            "shift_u_mm": found.shift[0] * 1e3,
+            "shift_v_mm": found.shift[1] * 1e3,
+            "depth_simulated_um": depths[0] * 1e6,
+            "depth_measured_um": depths[1] * 1e6,
+        }
+        print(
+            f"{one.surface.name}, {one.level.label}: measured less simulated {found.rms * 1e6:.2f} um RMS; deepest below the mean: "
+            f"simulated {depths[0] * 1e6:.2f} um, measured {depths[1] * 1e6:.2f} um"
+        )
+        draw_measured(simulated, found, one.level.label, out / f"{_name(f'{one.surface.name} {one.level.label}')}_measured.png")
 
 
 def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], words: list[str], *, progress: Any = None) -> list[Level]:
@@ -157,6 +188,14 @@ def write_recording(machining: Machining, path: Path) -> Path:
     for level in {id(c.level): c.level for c in machining.cuts}.values():
         tip = level.path.tip[:: max(1, len(level.path) // 20_000)]
         recording.log(f"part/path/{_name(level.label)}", rerun.LineStrips3D([tip], radii=rerun.Radius.ui_points(1.0)), static=True)
+    # the viewer waits for a clock before it takes a picture
+    last = machining.cuts[-1].level.path
+    steps = slice(None, None, max(1, len(last) // 2000))
+    recording.send_columns(
+        "part/tip",
+        [rerun.TimeColumn("time", duration=last.time[steps])],
+        rerun.Points3D.columns(positions=last.tip[steps], radii=[0.0005] * len(last.time[steps])),
+    )
     recording.flush()
     recording.disconnect()
     return path

@@ -11,6 +11,7 @@ from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, h
 from twin.surface.export import COLOUR_MAP
 from twin.surface.height_rays import HeightRays
 from twin.surface.machining import CutSurface, Machining
+from twin.surface.measured import Comparison, HeightMap
 from twin.surface.metrology import mark
 
 INK, QUIET = "#1c2733", "#5c6b7a"
@@ -125,6 +126,27 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
+
+
+def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
+    """Write a PNG: simulated, measured and their difference [um] on one colour scale."""
+    from matplotlib.figure import Figure
+
+    maps = {
+        "simulated": simulated.height,
+        "measured, registered": found.measured,
+        "measured - simulated": found.measured - simulated.height,
+    }
+    end = colour_end(simulated.height * 1e6)
+    figure = Figure(figsize=(12.0, 7.0), dpi=130, facecolor="white", layout="constrained")
+    for ax, (name, height) in zip(figure.subplots(3, 1, sharex=True), maps.items()):
+        extent = tuple(float(x) * 1e3 for x in (simulated.u[0], simulated.u[-1], simulated.v[0], simulated.v[-1]))
+        drawn = ax.imshow(height * 1e6, extent=extent, origin="lower", cmap=COLOUR_MAP, vmin=-end, vmax=end, aspect="auto")
+        figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
+        ax.set_title(f"{name}: {label}", loc="left")
+        ax.set_ylabel("v [mm]")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
 
 
 def colour_end(height: np.ndarray) -> float:

@@ -1,0 +1,170 @@
+"""Measured height maps: read from NPZ, CSV or X3P, registered to a simulated cut, and compared with it.
+
+A map is a grid of heights over u along and v across, the simulated one's coordinates up to a shift and a tilt. Registered is by the shift with
+the best correlation, within half a map, and by the plane of least squares. Lengths in m; NaN where nothing was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+import zipfile
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+
+ENDINGS = (".npz", ".csv", ".x3p")
+LEAST_OVERLAP = 0.25
+"""A measured map must cover so much of the simulated one."""
+
+
+@dataclass(frozen=True)
+class HeightMap:
+    """Heights (row, column) [m] over `u` (column,) and `v` (row,) [m], both rising and even."""
+
+    u: np.ndarray
+    v: np.ndarray
+    height: np.ndarray
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A measured map on the simulated grid (row, column) [m], levelled; the shift (u, v) [m] that was taken out; RMS of the difference [m]."""
+
+    measured: np.ndarray
+    shift: tuple[float, float]
+    rms: float
+
+    def depth(self, simulated: np.ndarray) -> tuple[float, float]:
+        """Depth of the deepest point below the mean of the map [m], simulated and measured, where both are known."""
+        both = np.isfinite(self.measured)
+        return tuple(float(z[both].mean() - z[both].min()) for z in (simulated, self.measured))  # type: ignore[return-value]
+
+
+def read_height_map(path: Path) -> HeightMap:
+    """A height map from a file; every fault is an InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such height map; give one of {', '.join(ENDINGS)}")
+    readers = {".npz": _npz, ".csv": _csv, ".x3p": _x3p}
+    if path.suffix.lower() not in readers:
+        raise InputError(f"{path}: not a height map that can be read; {nearest(path.suffix.lower(), ENDINGS)}")
+    try:
+        found = readers[path.suffix.lower()](path)
+    except InputError:
+        raise
+    except Exception as error:  # a damaged file fails in many ways
+        raise InputError(f"{path}: cannot be read as a height map ({type(error).__name__}: {error}); export it again") from None
+    if found.height.shape != (len(found.v), len(found.u)) or min(found.height.shape) < 8:
+        raise InputError(f"{path}: a map of {found.height.shape[0]} x {found.height.shape[1]} points; give at least 8 x 8")
+    if not np.isfinite(found.height).any():
+        raise InputError(f"{path}: the map holds no measured point; export it again")
+    return found
+
+
+def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
+    """The measured map on the simulated grid: shifted to the best correlation, levelled by a plane. Raises InputError where they hardly overlap."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    mean = float(np.nanmean(measured.height))
+    # without a common origin both maps are laid middle on middle first
+    start = np.array([simulated.v.mean() - measured.v.mean(), simulated.u.mean() - measured.u.mean()])
+    read = RegularGridInterpolator((measured.v, measured.u), measured.height - mean, bounds_error=False, fill_value=np.nan)
+    grid = np.stack(np.meshgrid(simulated.v, simulated.u, indexing="ij"), axis=-1)
+    first = read(grid - start)
+    step = np.array([np.diff(simulated.v).mean(), np.diff(simulated.u).mean()])
+    shift = start + _best_shift(_levelled(first, grid), _levelled(simulated.height, grid)) * step
+    shift = _refined(read, grid, simulated.height, shift, step)
+    on_grid = read(grid - shift)
+    overlap = float(np.isfinite(on_grid).mean())
+    if overlap < LEAST_OVERLAP:
+        raise InputError(f"measured map: covers {overlap:.0%} of the simulated one; measure the same zone, or check the unit")
+    both = np.isfinite(on_grid)
+    plane = np.column_stack([np.ones(both.sum()), grid[both]])
+    weight = np.linalg.lstsq(plane, (on_grid - simulated.height)[both], rcond=None)[0]
+    levelled = on_grid - weight[0] - grid @ weight[1:]
+    difference = (levelled - simulated.height)[both]
+    return Comparison(levelled, (float(shift[1]), float(shift[0])), float(np.sqrt(np.mean(difference**2))))
+
+
+def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """The shift with the least RMS near the given one, to a fraction of a sample."""
+    from scipy.optimize import minimize
+
+    thin = tuple(slice(None, None, max(1, n // 200)) for n in height.shape)
+    places, heights = grid[thin], height[thin]
+
+    def rms(samples: np.ndarray) -> float:
+        difference = read(places - shift - samples * step) - heights
+        known = np.isfinite(difference)
+        return float(np.std(_levelled(difference, places)[known])) if known.mean() > LEAST_OVERLAP else np.inf
+
+    simplex = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5]])
+    return shift + step * minimize(rms, [0.0, 0.0], method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 0.02}).x
+
+
+def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Heights less their plane; 0 where nothing is known."""
+    known = np.isfinite(height)
+    if not known.any():
+        return np.zeros_like(height)
+    plane = np.column_stack([np.ones(known.sum()), grid[known]])
+    weight = np.linalg.lstsq(plane, height[known], rcond=None)[0]
+    return np.where(known, height - weight[0] - grid @ weight[1:], 0.0)
+
+
+def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
+    """Rows and columns by which `moved` must go to lie on `still`, by the greatest correlation."""
+    from scipy.signal import correlate
+
+    found = correlate(still, moved, mode="same", method="fft")
+    row, column = np.unravel_index(int(np.argmax(found)), found.shape)
+    return np.array([row - found.shape[0] // 2, column - found.shape[1] // 2], float)
+
+
+def _npz(path: Path) -> HeightMap:
+    with np.load(path) as stored:
+        for name in ("u", "v", "height"):
+            if name not in stored:
+                raise InputError(f"{path}: no '{name}' in it; write u, v [m] and height (row, column) [m] as twin cut does")
+        return HeightMap(np.asarray(stored["u"], float), np.asarray(stored["v"], float), np.asarray(stored["height"], float))
+
+
+def _csv(path: Path) -> HeightMap:
+    import pyarrow.csv
+
+    table = pyarrow.csv.read_csv(path)
+    needed = ("u [mm]", "v [mm]", "deviation [um]")
+    for name in needed:
+        if name not in table.column_names:
+            raise InputError(f"{path}: no column '{name}'; write {', '.join(needed)}, one point a line")
+    u, v, z = (table.column(name).to_numpy() for name in needed)
+    columns, rows = np.unique(np.round(u, 6)), np.unique(np.round(v, 6))
+    height = np.full((len(rows), len(columns)), np.nan)
+    height[np.searchsorted(rows, np.round(v, 6)), np.searchsorted(columns, np.round(u, 6))] = z * 1e-6
+    return HeightMap(columns * 1e-3, rows * 1e-3, height)
+
+
+def _x3p(path: Path) -> HeightMap:
+    """ISO 25178-72: main.xml with axes and sizes, the points as binary matrix, z fastest along x."""
+    from defusedxml import ElementTree
+
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("main.xml"))
+        axes = {name: root.find(f".//{name}") for name in ("CX", "CY", "CZ")}
+        size = [int(_text(root.find(".//MatrixDimension"), name)) for name in ("SizeX", "SizeY")]
+        kinds = {"D": "<f8", "F": "<f4", "L": "<i4", "I": "<i2"}
+        raw = np.frombuffer(archive.read(_text(root, ".//PointDataLink")), kinds[_text(axes["CZ"], "DataType")])
+    height = raw[: size[0] * size[1]].reshape(size[1], size[0]).astype(float)
+    if axes["CZ"] is not None and axes["CZ"].find("Increment") is not None and raw.dtype.kind == "i":
+        height = height * float(_text(axes["CZ"], "Increment"))
+    du, dv = (float(_text(axes[name], "Increment")) for name in ("CX", "CY"))
+    return HeightMap(du * np.arange(size[0]), dv * np.arange(size[1]), height)
+
+
+def _text(node: Any, name: str) -> str:
+    found = None if node is None else node.find(name)
+    if found is None or not (found.text or "").strip():
+        raise InputError(f"x3p: main.xml has no {name.removeprefix('.//')}; export the map again")
+    return str(found.text).strip()
