@@ -208,6 +208,7 @@ class Collector:
             line=np.array(self.lines),
         )
         program = self._with_start(moves)
+        self._stop_at_reversals(program)
         self._feeds(program, column("feed_mode", int), column("feed_unit", float), column("spindle", float))
         self._check_travel(program)
         return program
@@ -252,6 +253,16 @@ class Collector:
             row = int(bad[0])
             text = "the feed is 0; give F a number above 0" + (" and S a speed, since G95 is in force" if mode[row] == 95 else "")
             raise self.fail(int(moves.line[row]), int(moves.block[row]), text)
+
+    def _stop_at_reversals(self, program: mv.Program) -> None:
+        """A corner that turns straight back is an exact stop: there is no curve within a tolerance round it."""
+        moves = program.moves
+        way = moves.target - program.starts()
+        length = np.linalg.norm(way, axis=1)
+        straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (length > 0.0) & np.isfinite(length)
+        unit = way / np.where((length > 0.0) & np.isfinite(length), length, 1.0)[:, None]
+        back = straight[1:] & straight[:-1] & (np.abs(unit[1:] + unit[:-1]).max(axis=1) < 1e-9)
+        moves.stop[:-1] |= back
 
     def _check_travel(self, program: mv.Program) -> None:
         """Every block end within travel (what lies between is checked on the set points)."""

@@ -70,6 +70,7 @@ class FrontEnd(Protocol):
     def other(self, statement: Statement, frame: Frame) -> None: ...
     def labels(self, unit: Unit) -> dict[str, list[int]]: ...
     def returned(self, frame: Frame) -> None: ...
+    def runs_into(self, what: str, column: int) -> None: ...
 
 
 class Flow:
@@ -104,6 +105,8 @@ class Flow:
                 if self.ended or self.frames[-1] is not frame:
                     break
             else:
+                if not frame.style:
+                    front.runs_into("the end of the file", 1)
                 self.back("end")
 
     def _run_line(self, frame: Frame, at: int, text: str) -> None:
@@ -238,6 +241,7 @@ class Flow:
             if kind in ("loop", "repeat", "do"):
                 self._partners(frame, at, s)
         elif kind == "sub":
+            front.runs_into("a subprogram", s.column)
             self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "goto":
             self._goto(frame, at, s)

@@ -340,7 +340,7 @@ class Iso(Control):
             return self._own(self._place(), k)
         if self.linuxcnc and 5440 <= key < 5449:
             return self._own(np.array([*self.out.position[:3], *self.out.settle()]), key - 5439)
-        if fanuc and 5021 <= key <= 5026:
+        if 5021 <= key <= 5029:
             return self._own(np.array(self.out.position), key - 5020)
         if key == 5210:
             return float(self.shift_on)
@@ -483,7 +483,7 @@ class Iso(Control):
         if self._calls(codes, m_codes, w):
             return
         self._feed_and_tool(codes, g, m_codes, w)
-        motion = next((n for n, _ in g if n in (0, 1, 2, 3, 5, 5.1) or n in _CYCLES), None)
+        motion = next((n for n, _ in g if n in (0, 1, 2, 3) or n in _CYCLES), None)
         plane_before = self.plane
         modal = False
         for number, column in g:
@@ -616,8 +616,11 @@ class Iso(Control):
             if e.peek() != "[" or k > 30:
                 raise e.fail("a call takes up to 30 arguments in brackets, e.g. O100 call [1] [2]")
             arguments[k] = float(e.atom())
-        for unit in dict.fromkeys((self.flow.frame.unit, self.unit_read)):
+        calling = self.flow.frame
+        for unit in dict.fromkeys((calling.unit, self.unit_read)):
             at = _subs(unit).get(name)
+            if at is not None and name.isdigit() and unit is not self.unit_read and at > calling.at:
+                at = None  # a numbered subprogram of another file must stand before its call
             if at is not None:
                 break
         else:
@@ -652,6 +655,11 @@ class Iso(Control):
 
     def returned(self, frame: Frame) -> None:
         """The end of a subprogram: values stay, modes too."""
+
+    def runs_into(self, what: str, column: int) -> None:
+        """The main program reaches a subprogram or the end of the file; one with a name O.. must have ended before."""
+        if self.main_seen and len(self.flow.frames) == 1 and self.linuxcnc:
+            raise WordError(f"the program O.. runs on into {what}; end it with M2, M30 or %", column)
 
     # ------------------------------------------------------------------ frames
 
@@ -879,7 +887,9 @@ class Iso(Control):
                 self.motion = None
         elif number in (98, 99):
             self.retract_to_start = number == 98
-        elif number == 43.1 and any(w.pop(n).value for n in LINEAR if n in w):
+        elif number == 43.1:
+            for name in LINEAR:
+                w.pop(name, None)
             self.note("G43.1: its length counts as that of the tool in the spindle")
         return False
 
@@ -1172,7 +1182,7 @@ def _between_percents(unit: Unit) -> Unit:
     marks = [i for i, line in enumerate(unit.lines) if line.strip().startswith("%")]
     first = next((i for i, line in enumerate(unit.lines) if line.strip()), 0)
     if len(marks) >= 2 and marks[0] == first:
-        return replace(unit, lines=unit.lines[: marks[1]])
+        return replace(unit, lines=[*unit.lines[: marks[1]], "M2"])
     return unit
 
 

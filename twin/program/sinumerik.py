@@ -22,7 +22,7 @@ from twin.program.cycles import CycleError
 from twin.program.expressions import SINUMERIK, Expression, Value, WordError
 from twin.program.flow import Flow, Frame, Statement
 from twin.program.source import Folder, Unit, plain_name
-from twin.program.tables import NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
+from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 from twin.program.words import NUMBER, Word, split_arguments, split_words
 from twin.units import rad_from_deg
 
@@ -53,6 +53,7 @@ _DEF = re.compile(
 _WRAPPED = re.compile(r"\s*(AC|IC|DC|ACP|ACN)\s*\((.*)\)\s*\Z", re.S)
 _FRAME_PART = re.compile(r"\s*C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)\s*:?")
 _AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
+_MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "C1"}
 _SWITCH_WORDS = {"TRANS", "ATRANS", "ROT", "AROT", "SCALE", "ASCALE", "MIRROR", "AMIRROR", "ROTS", "AROTS"}
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
 MOST_ELEMENTS = 100_000
@@ -182,6 +183,8 @@ class Sinumerik(Control):
             self._define(s, frame)
         elif s.kind == "define":
             raise WordError("DEFINE .. AS is not supported: macros; write the words themselves", s.column)
+        elif s.kind == "extern":
+            self.note("EXTERN: a declaration, without effect on the motion")
         elif s.kind in ("endwhile", "endif"):
             raise WordError(f"{s.kind.upper()} ends nothing that was begun", s.column)
 
@@ -416,8 +419,8 @@ class Sinumerik(Control):
                 self._assignment(word)
             elif name == "G" and (word.value is not None or word.assigned):
                 g.append((self._value(word), word))
-            elif name in INDEX or name in OTHER or (name in ("POS", "POSA") and word.index):
-                axis = name if not name.startswith("POS") else (word.index or "").strip()
+            elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in ("POS", "POSA") and word.index):
+                axis = name[0] if not name.startswith("POS") else (word.index or "").strip().removesuffix("1")
                 if axis not in INDEX and axis not in OTHER:
                     raise WordError(f"{name}[{axis}]: this machine has X Y Z A C", word.column)
                 if axis in coordinates:
@@ -504,12 +507,15 @@ class Sinumerik(Control):
         moved_by_name = None
         for number, word in g:
             self._g(number, word)
+        cycle = next((w for w in names if w.name.startswith("CYCLE8") and SINUMERIK_NAMES[w.name][0] == ACTS), None)
+        if cycle is not None and any(w.name == "MCALL" for w in names):
+            names = [w for w in names if w is not cycle]
         for word in names:
             if word.name in ("CIP", "CT"):
                 moved_by_name = word.name
                 self.motion = 2
             elif word.name not in _SWITCH_WORDS and word.name != "SUPA":
-                self._name(word, calls)
+                self._name(word, calls, cycle)
         pause = self._m(m)
         if frame_word is not None or shift is not None:
             self._frame_words(frame_word, shift, coordinates, extra)
@@ -539,6 +545,9 @@ class Sinumerik(Control):
             self.flow.back("return")
         elif 2 in m or 30 in m:
             self.flow.ended = True
+
+    def runs_into(self, what: str, column: int) -> None:
+        """The end of the file ends a program like M30."""
 
     def returned(self, frame: Frame) -> None:
         """The end of a subprogram; a last corner or compensation goes on in the caller."""
@@ -683,7 +692,7 @@ class Sinumerik(Control):
                 self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
         return pause
 
-    def _name(self, word: Word, calls: list[Word]) -> None:
+    def _name(self, word: Word, calls: list[Word], cycle: Word | None) -> None:
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""
         name, out = word.name, self.out
         kind, meaning = SINUMERIK_NAMES[name]
@@ -712,7 +721,7 @@ class Sinumerik(Control):
             out.messages.append(text.strip('"') if text.count('"') <= 2 else text)
         elif name == "MCALL":
             self._release()
-            self._modal(calls)
+            self._modal(calls, cycle)
         elif name in ("CALL", "PCALL"):
             text = (word.text or "").strip()
             if not text and calls:
@@ -726,8 +735,11 @@ class Sinumerik(Control):
         else:
             raise WordError(f"{name} needs a value, e.g. {name}=1", word.column)
 
-    def _modal(self, calls: list[Word]) -> None:
+    def _modal(self, calls: list[Word], cycle: Word | None) -> None:
         """MCALL: a cycle or subprogram behind each block that moves; alone it ends."""
+        if cycle is not None:
+            self.mcall = cycles.drilling(self, cycle.name, cycles.values_of(self, cycle), cycle)
+            return
         if not calls:
             self.mcall = None
             return

@@ -1,0 +1,298 @@
+"""Mutate programs and read them: no traceback, no hang, and what is accepted reads the same from its normalised print.
+
+    python devtools/fuzz_programs.py [--count 100000] [--seed 0] [FILES]
+
+Without files, the samples below are mutated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+import random
+import tempfile
+import time
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine.machine import Machine, load_machine
+from twin.program import flow
+from twin.program import moves as mv
+from twin.program.collect import Collector
+from twin.program.read import understand
+
+FEWER_JUMPS = 300
+"""Jumps after which a loop of a mutated sample is endless: the samples need 20, and the limit of the reader takes seconds."""
+SLOWEST = 60.0
+"""Seconds that reading one mutated sample may take; the counts of blocks and jumps end every loop before."""
+
+SAMPLES = {
+    "part.mpf": """%_N_PART_MPF
+;$PATH=/_N_WKS_DIR/_N_X_WPD
+N10 G17 G54 G64 G71 G90 G94 G40
+DEF REAL DEPTH=-5, STEP[3]
+DEF INT I
+STEP[0]=1 STEP[1]=2
+T1 D1 M6
+S5000 M3 M8
+TRANS Z1
+AROT Z30
+CYCLE832(0.01,_FINISH,1)
+FOR I=1 TO 3
+G0 X=I*10 Y0 Z10
+G1 Z=DEPTH F500
+INNER(I, 2.5)
+ENDFOR
+ROT
+R1=0
+WHILE R1<3
+G91 G1 X1
+R1=R1+STEP[0]
+ENDWHILE
+G90
+LOOP
+R1=R1+1
+IF (R1>5) AND NOT (R1>9) GOTOF FIN
+ENDLOOP
+FIN:
+MCALL CYCLE83(50,0,2,-25,,-5,,2,0.1,0.1,1,1)
+G0 X10 Y10
+HOLES2(0,0,20,0,60,6)
+MCALL
+CYCLE800()
+G0 X0 Y0 Z20
+G1 X10 Y0 RND=2 F1000
+X10 Y20 CHF=1
+X0 Y20
+$TC_DP6[1,1]=5
+G1 G41 X20 Y20
+X40
+Y40
+X20
+G40 X0 Y0
+G111 X0 Y0
+G1 AP=30 RP=20
+CIP X0 Y40 I1=20 J1=30
+G2 X0 Y0 CR=30
+CASE (R1) OF 0 GOTOF LA 6 GOTOF LB DEFAULT GOTOF LB
+LA: MSG("at A")
+LB: G75 FP=1 X1=0 Z0
+SUPA G0 Z100 D0
+M30
+%_N_INNER_SPF
+PROC INNER(REAL NR, REAL SIZE) SAVE DISPLOF
+G91 G1 X=SIZE
+X=-SIZE
+G90
+RET
+""",
+    "part.nc": """%
+O1234 (PART)
+N10 G21 G17 G40 G49 G80 G90
+T1 M6
+G54 G0 X0 Y0 S3000 M3
+G43 H1 Z50. M8
+G98 G81 X10. Y10. Z-5. R2. F200.
+X20.
+G80 G0 Z50.
+#100=3
+WHILE [#100 GT 0] DO1
+G1 X[#100*2.] Y#100 F500.
+#100=#100-1
+END1
+IF [#100 EQ 0] GOTO 100
+G1 X99.
+N100 G68 X0 Y0 R45.
+G1 X10. Y0.
+G69
+G0 X10. Y0.
+G2 X20. Y0 I5.
+M98 P2000 L2
+G65 P3000 A1. B2.
+G91 G28 Z0.
+G90 G52 X5.
+G1 X1.
+G52 X0
+G16 G1 X20. Y30.
+G15
+G04 P500
+G10 L2 P1 X0. Y0. Z0.
+M30
+O2000
+G91 G1 X1.
+G90
+M99
+O3000
+G1 X#1 Y#2
+M99
+%
+""",
+    "part.ngc": """g21 g90 g17
+#<deep> = 3
+o<cut> sub
+g1 x#1 y[#2 * 2] f100
+o10 if [#1 gt 3]
+g3 x0 y0 r20
+o10 elseif [#1 eq 2]
+g1 z-1
+o10 else
+g1 z1
+o10 endif
+o<cut> endsub [#1 + 1]
+g0 z5
+o100 while [#<deep> gt 0]
+o<cut> call [#<deep>] [2.5]
+#<deep> = [#<deep> - 1]
+o100 endwhile
+g41.1 d4
+g1 x20 y0
+x40
+y40
+x20
+g40 g1 x0
+g10 l2 p2 x1 r30
+g55 g0 x0 y0
+g92 x1
+g1 x5
+g92.1
+(debug, deep #<deep>)
+m2
+""",
+}
+
+
+def normalised(out: Collector) -> str | None:
+    """What was understood as a plain program; None for what plain words cannot say (tool axes, transformations, arcs in space)."""
+    lines, feed = ["G90 G94 G64 G710"], None
+    here = np.array([*out.position[:3]]) * 0.0
+    plane = 17
+    for row, (kind, target) in enumerate(zip(out.kinds, out.targets)):
+        mode = out.all_modes[out.mode_of[row]]
+        if (
+            out.tool_axes[row] is not None
+            or mode.traori
+            or mode.feed_mode != 94
+            or not all(abs(v) < 1e6 for v in target if not math.isnan(v))
+        ):
+            return None
+        end = np.array(target[:3])
+        words = "".join(f" {n}={v * 1e3:.15f}" for n, v in zip("XYZ", map(float, end)))
+        words += "".join(f" {n}={math.degrees(v):.15f}" for n, v in zip("AC", target[3:]) if not math.isnan(v))
+        if kind == mv.DWELL:
+            lines.append(f"G4 F{out.pauses[row]:.15f}")
+            continue
+        if kind != mv.RAPID:
+            value = out.feeds[row] * mode.feed_unit * 1e3
+            words += "" if value == feed else f" F={value:.15f}"
+            feed = value
+        if kind == mv.ARC:
+            centre, normal, angle = out.arcs[row]
+            axis = int(np.argmax(np.abs(normal)))
+            if row == 0 or abs(abs(normal[axis]) - 1.0) > 1e-12:
+                return None
+            plane = {2: 17, 1: 18, 0: 19}[axis]
+            turns = math.ceil(angle / (2.0 * math.pi) - 1e-9) - 1
+            arm = centre - here
+            a, b = [i for i in range(3) if i != axis]
+            words += f" {'IJK'[a]}={arm[a] * 1e3:.15f} {'IJK'[b]}={arm[b] * 1e3:.15f}" + (f" TURN={turns}" if turns else "")
+            lines.append(f"G{plane} G{2 if normal[axis] < 0 else 3}{words}")
+        else:
+            lines.append(f"G{kind}{words}")
+        here = end
+    return "\n".join([*lines, "M30", ""])
+
+
+def mutate(text: str, rng: random.Random) -> str:
+    """The text with a few changes of characters, words or lines."""
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randrange(max(1, len(text)))
+        what = rng.randrange(6)
+        if what == 0:
+            text = text[:at] + text[at + 1 :]
+        elif what == 1:
+            text = text[:at] + rng.choice('0123456789.-+=()[]#<>";:%/ GXYZFMRNPQLIJK\n') + text[at:]
+        elif what == 2:
+            lines = text.split("\n")
+            i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+            lines[i], lines[j] = lines[j], lines[i]
+            text = "\n".join(lines)
+        elif what == 3:
+            lines = text.split("\n")
+            lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+            text = "\n".join(lines)
+        elif what == 4:
+            lines = text.split("\n")
+            lines.pop(rng.randrange(len(lines)))
+            text = "\n".join(lines) or "\n"
+        else:
+            text = text[:at] + str(rng.choice([0, -1, 1e9, 99999, 0.001])) + text[at + 1 :]
+    return text
+
+
+def check(name: str, text: str, machine: Machine, folder: Path) -> str:
+    """Read one text: 'refused', 'read' or 'read and re-read'; AssertionError on another meaning."""
+    flow.MOST_JUMPS = FEWER_JUMPS
+    path = folder / name
+    path.write_text(text)
+    begin = time.monotonic()
+    try:
+        out = understand(path, machine)
+    except InputError as error:
+        if "\n" in str(error):
+            raise AssertionError(f"more than one line: {error}") from None
+        return "refused"
+    finally:
+        assert time.monotonic() - begin < SLOWEST, "too slow"
+    plain = normalised(out)
+    if plain is None or not out.kinds:
+        return "read"
+    again = folder / "again.mpf"
+    again.write_text(plain)
+    try:
+        other = understand(again, machine)
+    except InputError as error:
+        if "close" in str(error) or "no feed" in str(error) or "feed" in str(error) or "out of range" in str(error):
+            return "read"  # arcs within the wider tolerance of ISO; feeds that are found when the program is finished
+        raise AssertionError(f"the normalised print is refused: {error}") from None
+    assert other.kinds == out.kinds
+    same = [np.allclose(a, b, rtol=0, atol=1e-9, equal_nan=True) for a, b in zip(out.targets, other.targets)]
+    assert all(same), f"move {same.index(False)} has another meaning"
+    for row, (_, normal, angle) in out.arcs.items():
+        assert np.allclose(other.arcs[row][1], normal, atol=1e-6)
+        assert abs(other.arcs[row][2] - angle) < 1e-5
+    return "read and re-read"
+
+
+def fuzz(count: int, seed: int, samples: dict[str, str], machine: Machine, folder: Path) -> dict[str, int]:
+    """How many mutated programs were refused, read and re-read."""
+    rng = random.Random(seed)
+    counts: dict[str, int] = {}
+    names = sorted(samples)
+    for k in range(count):
+        name = names[k % len(names)]
+        text = mutate(samples[name], rng)
+        try:
+            result = check(name, text, machine, folder)
+        except Exception:
+            (folder / f"failed_{name}").write_text(text)
+            raise
+        counts[result] = counts.get(result, 0) + 1
+    return counts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--count", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    samples = {f.name: f.read_text(errors="replace") for f in args.files} or SAMPLES
+    folder = Path(tempfile.mkdtemp())
+    print(f"a program that fails is kept in {folder}")
+    print(fuzz(args.count, args.seed, samples, load_machine(), folder))
+
+
+if __name__ == "__main__":
+    main()
