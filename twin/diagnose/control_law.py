@@ -69,9 +69,12 @@ def law_sigma(view: RunView, axis: Axis) -> float:
 def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
     """How far e may be wrong though the controller is right (cycle,): standard deviation, a fault that is the same in many samples.
 
-    Any law written down differs from the one that runs in the control, by a share of the speed; and by how it reads between its cycles.
+    A law fitted to a recording differs from the one that runs in the control, by a share of the speed; and by how it reads between its
+    cycles. A law whose delays are whole cycles is that of the control's design, and exact.
     """
     t = view.thresholds
+    if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0:
+        return np.zeros(len(view.trace.time))[:: _cycle_samples(view, axis)]
     speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
     between = axis.loops.position_gain_per_s * between_cycles(view, axis)
     return np.hypot(t.law_share * speed, between)[:: _cycle_samples(view, axis)]
@@ -84,11 +87,17 @@ def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
     by p (1 - p) / 2 Tp^2 |a|. A control that delays by whole cycles, or of which the file says how it interpolates, leaves nothing open.
     """
     tp = view.machine.position_cycle
-    part = (axis.loops.position_delay_s / tp + 1e-6) % 1.0
-    if view.machine.setpoint_interpolation == "linear" or part < 1e-3:
+    part = _part_of_cycle(view, axis)
+    if view.machine.setpoint_interpolation == "linear" or not part:
         return np.zeros(len(view.trace.time))
     acceleration = np.abs(view.motion.acceleration[:, view.machine.axis_names.index(axis.name)])
     return 0.5 * part * (1.0 - part) * tp**2 * _around(acceleration, view)
+
+
+def _part_of_cycle(view: RunView, axis: Axis) -> float:
+    """Part of a cycle by which the delay of the set point exceeds whole ones, 0 where it is a whole number."""
+    part = (axis.loops.position_delay_s / view.machine.position_cycle + 1e-6) % 1.0
+    return part if part > 1e-3 else 0.0
 
 
 def _around(values: np.ndarray, view: RunView) -> np.ndarray:
