@@ -14,7 +14,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
-from twin.diagnose.sizes import drop_implausible
+from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
 from twin.diagnose.where import _gather, _lead
@@ -70,8 +70,7 @@ def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp
     found = searched(group)
     assert len(named([found])) == 1
     small = replace(found.fit.settings[0], parameters={"factor": 1.001})
-    found.fit = replace(found.fit, settings=(small,))
-    drop_implausible(found, load_machine(), map)
+    found = without_implausible(replace(found, fit=replace(found.fit, settings=(small,))), load_machine(), map)
     assert found.fit.settings == () == tuple(named([found]))
 
 

@@ -156,9 +156,9 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     for key, value in table.items():
         if key not in known:
             raise InputError(f"{where}: unknown key '{key}' for kind {kind}; {nearest(key, known)}")
-        expected, kind = _TYPES.get(key, (object, ""))
+        expected, form = _TYPES.get(key, (object, ""))
         if not isinstance(value, expected) or value in ([], {}, ""):
-            raise InputError(f"{where}: {key} = {value!r}: expected {kind or 'a word'}")
+            raise InputError(f"{where}: {key} = {value!r}: expected {form or 'a word'}")
     if table.get("feedforward") is not None and table["feedforward"] not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{table['feedforward']}'; use one of {', '.join(FEEDFORWARD)}")
     for key in ("keep_every_ms", "zone_um"):
