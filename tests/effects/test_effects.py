@@ -200,7 +200,9 @@ def test_each_parameter_changes_an_output(name, parameter):
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter"), [(n, p) for n, e in EFFECTS.items() for p in e.parameters if p.neutral is not None], ids=str
+    ("name", "parameter"),
+    [(n, p) for n, e in EFFECTS.items() for p in e.parameters if p.neutral is not None],
+    ids=lambda x: getattr(x, "name", x),
 )
 def test_neutral_is_bit_identical_to_the_machine_without_it(name, parameter):
     assert equal(moved(name, **{parameter.name: parameter.neutral}), bare(name))

@@ -185,7 +185,7 @@ def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
     assert all(parameter(field).field == field for field in SPREAD.values())
 
 
-@pytest.mark.parametrize("key", [k for p in PARAMETERS for k in {p.screw, p.gear, p.direct} if k])
+@pytest.mark.parametrize("key", [k for p in PARAMETERS for k in dict.fromkeys((p.screw, p.gear, p.direct)) if k])
 def test_units_there_and_back(key: str) -> None:
     assert file_from_typed(key, typed_from_file(key, 3.7)) == pytest.approx(3.7, rel=1e-15)
 
