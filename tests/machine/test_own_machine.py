@@ -20,7 +20,7 @@ from twin.machine.machine import Machine, load_machine
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
-from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import gap_of_campaign
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, setpoints_of
@@ -127,7 +127,7 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert {p["block"] for p in found["where"]} == {"mechanics"}
     assert found["notes"] == [  # no signal is wanting
         "a single run: nothing could be left out of the fit",
-        "a quick look: gaps are the reduced plant's, not MuJoCo's; which effects these runs would not show was not asked",
+        "a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked",
     ]
     assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")
@@ -385,5 +385,5 @@ def test_an_arm_of_four_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str
     along = full.matrix("position")
     speed = np.gradient(along, full.period, axis=0)
     motion = Motion(along, speed, np.gradient(speed, full.period, axis=0), full.period)
-    reduced = simulate(machine, Setpoints(position, 4e-3), plant_of=lambda change: ReducedPlant(change, motion)).trace
-    assert np.abs(along - reduced.matrix("position")).max() < 1e-7
+    decoupled = simulate(machine, Setpoints(position, 4e-3), plant_of=lambda change: DecoupledPlant(change, motion)).trace
+    assert np.abs(along - decoupled.matrix("position")).max() < 1e-7

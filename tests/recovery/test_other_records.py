@@ -100,14 +100,14 @@ def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_p
     """Noise in the loop winds it up; the cycle of the control, which winds it up too, is no noise of a sensor."""
     found = searched(observed(tmp_path, "healthy", None, "C", RICHNESS["small"])[0])
     assert any(n.quantity == "elasticity" and n.owner == "C" for n in found.tuning.nuisances)
-    levels = [float(np.mean((left / c.spread) ** 2)) for c, left in windups(found)]
+    levels = [float(np.mean((left / c.spread) ** 2)) for c, left in transmission_residuals(found)]
     assert min(levels) > 0.9
     assert max(levels) < 1.15
 
 
-def windups(found):
+def transmission_residuals(found):
     left = found.fit.left(found.group) / found.group.weights
-    return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "windup")]
+    return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "motor_minus_scale")]
 
 
 def test_noise_is_that_of_a_machine_that_rings(tmp_path):

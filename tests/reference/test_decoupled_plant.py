@@ -1,4 +1,4 @@
-"""The reduced plant against MuJoCo: the same loop, another step; what is fitted on the one is reported from the other."""
+"""The decoupled plant against MuJoCo: the same loop, another step; what is fitted on the one is reported from the other."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
-from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 from twin.units import ARCSEC
@@ -29,18 +29,18 @@ def nominal():
     return machine, setpoints, simulate(machine, setpoints).trace
 
 
-def reduced(machine, setpoints, nominal_trace, axes):
+def decoupled_trace(machine, setpoints, nominal_trace, axes):
     """The axes by themselves, along the nominal motion."""
     index = tuple(machine.axis_names.index(a) for a in axes)
     speed = nominal_trace.matrix("velocity", axes)
     motion = Motion(nominal_trace.matrix("position", axes), speed, np.gradient(speed, PERIOD, axis=0), PERIOD)
-    return simulate(machine.with_axes(axes), setpoints.part(index), plant_of=lambda change: ReducedPlant(change, motion)).trace
+    return simulate(machine.with_axes(axes), setpoints.part(index), plant_of=lambda change: DecoupledPlant(change, motion)).trace
 
 
 @pytest.mark.parametrize("axes", [("X",), ("Y",), ("Z",), ("A", "C")])
 def test_nominal_axis_agrees_with_the_engine(nominal, axes):
     machine, setpoints, trace = nominal
-    alone = reduced(machine, setpoints, trace, axes)
+    alone = decoupled_trace(machine, setpoints, trace, axes)
     for axis in axes:
         bound = 0.01e-6 if axis in "XYZ" else 0.05 * ARCSEC
         assert np.abs(alone.get(axis, "position") - trace.get(axis, "position")).max() < bound
@@ -61,15 +61,15 @@ def test_axis_with_an_effect_agrees_with_the_engine(nominal, effect):
     machine, setpoints, trace = nominal
     changed = with_effects(machine, [effect])
     full = simulate(changed, setpoints).trace
-    alone = reduced(changed, setpoints, trace, ("X",))
+    alone = decoupled_trace(changed, setpoints, trace, ("X",))
     assert np.abs(full.get("X", "position") - trace.get("X", "position")).max() > 0.1e-6  # the effect does something
     assert np.abs(alone.get("X", "position") - full.get("X", "position")).max() < 0.01e-6
 
 
 def test_what_is_remembered_does_not_leak_into_other_machines(nominal):
     machine, setpoints, trace = nominal
-    first = reduced(machine, setpoints, trace, ("X",)).get("X", "position")
-    heavier = reduced(machine.with_values({"axis.X.moving_mass_kg": 800.0}), setpoints, trace, ("X",)).get("X", "position")
-    again = reduced(machine, setpoints, trace, ("X",)).get("X", "position")
+    first = decoupled_trace(machine, setpoints, trace, ("X",)).get("X", "position")
+    heavier = decoupled_trace(machine.with_values({"axis.X.moving_mass_kg": 800.0}), setpoints, trace, ("X",)).get("X", "position")
+    again = decoupled_trace(machine, setpoints, trace, ("X",)).get("X", "position")
     assert np.array_equal(first, again)
     assert not np.array_equal(first, heavier)

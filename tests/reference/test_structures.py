@@ -13,9 +13,9 @@ from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.cascade_reference import CHANNELS, simulate_reference
-from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import gap_of, predict
-from twin.simulation.mujoco_plant import FullPlant
+from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, setpoints_of
 
@@ -109,17 +109,17 @@ def test_direct_drive_is_a_screw_of_one_metre_a_radian(tmp_path: Path) -> None:
     assert (screw.motor.torque_constant_nm_per_a, screw.coulomb_friction) == (35.0, pytest.approx(20.0))
 
 
-def test_reduced_plant_is_the_engine(tmp_path: Path) -> None:
+def test_decoupled_plant_is_the_engine(tmp_path: Path) -> None:
     machine: Machine = slides(tmp_path)
     setpoints = swings(machine, 0.6)
-    full = simulate(machine, setpoints, plant_of=FullPlant).trace
+    full = simulate(machine, setpoints, plant_of=MujocoPlant).trace
     position = full.matrix("position")
     speed = np.gradient(position, full.period, axis=0)
     motion = Motion(position, speed, np.gradient(speed, full.period, axis=0), full.period)
-    reduced = simulate(machine, setpoints, plant_of=lambda change: ReducedPlant(change, motion)).trace
+    decoupled = simulate(machine, setpoints, plant_of=lambda change: DecoupledPlant(change, motion)).trace
     for axis in machine.axes:
-        assert np.abs(full.get(axis.name, "position") - reduced.get(axis.name, "position")).max() < 1e-9
-        assert np.abs(full.get(axis.name, axis.effort) - reduced.get(axis.name, axis.effort)).max() < 1e-4
+        assert np.abs(full.get(axis.name, "position") - decoupled.get(axis.name, "position")).max() < 1e-9
+        assert np.abs(full.get(axis.name, axis.effort) - decoupled.get(axis.name, axis.effort)).max() < 1e-4
 
 
 def test_a_recording_that_begins_in_motion(tmp_path: Path) -> None:

@@ -40,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def carry_out(args: argparse.Namespace) -> int:
     """Draw, seal, diagnose, open, mark, score; 1 where a target is missed by more than chance."""
     if args.plan:
-        from twin.exam.detectability import foresee_command
+        from twin.exam.detectability import detectability_command
 
-        return foresee_command(args)
+        return detectability_command(args)
     from twin.exam.draw import what_lacks
     from twin.exam.mark import mark
     from twin.exam.questions import STRATA, questions_of

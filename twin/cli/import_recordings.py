@@ -54,7 +54,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     from twin.recordings.understand import understand
     from twin.recordings.write import write_campaign, write_run
 
-    tell = say or (lambda _text: None)
+    report = say or (lambda _text: None)
     runs = runs_of(mapping, files)
     names = [run.name for run, _ in runs]
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
@@ -72,15 +72,15 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
                     for trace in traces[:MOST_PICTURES]:
                         draw_run(known, trace, out / f"{trace.name}.png")
                 done.append((known, traces))
-                tell(
+                report(
                     f"\n{run.name}, feedforward {run.feedforward or 'not said'}: "
                     + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
                     + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
                     + f" every {traces[0].piece.period * 1e3:g} ms"
                 )
-                tell(understood_table(known, traces))
+                report(understood_table(known, traces))
                 for note in known.notes:
-                    tell(f"  - {note}")
+                    report(f"  - {note}")
             bar(None)
     write_campaign(out, mapping, done)
     return sum(len(traces) for _, traces in done)

@@ -3,7 +3,7 @@
     position controller   set point and position in, speed set point out (channel `controller`)
     speed controller      speed set point and speed in, current out: the compiled PI law run over the record
     mechanics             current in, motion out: force balance Kt i / r - M a - Fc sign v - D v - bias, below 40 Hz
-    transmission          motor position against scale (channel `windup`), with `measurement` behind it
+    transmission          motor position against scale (channel `motor_minus_scale`), with `measurement` behind it
 
 The score of a block is the mean square of its residual over that of the nominal twin with noise: about 1 where the
 block does what the machine file says.
@@ -63,7 +63,7 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     """
     found = []
     for channel in group.channels:
-        if channel.name in ("controller", "windup"):
+        if channel.name in ("controller", "motor_minus_scale"):
             view = group.views[channel.run]
             every = max(1, round(view.machine.position_cycle / view.trace.period))
             if channel.name == "controller":

@@ -300,7 +300,7 @@ def diagnose(
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
     if quick:
-        notes.append("a quick look: gaps are the reduced plant's, not MuJoCo's; which effects these runs would not show was not asked")
+        notes.append("a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked")
     if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
         notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
     verdict = verdict_of(found, settings)

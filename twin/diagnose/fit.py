@@ -205,7 +205,7 @@ def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) 
 
 
 def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
-    """Axes that effects change: in the reduced plant their own only, unless they edit bodies that several axes carry."""
+    """Axes that effects change: in the decoupled plant their own only, unless they edit bodies that several axes carry."""
     return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 

@@ -37,8 +37,8 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread, tuning.prior_weight)
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
-    cut = {c.axis for c in group.channels if c.name == "windup"}
-    giving = [a for a in group.axes if dirty & ({(a, "windup")} if a in cut else {(a, "position"), (a, "current")})]
+    cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
+    giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
     wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if (a, "position") in dirty]
     current = plain
     for nuisance in wanted:

@@ -3,7 +3,7 @@
 Channels cut the loop where the recorded signals allow it, so that a fault shows in its own block:
 
     controller   the control law: measured inputs in, measured output compared (`twin.diagnose.control_law`)
-    windup       motor position minus scale where the set point moves: transmission and measurement
+    motor_minus_scale  motor position minus scale where the set point moves: transmission and measurement
     position     scale (the motor encoder where there is no scale), closed loop
     velocity     motor speed, closed loop
     current      where the set point moves: speed controller, current loop and mechanics, closed loop; of an axis without
@@ -32,7 +32,7 @@ from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
 from twin.simulation.plant_spec import build_plant, full_inertia
 from twin.simulation.run import Run, commissioned_inertia, simulate
@@ -173,7 +173,7 @@ def simulate_group(
     *,
     noise_seed: int | None = None,
 ) -> Run:
-    """Simulate some axes of a run by themselves in the reduced plant; at the times of the run's record."""
+    """Simulate some axes of a run by themselves in the decoupled plant; at the times of the run's record."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
     changed = with_added(machine, settings)
     hidden = settings_of(changed)
@@ -193,7 +193,7 @@ def simulate_group(
         setpoints,
         sample_period=simulated_period(machine, view.trace.period),
         started_at=view.started_at,
-        plant_of=lambda change: ReducedPlant(change, motion, machine.with_axes(carrying)),
+        plant_of=lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
         noise_seed=noise_seed,
     )
     return replace(run, trace=at_times(run.trace, view.trace.time), without_noise=at_times(run.without_noise, view.trace.time))
@@ -212,8 +212,8 @@ def channels_of(
             out[name, "controller"] = error
         moving = view.reference(name)[2]
         if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > view.thresholds.enough_samples:
-            windup = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
-            out[name, "windup"] = windup - windup.mean() if name in view.own_zeros else windup
+            motor_minus_scale = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
+            out[name, "motor_minus_scale"] = motor_minus_scale - motor_minus_scale.mean() if name in view.own_zeros else motor_minus_scale
         for signal in ("position", "motor_position"):
             if measured.has(name, signal):
                 out[name, "position"] = trace.get(name, signal)
@@ -296,7 +296,7 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
     """
     axis = view.machine.axis(name)
     off = between_cycles(view, axis)
-    if channel == "windup" or not off.any():
+    if channel == "motor_minus_scale" or not off.any():
         return 0.0
     gain = axis.loops.position_gain_per_s
     if channel == "current":
@@ -311,7 +311,7 @@ def _least(machine: Machine, axis: Axis, channel: str) -> float:
     if channel == "current":
         no_less = 0.0 if axis.has_current_loop and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
         return max(no_less, LEAST_NOISE["current"])
-    return LEAST_NOISE["position" if channel == "windup" else channel]
+    return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
 
 
 def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
@@ -332,7 +332,7 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
     channels = []
     for c in group.channels:
         key = (c.axis, c.name)
-        if c.name == "windup":  # moves with the motion, and trembles with each draw of noise
+        if c.name == "motor_minus_scale":  # moves with the motion, and trembles with each draw of noise
             shift = nominal[c.run][key] - group.nominal[c.run][key]
         else:
             shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
@@ -355,7 +355,7 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
             rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
             scatter = {
                 "position": c.scatter,
-                "windup": Scatter(c.scatter.deviations + rings, np.zeros(len(rings))),  # of a rigid one, sensors alone
+                "motor_minus_scale": Scatter(c.scatter.deviations + rings, np.zeros(len(rings))),  # of a rigid one, sensors alone
             }.get(c.name, Scatter(c.scatter.deviations + rings, c.scatter.jitter))
             c = _with_noise(c, scatter, left[c.rows] / c.weight, group.views[c.run])
         seen.append(c)
@@ -366,7 +366,7 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with the noise that realisations tell, and `rough` (sample,), its own record beside a twin."""
     axis, t = view.machine.axis(channel.axis), channel.thresholds
-    signal = {"windup": "position", "current": axis.effort}.get(channel.name, channel.name)
+    signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
     sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, noisier), _least(view.machine, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip

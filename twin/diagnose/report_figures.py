@@ -156,7 +156,7 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
     if measured.has(axis.name, "position"):
         panels.append(("following error", "following error"))
     if block in ("transmission", "measurement") and measured.has(axis.name, "position") and measured.has(axis.name, "motor_position"):
-        panels.append(("motor − scale", "windup"))
+        panels.append(("motor − scale", "motor_minus_scale"))
     elif measured.has(axis.name, axis.effort):
         panels.append((axis.effort, axis.effort))
     signal = _gap_signal(measured, axis, block)
@@ -169,7 +169,7 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
     if signal == "following error":
         asked = np.interp(measured.time - axis.loops.position_delay_s, measured.time, measured.get(axis.name, "setpoint"))
         return (asked - trace.get(axis.name, "position")) * factor, unit
-    if signal == "windup":
+    if signal == "motor_minus_scale":
         return (trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")) * factor, unit
     unit, factor = gap_unit(axis, signal)
     return trace.get(axis.name, signal) * factor, unit

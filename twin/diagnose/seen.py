@@ -31,8 +31,8 @@ def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResid
         square = {c.name: float(np.mean(c.residual**2)) for c in group.channels if (c.run, c.axis) == (part.run, name)}
         weight = len(view.trace.time)
         if block == "transmission":
-            made += weight * square.get("windup", 0.0)
-            gap += weight * (square.get("windup", 0.0) + square.get("position", 0.0))
+            made += weight * square.get("motor_minus_scale", 0.0)
+            gap += weight * (square.get("motor_minus_scale", 0.0) + square.get("position", 0.0))
         elif block == "mechanics":
             made += weight * float(np.mean((part.residual * axis.ratio / axis.motor.torque_constant_nm_per_a) ** 2))
             gap += weight * square.get("current", 0.0)

@@ -74,7 +74,7 @@ class StartValues:
             values = self.values[channel.rows]
             q, v = view.motion.position[:, a], view.motion.speed[:, a]
             t = view.trace.time - view.trace.time[0]
-            if name in ("current", "windup"):
+            if name in ("current", "motor_minus_scale"):
                 moving = view.reference(self.axis.name)[2]
                 q, v, t = q[moving], v[moving], t[moving]
             yield values, q, v, t
@@ -126,13 +126,13 @@ class StartValues:
         return frequencies, power
 
     def _resonance(self, scan: Resonance) -> tuple[np.ndarray, np.ndarray]:
-        """Square of the windup (or, without it, of the position) that a mass swinging with each frequency explains.
+        """Square of motor minus scale (or, without it, of the position) that a mass swinging with each frequency explains.
 
         Frequencies that a run's sampling cannot show (from half its rate on) get nothing from it.
         """
         frequencies = np.geomspace(scan.low_hz, scan.high_hz, 40)
         power = np.zeros(len(frequencies))
-        name = "windup" if any(n == "windup" for _, n in self.channels) else "position"
+        name = "motor_minus_scale" if any(n == "motor_minus_scale" for _, n in self.channels) else "position"
         for values, _, v, t in self._pieces(name):
             if len(t) < 3:
                 continue

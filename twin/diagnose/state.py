@@ -18,7 +18,7 @@ from twin.effects import Setting
 Key = tuple[str, str, str | None]
 """Effect, axis, and the axis that it comes from."""
 
-SHOWS_IN = {"position controller": "controller", "transmission": "windup", "measurement": "windup"}
+SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
 """The cut channel in which every effect of a block shows."""
 
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}

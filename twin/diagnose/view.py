@@ -12,7 +12,7 @@ from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import SAME_PERIOD, at_times, is_moving, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
@@ -57,9 +57,9 @@ class RunView:
 
 
 def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
-    """A run with the nominal twin's own motion, along which the reduced plant is taken.
+    """A run with the nominal twin's own motion, along which the decoupled plant is taken.
 
-    Inertia and gravity depend on where rotary axes are: theirs is what the reduced plant itself makes along a first guess of it.
+    Inertia and gravity depend on where rotary axes are: theirs is what the decoupled plant itself makes along a first guess of it.
     """
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
@@ -76,7 +76,7 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
             actual.with_axes([actual.axis_names[a] for a in rotary]),
             setpoints.part(rotary),
             sample_period=simulated_period(actual, setpoints.period),
-            plant_of=lambda change: ReducedPlant(change, motion.part(rotary)),
+            plant_of=lambda change: DecoupledPlant(change, motion.part(rotary)),
         )
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = _motion(position, setpoints.period)

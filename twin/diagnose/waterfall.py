@@ -87,7 +87,7 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
         left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:
-        if channel.name != "controller":  # windup stands for the motor encoder
+        if channel.name != "controller":  # motor_minus_scale stands for the motor encoder
             normed = left[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
     return {axis: float(np.mean(values)) for axis, values in squares.items()}

@@ -65,7 +65,7 @@ def places(
 def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
     """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
 
-    Current loop and mechanics share the force balance, transmission and measurement the windup, and what the recorded
+    Current loop and mechanics share the force balance, transmission and measurement motor minus scale, and what the recorded
     signals cannot cut is seen in the next block: the block of the effect found decides.
     """
     block, axis = setting.effect.block, setting.axis

@@ -41,8 +41,8 @@ from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
 
 CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "as recorded": ("scale", ("controller", "windup", "position", "velocity", "current")),
-    "without speed set point": ("scale", ("windup", "position", "velocity", "current")),
+    "as recorded": ("scale", ("controller", "motor_minus_scale", "position", "velocity", "current")),
+    "without speed set point": ("scale", ("motor_minus_scale", "position", "velocity", "current")),
     "scale and current": ("scale", ("position", "current")),
     "motor encoder and current": ("motor", ("position", "velocity", "current")),
     "motor encoder alone": ("motor", ("position", "velocity")),
@@ -176,7 +176,7 @@ def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRu
     return MeasuredRun(kind, Trace(trace.time, kept, {a: machine.kinds[a] for a in axes}), like.feedforward, like.started_at)
 
 
-def foresee(campaign: Campaign, machine: Machine, say: Callable[[str], None]) -> dict[str, list[Outlook]]:
+def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], None]) -> dict[str, list[Outlook]]:
     """Outlook by variant of the campaign: its own, with fewer signals, and with each further run."""
     axes = sorted({a for run in campaign.runs for a in run.trace.axes}, key=machine.axis_names.index)
     motor = all(run.trace.has(a, "motor_position") for run in campaign.runs for a in run.trace.axes)
@@ -215,22 +215,24 @@ def foresee(campaign: Campaign, machine: Machine, say: Callable[[str], None]) ->
     return out
 
 
-def foresee_command(args: argparse.Namespace) -> int:
+def detectability_command(args: argparse.Namespace) -> int:
     """`twin exam --plan CAMPAIGN --out DIR`: tables on the terminal, plan.json, report.html."""
     machine = load_machine(args.machine) if args.machine else load_machine()
     campaign = read_campaign(args.plan, machine)
-    with Progress("foreseeing", total=None) as bar:
-        foreseen = foresee(campaign, machine, bar.say)
+    with Progress("detectability", total=None) as bar:
+        outlooks_of = detectability_of(campaign, machine, bar.say)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    write_json({name: [vars(o) for o in rows] for name, rows in foreseen.items()}, out / "plan.json", "detectability")
-    write_plan_report(campaign, foreseen, out / "report.html")
-    print(table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in foreseen["as recorded"]], left=2))
+    write_json({name: [vars(o) for o in rows] for name, rows in outlooks_of.items()}, out / "plan.json", "detectability")
+    write_plan_report(campaign, outlooks_of, out / "report.html")
+    print(
+        table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in outlooks_of["as recorded"]], left=2)
+    )
     print()
     print(
         table(
             ["campaign", "found", "told apart", "invisible or not told apart at usual size"],
-            [summary_row(n, r) for n, r in foreseen.items()],
+            [summary_row(n, r) for n, r in outlooks_of.items()],
         )
     )
     print(f"written to {out}: plan.json, report.html")
@@ -262,12 +264,12 @@ def summary_row(name: str, rows: Sequence[Outlook]) -> list[str]:
     return [name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")]
 
 
-def write_plan_report(campaign: Campaign, foreseen: Mapping[str, Sequence[Outlook]], path: Path) -> None:
+def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Outlook]], path: Path) -> None:
     """The page."""
-    own = foreseen["as recorded"]
+    own = outlooks_of["as recorded"]
     apart = sum(o.apart <= USELESS for o in own)
     helps = max(
-        (n for n in foreseen if n.startswith("and ")), key=lambda n: sum(math.log(1 + 1 / o.apart) for o in foreseen[n]), default=""
+        (n for n in outlooks_of if n.startswith("and ")), key=lambda n: sum(math.log(1 + 1 / o.apart) for o in outlooks_of[n]), default=""
     )
     lead = f"Of {len(own)} effects of usual size this campaign finds and tells apart {apart}. " + (
         f"The further run that would help most: {helps[4:]}." if helps else ""
@@ -277,7 +279,7 @@ def write_plan_report(campaign: Campaign, foreseen: Mapping[str, Sequence[Outloo
             Table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in own], left=2)
         ]),
         Section("Other sensors, further runs", tables=[
-            Table(["campaign", "found", "told apart", "not at usual size"], [summary_row(n, r) for n, r in foreseen.items()], left=1)
+            Table(["campaign", "found", "told apart", "not at usual size"], [summary_row(n, r) for n, r in outlooks_of.items()], left=1)
         ]),
     ]  # fmt: skip
     write_page(path, f"What {campaign.path.name} could show", lead, sections)

@@ -122,8 +122,8 @@ def inertia_figure(result: Identification) -> Any:
         panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
         half = 100.0 * p.estimate.half / p.estimate.value
         direct = p.unit == "kg"
-        told = f"{p.estimate.value:.4g} kg" if direct else f"{1e3 * p.estimate.value:.4g} g m²"
-        panel.set_title(f"{axis.name}: {told} ± {half:.2g} %")
+        value_text = f"{p.estimate.value:.4g} kg" if direct else f"{1e3 * p.estimate.value:.4g} g m²"
+        panel.set_title(f"{axis.name}: {value_text} ± {half:.2g} %")
         panel.set_xlabel(f"acceleration of the motor [{'m' if direct else 'rad'}/s²]")
         panel.set_ylabel("force for it [N]" if direct else "torque for it [Nm]")
     for panel in panels.ravel()[len(axes) :]:

@@ -84,21 +84,21 @@ def checked_flags(
             weight = _torque_weight(machine, axis, r)
             if weight is not None:
                 torque.append(weight)
-        told = run.feedforward
+        stated = run.feedforward
         seen_velocity = float(np.median(velocity)) if velocity else None
         seen_torque = float(np.median(torque)) if torque else None
-        has_velocity = "velocity" in (told or "velocity") if seen_velocity is None else seen_velocity > 0.5
-        has_torque = "torque" in (told or "velocity+torque") if seen_torque is None else seen_torque > 0.5
+        has_velocity = "velocity" in (stated or "velocity") if seen_velocity is None else seen_velocity > 0.5
+        has_torque = "torque" in (stated or "velocity+torque") if seen_torque is None else seen_torque > 0.5
         seen = ("velocity+torque" if has_torque else "velocity") if has_velocity else "off"
         if seen_velocity is None and seen_torque is None:
-            seen = told  # type: ignore[assignment]
-        if told is not None and seen != told:
+            seen = stated  # type: ignore[assignment]
+        if stated is not None and seen != stated:
             shown = ", ".join(f"{n} {w:.2f}" for n, w in (("velocity", seen_velocity), ("torque", seen_torque)) if w is not None)
             out.append(
                 Finding(
                     run.name,
                     "",
-                    f"campaign.toml says feedforward '{told}', the signals show '{seen}' (weights: {shown}); taken as '{seen}', correct the file",
+                    f"campaign.toml says feedforward '{stated}', the signals show '{seen}' (weights: {shown}); taken as '{seen}', correct the file",
                 )
             )
         flags.append(seen)
@@ -246,10 +246,10 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
         )
     for signal in dict.fromkeys(s for r in runs for s in r.clipped):
         seconds = sum(r.clipped.get(signal, 0.0) for r in runs)
-        told = (
+        stated = (
             f"{signal} stays on its largest value for {seconds * 1e3:.0f} ms while the axis goes on: clipped; record it with a wider range"
         )
-        out.append(Finding("", name, told))
+        out.append(Finding("", name, stated))
     return out
 
 

@@ -187,7 +187,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
         for field, value in fit.values.items():
             if field in fit.unseen or not math.isfinite(fit.deviations[field]):
                 continue
-            told, unit, start, factor, path = rows.get(
+            label, unit, start, factor, path = rows.get(
                 field, (field, LOOP_UNITS.get(field, "1"), float(getattr(axis.loops, field, 0.0)), 1.0, f"axis.{name}.loops.{field}")
             )
             half = 1.96 * fit.deviations[field] * factor
@@ -195,11 +195,11 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             if field not in ("constant_force", "dsc_delay_s"):  # cannot be negative: the interval is one of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
                 around = Range(value * factor, value * factor / wide, value * factor * wide)
-            known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, told)), None)
+            known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, label)), None)
             if known is None:
                 is_product = field in rows
                 in_file = before.in_file(path, 0.0)[0] if path else ""
-                out.append(Parameter(name, told, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
+                out.append(Parameter(name, label, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
             else:
                 out[known] = replace(out[known], refined=around)
     return out
@@ -261,10 +261,12 @@ def impossible(direct: Direct) -> dict[str, Finding]:
     for key, balance in direct.balance.items():
         fit = balance.fit
         for axis in key.split():
-            for name, told in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
+            for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
-                    text = f"the current gives a negative {told}: it runs against the motion and is not used; check the sign of the column"
+                    text = (
+                        f"the current gives a negative {quantity}: it runs against the motion and is not used; check the sign of the column"
+                    )
                     out[axis] = Finding("", axis, text)
     return out
 
@@ -279,8 +281,8 @@ def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
             if p is not None:
                 scale = abs(p.before) or abs(p.estimate.value)
                 if p.estimate.half > LOOSE * scale > 0.0:
-                    told = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
-                    out.append(Finding("", axis.name, told))
+                    label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
+                    out.append(Finding("", axis.name, label))
             elif (name in TOGETHER and set(TOGETHER[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTION_KEYS) and FRICTION_KEYS.keys() & found
             ):

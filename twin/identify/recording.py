@@ -44,18 +44,18 @@ class Recording:
 
 def prepared(machine: Machine, campaign: Campaign) -> Recording:
     """Read a campaign: flags checked, late channels taken back, everything noticed on the way in `findings`."""
-    told, findings = _usable(machine, campaign)
-    findings += missing_signals(machine, told)
-    runs = told
+    usable, findings = _usable(machine, campaign)
+    findings += missing_signals(machine, usable)
+    runs = usable
     correct: dict[str, dict[str, float]] = {}
     axis_runs = _read(machine, runs, {})
     late: list[Late] | None = None
     said: list[Finding] = []
     for _ in range(FLAG_ROUNDS):
-        flags, said = checked_flags(machine, told, axis_runs)
+        flags, said = checked_flags(machine, usable, axis_runs)
         if late is not None and flags == [r.feedforward for r in runs]:
             break
-        runs = [replace(r, feedforward=f) for r, f in zip(told, flags)]
+        runs = [replace(r, feedforward=f) for r, f in zip(usable, flags)]
         late, correct, axis_runs = _taken_back(machine, runs)
     findings += said
     for item in late or ():

@@ -125,8 +125,8 @@ def _parameters(result: Identification) -> Section:
         "Product: the number at the machine file's torque constant, all that current and motion tell. Value: after the split. Marked rows: the runs left out "
         "disagree beyond both intervals, or the value lies at its bound. Condition: of the scaled regressors."
     )
-    told = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
-    heading, rows = [heading[i] for i in told], [[row[i] for i in told] for row in rows]
+    shown_columns = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
+    heading, rows = [heading[i] for i in shown_columns], [[row[i] for i in shown_columns] for row in rows]
     return Section("Parameters before and after", [note], tables=[Table(heading, rows, left=3, marked=frozenset(marked))])
 
 

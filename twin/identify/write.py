@@ -87,7 +87,7 @@ def _rounded(value: Any) -> Any:
 def as_json(result: Identification) -> dict[str, Any]:
     """Machine-readable result: parameters, findings, skew, gaps, times."""
 
-    def told(r: Range | None) -> dict[str, float] | None:
+    def range_table(r: Range | None) -> dict[str, float] | None:
         return None if r is None else {"value": r.value, "low": r.low, "high": r.high}
 
     return {
@@ -99,9 +99,9 @@ def as_json(result: Identification) -> dict[str, Any]:
         "parameters": [
             {
                 "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
-                **(told(_final(p, result)) or {}),
-                "product_at_file_torque_constant": told(p.estimate) if p.product else None,
-                "regression": told(p.value), "refined": told(p.refined), "left_out": told(p.left_out),
+                **(range_table(_final(p, result)) or {}),
+                "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
+                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.left_out),
                 "taken": result.taken(p) is not None,
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }

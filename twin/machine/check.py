@@ -161,11 +161,11 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             "unusual",
             f"the load's inertia is {c.inertia_ratio:.1f} times the rotor's; above {MOST_INERTIA_RATIO:g} a drive is hard to tune",
         )
-    told = axis.commissioned_inertia
-    if told is not None and loops.torque_feedforward and abs(told / c.inertia - 1.0) > MOST_INERTIA_ERROR:
+    commissioned = axis.commissioned_inertia
+    if commissioned is not None and loops.torque_feedforward and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
         yield (
             "unusual",
-            f"torque feedforward was commissioned with {told:.3g} kg m2, {told / c.inertia:.2f} times the model's {c.inertia:.3g}",
+            f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}",
         )
     if not axis.has_speed_integral and c.holding > 1e-9:
         sag = held_force(machine, axis) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)

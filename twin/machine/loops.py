@@ -120,7 +120,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
             raise InputError(f"machine {machine.name}: {what}; the loops cannot be seen one inside the other: change the cycles")
     total = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]) if inertia is None else inertia
     a, b, speed, motor, load = _mechanics(machine, axis, total)
-    told = axis.commissioned_torque_constant
+    commissioned = axis.commissioned_torque_constant
     loops = []
     if axis.has_current_loop:
         a, b, c = _winding(axis, a, b, speed)
@@ -140,7 +140,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         a, b = _sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
     a, b, seen = _speed_as_seen(axis, machine.speed_cycle, a, b, speed, motor)
     motor, load = _wider(motor, len(a)), _wider(load, len(a))
-    gain = axis.loops.speed_gain_nm_s_per_rad / told
+    gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
     inner = _with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
     loops.append(inner)

@@ -125,9 +125,9 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if not parts:
         raise InputError(f"axis {axis}: no run of 40 samples in which it moves; record a longer move")
     notes: list[str] = [f"{s} is recorded without a sign: not used" for s in sorted(unsigned)]
-    told = next((run.feedforward for run in runs if run.feedforward), None)
+    feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
-    law = (_direct_law(parts) if effort else None) or _position_law(parts, told, notes)
+    law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)
     if not effort:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be seen, they are assumed")
     low, high = min(float(p.setpoint.min()) for p in parts), max(float(p.setpoint.max()) for p in parts)
@@ -144,11 +144,11 @@ def _at(values: np.ndarray, period: float, delay: float) -> np.ndarray:
     return np.interp(times - delay, times, values)
 
 
-def _position_law(parts: Sequence[_Run], told: str | None, notes: list[str]) -> Law:
+def _position_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[str]) -> Law:
     """Gain, delay and feedforward of the position controller, and where the loop is closed."""
     law = _command_law([p for p in parts if p.command is not None])
     if law is None:
-        return _lag_law(parts, told, notes)
+        return _lag_law(parts, feedforward_flag, notes)
     return _where_closed([p for p in parts if p.command is not None], law)
 
 
@@ -269,7 +269,7 @@ def _difference(values: np.ndarray, n: int) -> np.ndarray:
     return out
 
 
-def _lag_law(parts: Sequence[_Run], told: str | None, notes: list[str]) -> Law:
+def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[str]) -> Law:
     """What following says without a recorded speed set point: one lag between set point and position."""
     notes.append(
         "no speed set point that follows a position controller is recorded: gain and delays are one number, the lag of the position"
@@ -288,7 +288,7 @@ def _lag_law(parts: Sequence[_Run], told: str | None, notes: list[str]) -> Law:
             ),
         )
     lag = max(best[1], 1e-3)
-    if told in ("velocity", "velocity+torque") or (told is None and lag < 12e-3):
+    if feedforward_flag in ("velocity", "velocity+torque") or (feedforward_flag is None and lag < 12e-3):
         notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as delay under full velocity feedforward; the gain is assumed")
         return Law(50.0, max(lag - 1.5e-3, 0.0), 1.0, max(lag - 1.5e-3, 0.0), measured=False, lag=1.5e-3)
     notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as 1 / gain without feedforward")

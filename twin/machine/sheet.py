@@ -139,8 +139,8 @@ def _plain_table(axis: Axis) -> dict:  # type: ignore[type-arg]
     travel = {}
     if math.isfinite(axis.travel[0]):
         travel = {"travel_m": list(axis.travel)} if linear else {"travel_deg": [deg_from_rad(v) for v in axis.travel]}
-    told = {"inertia_kg_m2": axis.commissioned_inertia} if axis.commissioned_inertia is not None else {}
-    return {"kind": axis.kind, **own, **travel, "motor": vars(axis.motor), "loops": vars(axis.loops), "commissioned": told}
+    commissioned = {"inertia_kg_m2": axis.commissioned_inertia} if axis.commissioned_inertia is not None else {}
+    return {"kind": axis.kind, **own, **travel, "motor": vars(axis.motor), "loops": vars(axis.loops), "commissioned": commissioned}
 
 
 def _travel(axis: Axis) -> str:

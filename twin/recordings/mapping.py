@@ -193,11 +193,11 @@ def run_name(stem: str) -> str:
     return re.sub(r"[^\w\-]+", "_", stem).strip("_") or "run"
 
 
-def _machine(document: Mapping[str, Any], path: Path, told: str | None) -> tuple[Machine | None, str]:
+def _machine(document: Mapping[str, Any], path: Path, machine_file: str | None) -> tuple[Machine | None, str]:
     """The machine file of --machine or the map, else only its name."""
     given = _text(document, "machine", str(path))
-    if told:
-        return load_machine(told), Path(told).stem
+    if machine_file:
+        return load_machine(machine_file), Path(machine_file).stem
     if given is None:
         return None, ""
     if given.endswith(".toml"):
@@ -227,11 +227,11 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
     if scale == 0.0:
         raise InputError(f"{where}: scale = 0 makes a signal of zeros; correct it")
     per_turn, kind = None, machine.axis(axis).kind if machine else None
-    for key, told, factor in (("mm_per_rev", "linear", 1e-3), ("deg_per_rev", "rotary", math.pi / 180.0)):
+    for key, implied, factor in (("mm_per_rev", "linear", 1e-3), ("deg_per_rev", "rotary", math.pi / 180.0)):
         if key in table:
-            if per_turn is not None or (kind or told) != told:
-                raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if told == 'linear' else 'mm'}_per_rev")
-            per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, told
+            if per_turn is not None or (kind or implied) != implied:
+                raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if implied == 'linear' else 'mm'}_per_rev")
+            per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, implied
     if per_turn is None and machine is not None and not (kind == "linear" and machine.axis(axis).ratio == 1.0):
         per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no turns
     optional = table.get("optional", False)

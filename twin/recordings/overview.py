@@ -111,8 +111,8 @@ def _draw(known: Understood, trace: Written, path: Path) -> None:
         if drawn:
             drawn[-1].set_xlabel("time [s]")
             drawn[-1].tick_params(labelbottom=True)
-    told = f"{trace.name}: {trace.piece.count * trace.piece.period:.2f} s every {trace.piece.period * 1e3:g} ms, from {', '.join(known.run.files)}"
-    figure.suptitle(told, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
+    title = f"{trace.name}: {trace.piece.count * trace.piece.period:.2f} s every {trace.piece.period * 1e3:g} ms, from {', '.join(known.run.files)}"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
     save_png(figure, path)
 
 

@@ -68,9 +68,9 @@ def doubts_of(
     out: list[Doubt] = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis}
-        told = _against_each_other(axis, own, period, kinds[axis])
+        remarks = _against_each_other(axis, own, period, kinds[axis])
         # ranges only where the signals agree among themselves: what contradicts is said once
-        out += told or _ranges(axis, own, period, kinds[axis], machine)
+        out += remarks or _ranges(axis, own, period, kinds[axis], machine)
     return out
 
 
@@ -161,12 +161,12 @@ def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, 
         peak = float(np.abs(own[effort]).max())
         most = 3.0 * known.motor.peak_current_a if known else MOST_CURRENT
         if peak > most:
-            told = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
+            limit_text = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
             out.append(
                 Doubt(
                     axis,
                     effort,
-                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{told}: wrong unit (mA?) or scale; correct the map",
+                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{limit_text}: wrong unit (mA?) or scale; correct the map",
                 )
             )
     return out

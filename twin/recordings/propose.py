@@ -105,8 +105,8 @@ def _of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[M
 
     ranked = sorted(recordings, key=way, reverse=True)
     return {
-        signal: (told, next(r.signals[name] for r in ranked if name in r.signals and _timed(r.signals[name])))
-        for signal, (told, name) in own.items()
+        signal: (meaning, next(r.signals[name] for r in ranked if name in r.signals and _timed(r.signals[name])))
+        for signal, (meaning, name) in own.items()
     }
 
 
@@ -123,18 +123,18 @@ def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[st
         if not own:
             continue
         signal = own[0]
-        told = meaning_of(name, signal.unit)
-        if told is None or not told.signal:
+        meaning = meaning_of(name, signal.unit)
+        if meaning is None or not meaning.signal:
             parts = [r for r in recordings if r.restarts and name in r.signals]
             (out.labels if parts and _label(signal) else out.unknown).append(name)
             continue
-        key = (told.axis, told.signal)
-        if key in found and found[key][0].rank <= told.rank:
+        key = (meaning.axis, meaning.signal)
+        if key in found and found[key][0].rank <= meaning.rank:
             out.unknown.append(name)
             continue
         if key in found:
             out.unknown.append(found[key][1])
-        found[key] = (told, name)
+        found[key] = (meaning, name)
     return found
 
 
@@ -146,8 +146,8 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
         out.left_out.append(f"axis {axis}: its set point '{found['setpoint'][1].name}' {unsound['setpoint']}")
         return
     for signal in unsound:
-        told, one = found[signal]
-        out.columns.append(Proposed(one.name, axis, signal, told.unit, doubt=unsound[signal]))
+        meaning, one = found[signal]
+        out.columns.append(Proposed(one.name, axis, signal, meaning.unit, doubt=unsound[signal]))
     found = {signal: one for signal, one in found.items() if signal not in unsound}
     label = found["setpoint"][1].description
     called = f"axis {axis}" + (f" ({label})" if label else "")
@@ -156,7 +156,7 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     values = {signal: _at(one, time) for signal, (_, one) in found.items()}
     setpoint = values["setpoint"]
     kind, sure = _kind(found, label)
-    unit = {s: told.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (told, _) in found.items()}
+    unit = {s: meaning.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (meaning, _) in found.items()}
     to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
     full = _head(found["setpoint"][1].values)
     if float(np.ptp(full)) * to_si < STILL_SI:
@@ -180,16 +180,16 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     for signal in _ORDER:
         if signal not in found:
             continue
-        told, one = found[signal]
+        meaning, one = found[signal]
         column = Proposed(one.name, axis, signal, unit[signal])
         if signal in ("setpoint", "position", "motor_position", "following_error"):
             column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values, unit))
         elif not _alive(one):
-            column = replace(column, unit=unit[signal] if told.unit else "", doubt="it never changes")
+            column = replace(column, unit=unit[signal] if meaning.unit else "", doubt="it never changes")
         elif signal in _NEAR:
-            column = _speed(column, told, values[signal], setpoint, position, period, kind)
+            column = _speed(column, meaning, values[signal], setpoint, position, period, kind)
         elif signal == "acceleration":
-            column = replace(column, unit=told.unit or f"{unit['setpoint']}/s2")
+            column = replace(column, unit=meaning.unit or f"{unit['setpoint']}/s2")
         elif signal in ("current", "torque", "voltage") and position is not None:
             sign = force_sign(values[signal], position, period, kind)
             column = replace(column, sign=sign.sign, remark=sign.remark, doubt=sign.doubt)
@@ -223,25 +223,25 @@ def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapp
 
 
 def _speed(
-    column: Proposed, told: Meaning, values: np.ndarray, setpoint: np.ndarray, position: np.ndarray | None, period: float, kind: str
+    column: Proposed, meaning: Meaning, values: np.ndarray, setpoint: np.ndarray, position: np.ndarray | None, period: float, kind: str
 ) -> Proposed:
     """Unit and sign of a speed from the slope of the position (of the set point for a feedforward)."""
     base = setpoint if column.signal == "velocity_feedforward" or position is None else position
     if column.signal == "velocity_setpoint" and _is_slope(values, setpoint, period):
-        return replace(column, unit=told.unit, doubt="it is the slope of the set point, not the output of a controller")
+        return replace(column, unit=meaning.unit, doubt="it is the slope of the set point, not the output of a controller")
     step = max(1, min(round(0.02 / period), len(values) // 4))
     summed = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))]) * period
     v, x = summed[step:] - summed[:-step], base[step:] - base[:-step]
     xx, xy, vv = float(x @ x), float(x @ v), float(v @ v)
     if xx <= 0.0 or vv <= 0.0 or xy**2 < 0.5 * xx * vv:
         return replace(
-            column, unit=told.unit, doubt=f"it does not go with the slope of the {'set point' if base is setpoint else 'position'}"
+            column, unit=meaning.unit, doubt=f"it does not go with the slope of the {'set point' if base is setpoint else 'position'}"
         )
     ratio = xy / xx  # recorded per (unit of the position)/s
     sign = 1 if ratio > 0.0 else -1
     remark = "turned round: it runs against the motion" if sign < 0 else ""
-    if told.unit:
-        return replace(column, unit=told.unit, sign=sign, remark=remark)
+    if meaning.unit:
+        return replace(column, unit=meaning.unit, sign=sign, remark=remark)
     units = _SPEED_UNITS[kind]
     nearest = min(units, key=lambda u: abs(np.log(abs(ratio) / units[u])))
     if abs(np.log(abs(ratio) / units[nearest])) <= np.log(_NEAR[column.signal]):

@@ -169,10 +169,10 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
 
 def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
     """Factor that turns the time column into seconds: the map's unit, else the file's, else s."""
-    told = known_unit(clock.unit) if clock.unit else (unit or split_heading(name)[1] or "s")
-    if not told or dimension_recorded(told) != "time":
-        raise InputError(f"{where}: time column '{name}': [{clock.unit or told}] is no unit of time; use s, ms, us, ns or min")
-    return RECORDED_UNITS[told][1]
+    clock_unit = known_unit(clock.unit) if clock.unit else (unit or split_heading(name)[1] or "s")
+    if not clock_unit or dimension_recorded(clock_unit) != "time":
+        raise InputError(f"{where}: time column '{name}': [{clock.unit or clock_unit}] is no unit of time; use s, ms, us, ns or min")
+    return RECORDED_UNITS[clock_unit][1]
 
 
 def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> dict[str, Signal]:

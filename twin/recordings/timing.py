@@ -186,9 +186,9 @@ def _changing(time: Column, row: int, interval: float, where: str) -> InputError
     """The error of an interval that is not one."""
     here = np.asarray(time[row : row + WINDOW], float)
     after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval
-    told = (
+    problem = (
         f"the interval changes from {interval * 1e3:.4g} ms to {after * 1e3:.4g} ms at {here[0]:.6g} s"
         if abs(after - interval) > 0.05 * interval
         else f"the interval is not constant: {interval * 1e3:.4g} ms, but {np.diff(here[:2])[0] * 1e3:.4g} ms at {here[0]:.6g} s and often after"
     )
-    return InputError(f"{where}: {told}; split the recording there (from_s, to_s), or say period_ms in the map to bring all on one")
+    return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or say period_ms in the map to bring all on one")

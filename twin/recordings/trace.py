@@ -288,13 +288,13 @@ def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: 
     """Kind of the axis as its unit tells, checked against the machine's and against the signal."""
     factor_to_si(unit, where)
     wanted = _MOTION.get(signal)
-    told = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)
+    implied = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)
     if wanted is not None:
-        if told is None or _DIMENSIONS[told].index(dimension(unit)) != wanted:
+        if implied is None or _DIMENSIONS[implied].index(dimension(unit)) != wanted:
             raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
-        if kind and told != kind:
-            raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {told} axis; use [{unit_of(signal, kind)}]")
-        return told
+        if kind and implied != kind:
+            raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {implied} axis; use [{unit_of(signal, kind)}]")
+        return implied
     expected = OTHER_UNITS.get(signal)
     if expected and dimension(expected) != dimension(unit):
         raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{expected}]")

@@ -155,9 +155,9 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     }
     for item in late:
         if item.clear:
-            told = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
+            skew_text = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
             remedy = "left as it is: skew = 'correct' or skew_ms in the map takes it back"
-            notes.append(f"{told}; {'taken back' if (item.axis, item.signal) in correct else remedy}")
+            notes.append(f"{skew_text}; {'taken back' if (item.axis, item.signal) in correct else remedy}")
     if correct:
         made = [replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in made]
         pieces = cut(made)

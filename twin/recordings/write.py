@@ -125,22 +125,22 @@ def _facts(known: Understood, trace: Written) -> list[str]:
     taken = {c.key: c.source.skew_s for c in known.channels}
     factors = {c.key: c.column.factor for c in known.channels}
     for axis, signal in trace.units:
-        told: list[str] = []
+        channel_keys: list[str] = []
         item = late.get((axis, signal))
         back = taken.get((axis, signal), 0.0)
         if item is not None and (item.clear or back):
-            told += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
+            channel_keys += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
         elif back:
-            told.append(f"latency_s = {back:.6g}")
-        told += [f"taken_back_s = {back:.6g}"] if back else []
+            channel_keys.append(f"latency_s = {back:.6g}")
+        channel_keys += [f"taken_back_s = {back:.6g}"] if back else []
         if signal == "position" and (offset := known.offsets.get((trace.piece, axis))) is not None:
-            told.append(f"offset_{'m' if known.kinds[axis] == 'linear' else 'rad'} = {offset:.9g}")
-            told += ["offset_taken_out = true"] if known.centred else []
-        told += ["sign = -1"] if factors.get((axis, signal), 1.0) < 0.0 else []
-        told += ["against = true"] if item is not None and item.against else []
-        told += ["unsigned = true"] if (axis, signal) in known.unsigned else []
-        if told:
-            lines += ["[[run.channel]]", f"axis = {_text(axis)}", f"signal = {_text(signal)}", *told]
+            channel_keys.append(f"offset_{'m' if known.kinds[axis] == 'linear' else 'rad'} = {offset:.9g}")
+            channel_keys += ["offset_taken_out = true"] if known.centred else []
+        channel_keys += ["sign = -1"] if factors.get((axis, signal), 1.0) < 0.0 else []
+        channel_keys += ["against = true"] if item is not None and item.against else []
+        channel_keys += ["unsigned = true"] if (axis, signal) in known.unsigned else []
+        if channel_keys:
+            lines += ["[[run.channel]]", f"axis = {_text(axis)}", f"signal = {_text(signal)}", *channel_keys]
     labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}
     if labels:
         lines += ["[run.labels]", *(f"{_text(name)} = {value:.9g}" for name, value in labels.items())]

@@ -81,7 +81,7 @@ class _Loads:
         return _Loads(self.inertia[:, axes], self.bias[:, axes], self.row_ticks, self.reference[axes], self.softness[axes])
 
 
-class ReducedPlant:
+class DecoupledPlant:
     """Axes by themselves along a known motion; the same face to the loop as `twin.simulation.plant_spec.Plant`."""
 
     def __init__(self, change: Change, motion: Motion, carried_by: Machine | None = None):
@@ -269,7 +269,7 @@ def _is_constant(plant: Plant, motion: Motion) -> bool:
 _Pointer = types.CPointer(types.float64)
 
 
-def reduced_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-def]
+def decoupled_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-def]
     """One tick of all degrees of freedom; the law stands at the top of the module."""
     header = carray(constants_pointer, (_HEADER,))
     h = header[_H]
@@ -307,4 +307,4 @@ def reduced_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-d
 
 @functools.cache
 def _step_address() -> int:
-    return int(compiled_callback(types.void(_Pointer, _Pointer), reduced_step).address)
+    return int(compiled_callback(types.void(_Pointer, _Pointer), decoupled_step).address)

@@ -21,7 +21,7 @@ from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
-from twin.simulation.decoupled_plant import Motion, ReducedPlant
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.run import PlantFace, simulate
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.units import ARCSEC, AXIS_UNITS
@@ -74,7 +74,7 @@ def predict(
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 
     With a known `motion` of the machine's axes the engine simulates one realisation, and what the others would be besides, and their
-    scatter, is told by the reduced plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
+    scatter, is told by the decoupled plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
     Without `engine` it tells all.
     """
     setpoints = recorded_setpoints(run.trace, machine)
@@ -86,9 +86,9 @@ def predict(
         simulated = simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, plant_of=plant_of)
         return at_times(simulated.without_noise, run.trace.time)
 
-    reduced = None if motion is None else lambda change: ReducedPlant(change, motion)
-    traces = [realisation(i, reduced) for i in range(realisations)]
-    by_engine = realisation(0, None) if reduced and engine else None
+    decoupled = None if motion is None else lambda change: DecoupledPlant(change, motion)
+    traces = [realisation(i, decoupled) for i in range(realisations)]
+    by_engine = realisation(0, None) if decoupled and engine else None
     signals, scatter = {}, {}
     for key in traces[0].signals:
         stack = np.stack([trace.signals[key] for trace in traces])
@@ -186,8 +186,8 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     """
     noise = machine.noise(axis)
     if signal == axis.effort and not axis.has_current_loop:
-        told = axis.commissioned_torque_constant
-        gain = axis.loops.speed_gain_nm_s_per_rad / (told * axis.ratio)
+        commissioned = axis.commissioned_torque_constant
+        gain = axis.loops.speed_gain_nm_s_per_rad / (commissioned * axis.ratio)
         n = axis.loops.speed_mean_cycles
         steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
             noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution

@@ -11,7 +11,7 @@ from twin.simulation.engine_calls import engine_function_address
 from twin.simulation.plant_spec import build_plant
 
 
-class FullPlant:
+class MujocoPlant:
     """The whole machine in MuJoCo, with the effects' model edits and rotor joints."""
 
     def __init__(self, change: Change):

@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import cascade, loop
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
-from twin.simulation.mujoco_plant import FullPlant
+from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.result import Run
 from twin.simulation.setpoints import Setpoints, check_travel, command_of, setpoints_of
@@ -75,7 +75,7 @@ def simulate(
     actual = apply_effects(machine, started_at)
     actual.lead_ticks = round(setpoints.lead / machine.base_tick)
     schedule = _schedule(machine, sample_period)
-    plant = (plant_of or FullPlant)(actual)  # owns the memory behind the addresses of its engine: it must live as long as the loop runs
+    plant = (plant_of or MujocoPlant)(actual)  # owns the memory behind the addresses of its engine: it must live as long as the loop runs
     simulation = _at_rest(machine, actual, plant, setpoints, schedule)
     rng = None if noise_seed is None else np.random.default_rng(noise_seed)
 

@@ -81,7 +81,7 @@ def nominal_of(study: Study) -> np.ndarray:
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:
     """The machine of one variant; raises InputError where its values are impossible."""
-    nominal = study.machine if study.recommission else told(study.machine)
+    nominal = study.machine if study.recommission else with_commissioned_values(study.machine)
     values: dict[str, float] = {}
     ratio: dict[str, float] = {}
     change: dict[str, float] = {}
@@ -107,7 +107,7 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
     machine = with_numbers(nominal, values)
     if study.retune:
         machine = retuned(machine, study.machine)
-    return told(machine, anew=True) if study.recommission else machine
+    return with_commissioned_values(machine, anew=True) if study.recommission else machine
 
 
 def retuned(machine: Machine, like: Machine) -> Machine:
@@ -129,7 +129,7 @@ def retuned(machine: Machine, like: Machine) -> Machine:
     return machine.with_values(values)
 
 
-def told(machine: Machine, *, anew: bool = False) -> Machine:
+def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine:
     """The machine with a control that was told its torque constants and inertias: those that its file leaves open, or all `anew`."""
     values: dict[str, Any] = {}
     inertias = home_inertia_at_motor(machine) if anew else commissioned_inertia(machine)

@@ -77,9 +77,9 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
             except TwinError:
                 raise
             except Exception as error:  # a worker without twin, a scheduler that went away, a variant that kills its workers
-                told = " ".join(str(error).split())[:200]
+                message = " ".join(str(error).split())[:200]
                 raise InputError(
-                    f"{store.path}: variant {number} was lost ({type(error).__name__}: {told}); "
+                    f"{store.path}: variant {number} was lost ({type(error).__name__}: {message}); "
                     "what is done is kept: see to the workers and go on with --resume"
                 ) from None
             store.put(number, variants[number].tolist(), answer)

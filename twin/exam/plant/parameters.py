@@ -127,7 +127,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     def pick(tables: list[dict], key: str) -> np.ndarray:
         return np.array([t[key] for t in tables], dtype=float)
 
-    def told(key: str, nominal: np.ndarray) -> np.ndarray:
+    def commissioned(key: str, nominal: np.ndarray) -> np.ndarray:
         """What the control was commissioned with, where the file says so."""
         return np.array([a.get("commissioned", {}).get(key, n) for a, n in zip(axis, nominal)])
 
@@ -151,11 +151,11 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.position_delay, s.feedforward_delay = pick(loops, "position_delay_s"), pick(loops, "feedforward_delay_s")
     s.dsc_delay = np.array([table.get("dsc_delay_s", 0.0) for table in loops], dtype=float)
     s.straight_set_points = machine["control"].get("setpoint_interpolation") == "linear"
-    s.kt_control, s.bus = told("torque_constant_nm_per_a", pick(motor, "torque_constant_nm_per_a")), pick(motor, "bus_limit_v")
+    s.kt_control, s.bus = commissioned("torque_constant_nm_per_a", pick(motor, "torque_constant_nm_per_a")), pick(motor, "bus_limit_v")
     s.current_limit = pick(motor, "peak_current_a")
     nominal = pair_of(machine, unit_factors())
     at_zero = np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(nominal)])
-    s.inertia_control = told("inertia_kg_m2", rotor_nominal + (mass_nominal + at_zero) * s.ratio**2)
+    s.inertia_control = commissioned("inertia_kg_m2", rotor_nominal + (mass_nominal + at_zero) * s.ratio**2)
 
     # Motor and load: nominal numbers times this machine's factors
     s.kt = pick(motor, "torque_constant_nm_per_a") * spread("torque_constant")

@@ -78,10 +78,8 @@ def read(path: Path, how: How) -> Recording:
     }
     # names that exist but were not wanted: for the nearest match only
     others = {plain[i]: Signal(plain[i], np.empty(0), None) for i in kept if i not in spools}
-    told = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}[dialect.delimiter]
-    note = (
-        f"CSV: {told}, decimal {'comma' if dialect.decimal == ',' else 'point'}, numbers from line {dialect.first + 1}, {dialect.encoding}"
-    )
+    separator = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}[dialect.delimiter]
+    note = f"CSV: {separator}, decimal {'comma' if dialect.decimal == ',' else 'point'}, numbers from line {dialect.first + 1}, {dialect.encoding}"
     empty = [plain[i] for i, spool in spools.items() if not spool.rows]
     notes = [note, *(f"column '{name}' is empty" for name in empty)]
     if dialect.texts:
@@ -91,15 +89,15 @@ def read(path: Path, how: How) -> Recording:
     return Recording(path, "CSV", {**others, **signals}, None, tuple(notes), restarts=restarts)
 
 
-def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
+def find_dialect(path: Path, given: Mapping[str, Any] | None = None) -> Dialect:
     """Encoding, delimiter, decimal sign, heading and units of a file; `told` (the map's [csv]) wins."""
-    told = told or {}
-    for key in told:
+    given = given or {}
+    for key in given:
         if key not in KEYS:
             raise InputError(f"{path}: [csv] {key}: unknown key; {nearest(key, KEYS)}")
     with open(path, "rb") as file:
         head = file.read(SAMPLE_BYTES)
-    encoding = str(told.get("encoding") or _encoding(head, path))
+    encoding = str(given.get("encoding") or _encoding(head, path))
     try:
         text = head.decode(encoding, errors="ignore")
     except LookupError:
@@ -107,7 +105,7 @@ def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
     lines = text.lstrip("\ufeff").splitlines()
     if len(head) == SAMPLE_BYTES:
         lines = lines[:-1]  # cut in its middle
-    pairs = [p for p in _PAIRS if told.get("delimiter", p[0]) == p[0] and told.get("decimal", p[1]) == p[1]]
+    pairs = [p for p in _PAIRS if given.get("delimiter", p[0]) == p[0] and given.get("decimal", p[1]) == p[1]]
     best, first, width, stamps = None, 0, 0, False
     most = 0
     for pair in pairs:
@@ -125,7 +123,7 @@ def find_dialect(path: Path, told: Mapping[str, Any] | None = None) -> Dialect:
     if best is None:
         raise InputError(f"{path}: no rows of numbers found; is it a CSV file? say delimiter and decimal in [csv] of the map")
     delimiter, decimal = best
-    names, units = _heading(lines[:first], width, delimiter, told, path)
+    names, units = _heading(lines[:first], width, delimiter, given, path)
     return Dialect(encoding, delimiter, decimal, first, names, units, stamps, texts)
 
 
@@ -203,18 +201,18 @@ def _rows_with_words(lines: list[str], delimiter: str, decimal: str) -> tuple[in
     return (count, start, width, words) if words and width - len(words) >= 2 and count > 1 else (0, 0, 0, ())
 
 
-def _heading(lines: list[str], width: int, delimiter: str, told: Mapping[str, Any], path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _heading(lines: list[str], width: int, delimiter: str, given: Mapping[str, Any], path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units from the lines before the numbers; numbered names where there is no heading."""
     split = [_cells(line.lstrip("#").strip() if line.startswith("#") else line, delimiter) for line in lines]
     full = [i for i, cells in enumerate(split) if len(cells) in (width, width - 1)]
     units_at: int | None = None
     names_at = full[-1] if full else None
-    if "header_line" in told:
-        names_at = int(told["header_line"]) - 1
+    if "header_line" in given:
+        names_at = int(given["header_line"]) - 1
         if not 0 <= names_at < len(lines):
             raise InputError(f"{path}: [csv] header_line = {names_at + 1}, but numbers begin in line {len(lines) + 1}; correct it")
-        units_at = names_at + 1 if told.get("units_row") and names_at + 1 < len(lines) else None
-    elif len(full) > 1 and told.get("units_row", _looks_like_units(split[full[-1]])):
+        units_at = names_at + 1 if given.get("units_row") and names_at + 1 < len(lines) else None
+    elif len(full) > 1 and given.get("units_row", _looks_like_units(split[full[-1]])):
         units_at, names_at = full[-1], full[-2]
     if (
         names_at is not None

@@ -72,9 +72,9 @@ def read(path: Path, how: How) -> Recording:
             if tag == "rec" and parents:
                 parents[-1].remove(element)  # type: ignore[attr-defined]
     except DefusedXmlException as error:
-        told = type(error).__name__.replace("Forbidden", "").replace("Reference", " reference").lower()
+        declared = type(error).__name__.replace("Forbidden", "").replace("Reference", " reference").lower()
         raise InputError(
-            f"{path}: refused: the XML declares its own {told or 'entities'}, which a trace never does; export it again"
+            f"{path}: refused: the XML declares its own {declared or 'entities'}, which a trace never does; export it again"
         ) from None
     except ParseError as error:
         raise InputError(f"{path}: not a whole XML file ({error}); it is cut off or damaged, export it again") from None

@@ -81,10 +81,12 @@ def _parts(path: Path) -> tuple[Mapping[str, Any], list[Any]]:
 
 def _cycle(header: Mapping[str, Any], path: Path) -> float:
     """Cycle time [s]."""
-    told = header.get("CycleTimeMs")
-    if not is_count(told) or not 0.01 <= told <= 1e4:
-        raise InputError(f"{path}: Header.CycleTimeMs = {told!r}: no cycle time in ms; correct it, or say [time] interval_ms in the map")
-    return float(told) * 1e-3
+    cycle_ms = header.get("CycleTimeMs")
+    if not is_count(cycle_ms) or not 0.01 <= cycle_ms <= 1e4:
+        raise InputError(
+            f"{path}: Header.CycleTimeMs = {cycle_ms!r}: no cycle time in ms; correct it, or say [time] interval_ms in the map"
+        )
+    return float(cycle_ms) * 1e-3
 
 
 def _rows(payload: list[Any], width: int, path: Path) -> np.ndarray:
@@ -127,27 +129,31 @@ def _events(payload: list[Any], first: float, cycle: float) -> Iterator[Event]:
         if not isinstance(entry, Mapping):
             continue
         for kind in ("HFCallEvent", "HFBlockEvent"):
-            told = entry.get(kind)
-            if not isinstance(told, Mapping) or not is_count(told.get("HFProbeCounter")):
+            entry_value = entry.get(kind)
+            if not isinstance(entry_value, Mapping) or not is_count(entry_value.get("HFProbeCounter")):
                 continue
-            channel = int(told["Channel"]) if is_count(told.get("Channel")) else 1
+            channel = int(entry_value["Channel"]) if is_count(entry_value.get("Channel")) else 1
             if kind == "HFCallEvent":
-                programs[channel] = PurePosixPath(str(told.get("Path") or "")).name
+                programs[channel] = PurePosixPath(str(entry_value.get("Path") or "")).name
                 continue
-            text = " ".join(str(told.get("GCode") or "").split())[:LONGEST_TEXT]
+            text = " ".join(str(entry_value.get("GCode") or "").split())[:LONGEST_TEXT]
             named = re.match(r"N\d+", text)
-            place = named[0] if named else f"@{told['SeekOffset']}" if is_count(told.get("SeekOffset")) else ""
+            place = named[0] if named else f"@{entry_value['SeekOffset']}" if is_count(entry_value.get("SeekOffset")) else ""
             name = "/".join(part for part in (programs.get(channel, ""), place) if part)
-            yield Event((float(told["HFProbeCounter"]) - first) * cycle, channel, name, text)
+            yield Event((float(entry_value["HFProbeCounter"]) - first) * cycle, channel, name, text)
 
 
 def _clock_note(payload: list[Any], cycle: float) -> list[str]:
     """Says where counters and clock do not go together."""
     ties = []
     for entry in payload:
-        told = entry.get("HFTimestamp") if isinstance(entry, Mapping) else None
-        if isinstance(told, Mapping) and is_count(told.get("HFProbeCounter")) and (when := date_of(told.get("Time"))) is not None:
-            ties.append((float(told["HFProbeCounter"]), when.timestamp()))
+        entry_value = entry.get("HFTimestamp") if isinstance(entry, Mapping) else None
+        if (
+            isinstance(entry_value, Mapping)
+            and is_count(entry_value.get("HFProbeCounter"))
+            and (when := date_of(entry_value.get("Time"))) is not None
+        ):
+            ties.append((float(entry_value["HFProbeCounter"]), when.timestamp()))
     steps = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.pairwise(ties) if b[0] > a[0]]
     measured = float(np.median(steps)) if len(steps) > 2 else cycle
     if abs(measured - cycle) < 0.05 * cycle:
@@ -157,10 +163,14 @@ def _clock_note(payload: list[Any], cycle: float) -> list[str]:
 
 def _started(header: Mapping[str, Any], first: float, cycle: float) -> datetime | None:
     """When the first row was recorded."""
-    told = header.get("Initial")
-    if not isinstance(told, Mapping) or not is_count(told.get("HFProbeCounter")) or (when := date_of(told.get("Time"))) is None:
+    entry_value = header.get("Initial")
+    if (
+        not isinstance(entry_value, Mapping)
+        or not is_count(entry_value.get("HFProbeCounter"))
+        or (when := date_of(entry_value.get("Time"))) is None
+    ):
         return None
     try:
-        return when + timedelta(seconds=(first - float(told["HFProbeCounter"])) * cycle)
+        return when + timedelta(seconds=(first - float(entry_value["HFProbeCounter"])) * cycle)
     except OverflowError:
         return None
