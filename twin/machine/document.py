@@ -18,10 +18,10 @@ from twin.machine import keys, sinumerik
 from twin.machine.axis import Axis, axis_of_table
 from twin.machine.parameters import si_from_key, typed_from_file
 
-TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified")  # fmt: skip
+TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
 """Keys and tables of a machine file beside `keys.TOP`."""
 
-ADDED = ("effect", "driven_axes", "identified", "frame", "tool")
+ADDED = ("effect", "driven_axes", "identified", "frame", "tool", "variables", "program")
 """Of those, what `changed` may add."""
 
 
@@ -54,8 +54,23 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
         raise InputError(f"{where}: 'tool' must hold one table for each tool; write [tool.T1] and below it length_m")
     for name, tool in tools.items():
         keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
+    _check_for_programs(document, where)
     for name, table in document.get("body", {}).items():
         _check_body(table, f"{where}: [body.{name}]")
+
+
+def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
+    """What programs take from the machine file: [variables] by name, and [program] with the calls that move no axis."""
+    variables = document.get("variables", {})
+    if not isinstance(variables, dict) or not all(isinstance(v, int | float | str) for v in variables.values()):
+        raise InputError(f'{where}: each variable in [variables] must be a number or a text; write "$MC_EXAMPLE" = 1.0')
+    program = document.get("program", {})
+    if not isinstance(program, dict):
+        raise InputError(f"{where}: 'program' must be a table; write [program] and below it calls_without_motion")
+    keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion",))
+    calls = program.get("calls_without_motion", [])
+    if not isinstance(calls, list) or not all(isinstance(name, str) for name in calls):
+        raise InputError(f'{where}: [program]: calls_without_motion must be a list of names; write ["TOOLCHECK"]')
 
 
 def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str) -> None:
