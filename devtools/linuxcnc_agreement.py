@@ -31,6 +31,10 @@ PRINTED = 0.5e-4
 """Half of the last digit that LinuxCNC prints, in its unit."""
 CLOSE = 1e-6
 """Beyond that, agreement is to this [program unit]."""
+INCH = 25.4e-3
+"""[m]"""
+WITHOUT_M98 = "test-no-fanuc.ini"
+"""A configuration of LinuxCNC that switches M98 off, which no program can: runs with it are left out."""
 _CALL = re.compile(r"(?:N\S*\s+)?([A-Z][A-Z0-9_]+)\((.*)\)\s*$")
 
 
@@ -196,10 +200,9 @@ def cases(folder: Path) -> list[Case]:
                 body,
                 flags=re.S,
             )
-        body = re.sub(r".*test-no-fanuc.ini.*", "", body)  # an option that switches M98 off in LinuxCNC's configuration
-        runs = re.findall(r"^(.*)rs274 [^|\n]*?([^\s\"\']+\.ngc)", body, re.M)
-        programs = [(file.parent / p, "!" in before or "if !" in before or "illegal" in p) for before, p in runs]
-        programs = [p for p in programs if p[0].is_file()] or [(p, False) for p in sorted(file.parent.glob("*.ngc"))[:1]]
+        runs = re.findall(r"^(.*)rs274 ([^|\n]*?)([^\s\"\']+\.ngc)", body, re.M)
+        programs = [(file.parent / p, "!" in before or "illegal" in p, WITHOUT_M98 in options) for before, options, p in runs]
+        programs = [p for p in programs if p[0].is_file()] or [(p, False, False) for p in sorted(file.parent.glob("*.ngc"))[:1]]
         starts = [
             i
             for i, line in enumerate(text)
@@ -209,19 +212,21 @@ def cases(folder: Path) -> list[Case]:
             [text[a:b] for a, b in zip(starts, [*starts[1:], len(text)])] if len(programs) > 1 and len(starts) == len(programs) else None
         )
         table = next((file.with_name(t) for t in re.findall(r"-t (\S+)", body)), None)
-        # one option of LinuxCNC's configuration switches the whole of M98 off; it is not a program's
-        keep = [(p, t, f) for (p, f), t in zip(programs, parts or [text] * len(programs))]
+        keep = [(p, t, f) for (p, f, without), t in zip(programs, parts or [text] * len(programs)) if not without]
         if programs:
             found.append(Case(name, keep if parts else keep[:1], table))
     return found
 
 
 def with_table(machine: Machine, table: Path, folder: Path) -> Machine:
-    """The machine with the tools of a table of LinuxCNC, in mm."""
+    """The machine with the tools of a table of LinuxCNC.
+
+    A table is in the length unit of the machine, and that of the interpreter without a configuration is the inch.
+    """
     lines = []
     for line in table.read_text().splitlines():
         if match := re.match(r"\s*T(\d+)\s+P\d+.*?Z(\S+).*?D([\d.+-]+)", line):
-            lines.append(f"[tool.T{match[1]}]\nlength_m = {float(match[2]) * 1e-3!r}\nradius_m = {float(match[3]) * 0.5e-3!r}\n")
+            lines.append(f"[tool.T{match[1]}]\nlength_m = {float(match[2]) * INCH!r}\nradius_m = {0.5 * float(match[3]) * INCH!r}\n")
     path = folder / "machine.toml"
     write_machine(machine, path)
     path.write_text(path.read_text() + "\n" + "\n".join(lines))

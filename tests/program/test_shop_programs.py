@@ -8,6 +8,7 @@ import pytest
 
 from devtools import fuzz_programs, words_table
 from twin.errors import InputError
+from twin.machine.machine import load_machine, write_machine
 from twin.program import interpolate, read_program
 from twin.program.moves import ARC
 from twin.program.read import understand
@@ -54,6 +55,28 @@ def test_p_of_an_arc_is_its_turns(read) -> None:
 def test_a_word_that_nothing_uses_is_refused(read, name: str, block: str) -> None:
     with pytest.raises(InputError, match=r"no use|twice|not known"):
         read(f"G1 X5 F100\n{block}\n", name)
+
+
+def test_the_machine_file_gives_variables_and_calls_without_motion(mikron, write) -> None:
+    """[variables] and [program] pass through the loader, and another key there is refused."""
+    plain, own = write("", "own.toml"), write("G1 F100 X=$MC_EXAMPLE\nTOOLCHECK\nX3\n")
+    write_machine(mikron, plain)
+    tables = '\n[variables]\n"$MC_EXAMPLE" = 2.0\n[program]\ncalls_without_motion = ["TOOLCHECK"]\n'
+    text = plain.read_text()
+    plain.write_text(text + tables)
+    machine = load_machine(plain)
+    assert ends(read_program(own, machine))[:, 0].tolist() == [2, 3]
+    write_machine(machine, plain)  # nothing is lost on the way back
+    assert load_machine(plain).document["program"] == {"calls_without_motion": ["TOOLCHECK"]}
+    for wrong, message in (
+        ("[program]\ncall_without_motion = ['A']", "did you mean 'calls_without_motion'"),
+        ("[program]\ncalls_without_motion = 'TOOLCHECK'", "list of names"),
+        ("[variables]\nR1 = [1, 2]", "number or a text"),
+        ("variables = 3", "number or a text"),
+    ):
+        plain.write_text(wrong + "\n" + text if wrong[0] == "v" else text + "\n" + wrong + "\n")
+        with pytest.raises(InputError, match=message):
+            load_machine(plain)
 
 
 def test_programmable_shifts_move_nothing(read) -> None:
@@ -103,6 +126,66 @@ def test_cutter_radius(read) -> None:
     assert ends(program)[:, :2].min() == -5.0
     inside = read(text.replace("G42", "G41").replace("X0\nM30", "X0 Y60\nM30"))
     assert [55.0, 35.0] in ends(inside)[:, :2].tolist()
+
+
+@pytest.mark.parametrize("unit", ["G20", "G21"])
+def test_the_radius_of_the_tool_table_is_a_length_whatever_the_unit_of_the_program(mikron, write, unit: str) -> None:
+    """[tool] radius_m is SI: a tool of 1/16 inch moves an inch program and the same program in mm by 1/32 inch."""
+    tool = mikron.with_values({"tool": {"T1": {"length_m": 0.1, "radius_m": 25.4e-3 / 32}}})
+    scale = 1.0 if unit == "G20" else 25.4
+    text = f"{unit} G17 G90 T1 M6\nG1 X0 Y0 F{10 * scale}\nG42 D1 X{scale} Y0\nX{2 * scale}\nX{3 * scale}\nG40 X{4 * scale}\nM30\n"
+    program = read_program(write(text, "part.ngc"), tool)
+    assert ends(program)[-3:, :2] == pytest.approx(np.array([[50.8, -25.4 / 32], [76.2, -25.4 / 32], [101.6, 0.0]]), abs=1e-5)
+
+
+ROUNDED = "G21 G17 G90\nG1 X0 Y0 F100\nG42.1 D4 X10 Y0\nG3 X20 Y10.{} I0 J10\nG2 X30.0005 Y20 I10.0005 J{}\nG1 X40\nG40 X50 Y30\nM30\n"
+
+
+def test_an_inside_corner_made_by_rounding_is_a_tangent(read) -> None:
+    """Two arcs meant to be tangent, a few 0.1 um beside it: the moved circles meet only beyond their ends."""
+    program = read(ROUNDED.format("0015", "-0.0015"), "part.ngc")
+    path = ends(program)[:, :2]
+    nearest_to_join = np.hypot(*(path - [22.0, 10.0]).T).min()
+    assert nearest_to_join < 5e-3  # 2 mm to the right of the contour
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-4, -1e-4])
+def test_a_full_circle_stays_one_beside_the_contour(read, beside: float) -> None:
+    """Inside a bore of 40 mm with a tool of 10 mm: entry on an arc, once round, out; also where the join is not quite tangent."""
+    text = "G21 G17 G90\nG0 X0 Y-10\nF100\nG41.1 D10 G1 X10\nG3 X20 Y0 I0 J10\nG3 I-20 J{:.4f}\nG3 X10 Y10 I-10 J0\nG40\nG1 X0 Y0\nM30\n"
+    program = read(text.format(beside), "part.ngc")
+    whole = np.flatnonzero((program.moves.kind == ARC) & (np.abs(program.moves.angle - 2 * np.pi) < 1e-3))
+    assert len(whole) == 1
+    assert ends(program)[whole[0], :2] == pytest.approx([15.0, 0.0], abs=2e-3)
+    assert program.moves.angle[program.moves.kind == ARC].sum() == pytest.approx(3 * np.pi, abs=1e-3)
+
+
+def test_an_arc_that_leads_almost_straight_back_is_rounded(read) -> None:
+    """The arc begins 0.02 rad beside the line and crosses it; a line back at that angle is a gouge."""
+    text = "G21 G17 G90\nG1 X0 Y0 F100\nG42.1 D0.5 X10 Y0\nX20\n{}\nG40\nG1 Y20\nM30\n"
+    sine, cosine = 3.0 * np.sin(0.02), 3.0 * np.cos(0.02)
+    program = read(text.format(f"G2 X{20 - 2 * sine:.6f} Y{2 * cosine:.6f} I{-sine:.6f} J{cosine:.6f}"), "part.ngc")
+    begins, goes_on = ends(program)[np.flatnonzero(program.moves.kind == ARC)[0] + np.array([-1, 0]), :2]
+    assert begins == pytest.approx([20.0, -0.25])
+    assert goes_on == pytest.approx([20.0 - 0.25 * np.sin(0.02), 0.25 * np.cos(0.02)], abs=1e-5)
+    with pytest.raises(InputError, match="inside corner"):
+        read(text.format(f"X{20 - cosine:.6f} Y{-sine:.6f}"), "part.ngc")
+
+
+def test_an_arc_that_leads_back_inside_another_makes_a_cusp(read) -> None:
+    """Half a circle of 20 mm, back from its end on one of 10 mm inside it: a tool inside stops short of the cusp, one outside rounds it."""
+    text = "G21 G17 G90\nG1 X0 Y-20 F100\nG{}.1 D1 X10\nG3 X10 Y20 J20\nG2 X10 Y0 J-10\nG1 X0\nG40\nG1 X-10\nM30\n"
+    program = read(text.format(41), "part.ngc")
+    meet = ends(program)[program.moves.kind == ARC][0, :2]  # 19.5 mm from the one centre, 10.5 mm from the other
+    assert [np.hypot(*(meet - [10, 0])), np.hypot(*(meet - [10, 10]))] == pytest.approx([19.5, 10.5])
+    assert (read(text.format(42), "part.ngc").moves.kind == ARC).sum() > (program.moves.kind == ARC).sum()
+
+
+def test_an_inside_corner_that_the_tool_cannot_reach_stays_an_error(read) -> None:
+    text = "G21 G17 G90\nG1 X0 Y0 F100\nG41.1 D8 X10 Y0\nX20\nY{}\nX40\nG40 X50\nM30\n"
+    assert len(read(text.format(20), "part.ngc").moves.kind)
+    with pytest.raises(InputError, match="inside corner"):
+        read(text.format(2), "part.ngc")
 
 
 def test_drilling_cycles(read) -> None:

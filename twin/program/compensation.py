@@ -18,6 +18,10 @@ TINY = 1e-9
 """Lengths below this are none [m]."""
 SMOOTH = 1e-6
 """Elements whose directions differ by less than this join smoothly [rad]."""
+GOUGE = 1e-6
+"""Depth to which the tool may cut into an inside corner that exists only because the program is rounded [m]."""
+BACK = 0.05
+"""At a corner closer than this to a full reversal the second element may cross the first, and so change sides [rad]."""
 
 
 class CompensationError(Exception):
@@ -28,7 +32,8 @@ class CompensationError(Exception):
 class Element:
     """One move in program coordinates: `a`, `b` in the plane [m], `low`, `high` across it; `centre` and `sense` (1 ccw) of an arc.
 
-    `move` is what the reader needs to put the move out; `behind` are moves without a way in the plane that follow.
+    `move` is what the reader needs to put the move out; `behind` are moves without a way in the plane that follow; `whole` is
+    a full circle, which ends where it begins.
     """
 
     a: np.ndarray
@@ -39,6 +44,7 @@ class Element:
     turns: int
     move: Any
     behind: list[Any] = field(default_factory=list)
+    whole: bool = False
 
     def direction(self, at_end: bool) -> np.ndarray:
         """Unit vector of the motion at an end."""
@@ -116,26 +122,38 @@ class Compensation:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
             return new
-        outside = turn * self.offset < 0.0 or abs(abs(turn) - math.pi) < SMOOTH
+        turn, back = _reversal(last, e, turn)
+        outside = turn * self.offset < 0.0 or back
         if outside and self.corners_meet and last.centre is None and e.centre is None and abs(turn) < 0.56 * math.pi:
             shifted.b = _meet(shifted, new, last.b)[0]
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
         elif outside:
-            self._put(shifted, last.behind)
-            corner = Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, e.move)
-            self.emit(corner)
+            self._round(last, shifted, new)
         else:
-            self._inside(last, shifted, new)
+            self._inside(last, shifted, new, abs(turn))
         return new
 
-    def _inside(self, last: Element, shifted: Element, new: Element) -> None:
-        """An inside corner: both elements end where they meet, which must lie on both."""
+    def _round(self, last: Element, shifted: Element, new: Element) -> None:
+        """An outside corner: an arc about it."""
+        self._put(shifted, last.behind)
+        self.emit(Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, new.move))
+
+    def _inside(self, last: Element, shifted: Element, new: Element, turn: float) -> None:
+        """An inside corner of `turn` [rad]: both elements end where they meet, which must lie on both.
+
+        A program with rounded numbers makes inside corners of elements that were meant to be tangent. Where these meet nowhere,
+        or only beyond their ends, the second begins where the first ends, at most `GOUGE` inside the contour.
+        """
         for point in _meet(shifted, new, last.b):
             if _holds(shifted, point) and _holds(new, point):
                 shifted.b, new.a = point, point.copy()
                 self._put(shifted, last.behind)
                 return
+        if 0.5 * abs(self.offset) * turn * turn < GOUGE:
+            new.a = shifted.b.copy()
+            self._put(shifted, last.behind)
+            return
         raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or mend the contour")
 
 
@@ -150,6 +168,23 @@ def _holds(e: Element, p: np.ndarray) -> bool:
     whole = (e.sense * (arms[2] - arms[0])) % (2.0 * math.pi) or 2.0 * math.pi
     part = (e.sense * (arms[1] - arms[0])) % (2.0 * math.pi)
     return part <= whole + 1e-9 or part > 2.0 * math.pi - 1e-9
+
+
+def _reversal(last: Element, e: Element, turn: float) -> tuple[float, bool]:
+    """The turn [rad] at a corner where the second element may lead back along the first; True if it leads back on it.
+
+    Where it is tangent to the first, or crosses it right behind the corner, the side on which it goes on is that of its curvature.
+    """
+    from_full = math.pi - abs(turn)
+    bend = sum(k.sense / float(np.hypot(*(k.b - k.centre))) for k in (last, e) if k.centre is not None)  # > 0: to the right of the first
+    if from_full > BACK:
+        return turn, False
+    if abs(bend) < TINY:
+        return turn, from_full < SMOOTH
+    others = [p for p in _meet(last, e, last.b) if float(np.hypot(*(p - last.b))) > SMOOTH]
+    if from_full < SMOOTH or any(_holds(last, p) and _holds(e, p) for p in others):
+        return -math.copysign(math.pi - from_full, bend), False
+    return turn, False
 
 
 def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:

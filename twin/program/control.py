@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
-from twin.program.compensation import Compensation, CompensationError, Element
+from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
 from twin.program.cycles import DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
 from twin.program.tools import Tools
@@ -345,6 +345,7 @@ class Control:
             self.out.set_modes(mode)
             row = (*row[:3], row[3] * length / mode.feed_unit, *row[4:6], changed, row[7])
         element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, row)
+        element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
         self.programmed = point.copy()
         try:
             self.comp.add(element)  # type: ignore[union-attr]
@@ -359,7 +360,9 @@ class Control:
         start, point = self.here(), np.zeros(3)
         point[[a, b]], point[c] = e.b, e.across[1]
         kind, *rest = e.move
-        arc = None
+        arc, whole = None, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
+        if whole:  # a corner that rounding made must not turn it into an arc of no length
+            point[[a, b]] = start[[a, b]]
         if e.centre is not None:
             centre = start.copy()
             centre[[a, b]] = e.centre
@@ -367,7 +370,7 @@ class Control:
             kind = mv.ARC
         elif kind == mv.ARC:
             kind = mv.LINE
-        if np.linalg.norm(point - start) > 1e-12 or e.turns:
+        if np.linalg.norm(point - start) > 1e-12 or e.turns or whole:
             self._put((kind, *rest), start, point, arc)
         self.comp, self.after_compensation = comp, after
 
