@@ -8,9 +8,11 @@ import pytest
 from twin.diagnose.blocks import block_residuals
 from twin.diagnose.observe import observe
 from twin.diagnose.view import view_of
-from twin.machine.machine import load_machine
+from twin.effects import parse_setting, with_effects
+from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import read_trace
+from twin.simulation.in_force import speed_set_point
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 
@@ -26,3 +28,41 @@ def test_law_of_the_speed_controller(period_s: float, blocks: int) -> None:
     found = [b for b in block_residuals(observe([view], ("X",)), lambda m: m) if b.block == "speed controller"]
     assert len(found) == blocks
     assert all(float(np.std(b.residual)) < 1.3 * b.sigma for b in found)
+
+
+@pytest.mark.parametrize("period_s", [5e-4, 2e-3])
+@pytest.mark.parametrize("faulty", [False, True])
+def test_a_drive_that_closes_the_position_loop(period_s: float, faulty: bool) -> None:
+    """Its speed loop is fed with what the drive makes of the NC's command; a healthy one follows its law, a weak one does not."""
+    nominal = dsc_machine()
+    real = with_effects(nominal, [parse_setting("speed_gain:X:factor=0.6", nominal)]) if faulty else nominal
+    setpoints = setpoints_of(read_trace(EXAMPLE), nominal)
+    trace = simulate(real, setpoints, sample_period=period_s, noise_seed=1).trace
+    view = view_of(nominal, MeasuredRun("out and back", trace, "velocity+torque", 0.0))
+    scores = {b.block: float(np.mean(b.normed**2)) for b in block_residuals(observe([view], ("X",)), lambda m: m)}
+    assert (scores["speed controller"] > 1.5) == faulty, scores
+    assert scores["position controller"] < 1.5, scores
+
+
+@pytest.mark.parametrize("delay_s", [5.25e-3, 5.3e-3, 5e-4])
+def test_what_is_in_force_is_what_the_drive_follows(delay_s: float) -> None:
+    """Made of the recorded command and position it is what the simulated drive follows, at each of its cycles that is recorded."""
+    machine = dsc_machine().with_values({"axis.X.loops.dsc_delay_s": delay_s})
+    trace = simulate(machine, setpoints_of(read_trace(EXAMPLE), machine)).trace
+    axis = machine.axis("X")
+    made = speed_set_point(trace, axis, machine.speed_cycle)
+    assert made.shape == (len(trace.time), round(trace.period / machine.speed_cycle))
+    follows, sent = trace.get("X", "drive_velocity_setpoint"), trace.get("X", "velocity_setpoint")
+    assert np.abs(made[:, 0] - follows).max() < 1e-5 * np.abs(follows).max()
+    assert np.abs(sent - follows).max() > 0.01 * np.abs(follows).max()
+
+
+def dsc_machine() -> Machine:
+    """X of the home machine under a control like a SINUMERIK with dynamic servo control."""
+    return (
+        load_machine()
+        .with_axes(["X"])
+        .with_values(
+            {"axis.X.loops.dsc_delay_s": 5.25e-3, "axis.X.loops.position_delay_s": 3e-3, "control.setpoint_interpolation": "linear"}
+        )
+    )

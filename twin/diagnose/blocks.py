@@ -19,7 +19,6 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.diagnose.channel import Channel
-from twin.diagnose.control_law import closed_on
 from twin.diagnose.observe import Group, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects, with_effects
@@ -27,6 +26,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
 from twin.simulation.decoupled_plant import loads_along
+from twin.simulation.in_force import sent_before, speed_set_point
 from twin.simulation.run import commissioned_inertia
 from twin.simulation.setpoints import command_of
 
@@ -121,8 +121,8 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     _run_speed_loop(
         drives,
         state,
-        _in_force(trace, axis) / axis.ratio,
-        _sent_before(np.repeat(command.torque_feedforward[:, 0], every)[:count], trace, axis),
+        speed_set_point(trace, axis, machine.speed_cycle) / axis.ratio,
+        sent_before(np.repeat(command.torque_feedforward[:, 0], every)[:count], trace, axis, machine.speed_cycle),
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,
@@ -133,42 +133,24 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     return error[moving], moving
 
 
-def _in_force(trace: Trace, axis: Axis) -> np.ndarray:
-    """Speed set point that the drive follows (sample,) [axis units a second]: the recorded one is what the NC sends.
-
-    A drive that closes the position loop itself (`dsc_delay_s` Td) follows w(t - Td) - Kv (x(t) - x(t - Td)).
-    """
-    sent = trace.get(axis.name, "velocity_setpoint")
-    signal = closed_on(trace, axis)
-    if axis.loops.dsc_delay_s <= 0.0 or not trace.has(axis.name, signal):
-        return sent
-    position = trace.get(axis.name, signal)
-    moved = position - _sent_before(position, trace, axis)
-    return _sent_before(sent, trace, axis) - axis.loops.position_gain_per_s * moved
-
-
-def _sent_before(values: np.ndarray, trace: Trace, axis: Axis) -> np.ndarray:
-    """Values (sample,) the delay of the drive's position loop ago."""
-    delay = axis.loops.dsc_delay_s
-    return np.interp(trace.time - delay, trace.time, values) if delay > 0.0 else values
-
-
 @compiled
 def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of, out):  # type: ignore[no-untyped-def]
     """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated.
 
+    `setpoint`, `feedforward` (sample, speed cycle), or (sample, 1) where they hold for the whole sample.
     `ticks_of` a sample, a speed cycle, a current cycle; `out` (sample,) gets the current.
     """
     ticks, speed_ticks, current_ticks = ticks_of
     for k in range(len(speed)):
         out[k] = state.current[0]
-        state.speed_setpoint[0] = setpoint[k]
-        state.torque_feedforward[0] = feedforward[k]
         following = speed[min(k + 1, len(speed) - 1)]
         for n in range(ticks):
             w = speed[k] + (following - speed[k]) * n / ticks
             tick = k * ticks + n
             if tick % speed_ticks == 0:
+                cycle = min(n // speed_ticks, setpoint.shape[1] - 1)
+                state.speed_setpoint[0] = setpoint[k, cycle]
+                state.torque_feedforward[0] = feedforward[k, cycle]
                 speed_controller(0, drives, state, w)
             if tick % current_ticks == 0:
                 current_controller(0, drives, state, state.current_setpoint[0], state.current[0])

@@ -20,12 +20,8 @@ from twin.diagnose.view import RunView
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.gap import SAME_PERIOD
+from twin.simulation.in_force import closed_on
 from twin.units import AXIS_UNITS
-
-
-def closed_on(trace: Trace, axis: Axis) -> str:
-    """The recorded signal that closes the position loop."""
-    return "motor_position" if axis.encoder == "motor" and trace.has(axis.name, "motor_position") else "position"
 
 
 def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.ndarray | None:

@@ -66,8 +66,12 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
     times = np.arange(len(setpoints.position)) * setpoints.period
     position = setpoints.position.copy()
     for a, axis in enumerate(actual.axes):
-        # a linear axis follows its set point by the delay and, without feedforward, by 1 / Kv more
-        lag = axis.loops.position_delay_s + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
+        # a linear axis follows its set point by the delays and, without feedforward, by 1 / Kv more
+        lag = (
+            axis.loops.position_delay_s
+            + axis.loops.dsc_delay_s
+            + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
+        )
         position[:, a] = setpoints.at(times - lag)[:, a]
     motion = _motion(position, setpoints.period)
     rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")

@@ -50,6 +50,7 @@ SIGNAL_UNITS = {
     "motor_position": "um, arcsec",
     "velocity": "mm/s, deg/s",
     "velocity_setpoint": "mm/s, deg/s",
+    "drive_velocity_setpoint": "mm/s, deg/s",
     "current": "A",
     "current_setpoint": "A",
     "voltage": "V",

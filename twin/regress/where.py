@@ -2,6 +2,7 @@
 
     set points           the set point itself
     position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            stated by the machine file, on the position cycles
+                         a drive that closes the loop itself: also what it follows, made of w*, x and their values Td ago
     speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt    stated; integral of the speed from the motor encoder: exact,
                          until i* meets its limit (there the integral stops); regressed where the speed is not measured itself
     current loop         torque        regressed on w*, i* and speed, TAPS samples about each instant
@@ -29,7 +30,9 @@ from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
+from twin.simulation.in_force import closed_on, sent_before, speed_set_point
 from twin.simulation.run import commissioned_inertia
+from twin.simulation.setpoints import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
 """What a block makes of its inputs: the output that a stated law gives (sample,), or the rows of a regressed one (sample, column);
@@ -44,6 +47,8 @@ TAPS = 5
 """Samples of set points and speed from which the current loop's torque follows: it settles within one or two of them."""
 AT_LIMIT = 0.998
 """A current set point counts as limited from this share of the peak current on."""
+FOLLOWED = "drive_velocity_setpoint"
+"""What a drive follows that closes the position loop itself."""
 SLIDING = 1e-3
 """Friction is looked at where the axis moves faster than this share of its highest speed."""
 
@@ -92,14 +97,14 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     measured_speed = axis.loops.speed_mean_cycles == 0 and axis.loops.speed_filter_time_s == 0.0
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
     if on_cycles:
-        blocks.append(("position controller", lambda trace: _position_controller(axis, cycle, trace)))
+        blocks.append(("position controller", lambda trace: _position_controller(actual, axis, trace)))
     if each_cycle:  # on samples further apart the faster loops cannot be separated
         if measured_speed:
-            blocks.append(("speed controller", lambda trace: _speed_controller(axis, inertia, cycle, trace)))
+            blocks.append(("speed controller", lambda trace: _speed_controller(actual, axis, inertia, trace)))
         else:
-            blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(axis, cycle, trace)))
+            blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(actual, axis, trace)))
         if axis.effort == "current":
-            blocks.append(("current loop", lambda trace: _current_loop(axis, trace)))
+            blocks.append(("current loop", lambda trace: _current_loop(actual, axis, trace)))
         blocks += [("mechanics", lambda trace: _mechanics(axis, trace)), ("transmission", lambda trace: _transmission(axis, trace))]
     for block, law in blocks:
         (inputs, output, use), (new_inputs, new_output, new_use) = law(golden), law(now)
@@ -140,19 +145,34 @@ def _scaled(rows: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.where(size > 1e-12, rows / np.maximum(size, 1e-12), 0.0)
 
 
-def _delayed(axis: Axis, trace: Trace, delay: float) -> np.ndarray:
-    s = trace.get(axis.name, "setpoint")
-    return CubicSpline(trace.time, s)(np.clip(trace.time - delay, trace.time[0], trace.time[-1]))
+def _delayed(machine: Machine, axis: Axis, trace: Trace, delay: float) -> np.ndarray:
+    """Set point that long before each sample (sample,), between the control's cycles as this control reads it."""
+    curve = CubicSpline(trace.time, trace.get(axis.name, "setpoint"))
+    parts = delay_weights(delay, machine.position_cycle, machine.setpoint_interpolation == "linear")
+    delayed = [weight * curve(np.clip(trace.time - d, trace.time[0], trace.time[-1])) for d, weight in parts]
+    return np.sum(delayed, axis=0)
 
 
-def _position_controller(axis: Axis, cycle: float, trace: Trace) -> Law:
-    """Speed set point [axis units/s] of the position controller on the kept position cycles."""
-    loops, output = axis.loops, trace.get(axis.name, "velocity_setpoint")
-    ahead = _delayed(axis, trace, loops.feedforward_delay_s) - _delayed(axis, trace, loops.feedforward_delay_s + cycle)
-    error = _delayed(axis, trace, loops.position_delay_s) - trace.get(
-        axis.name, "motor_position" if axis.encoder == "motor" else "position"
+def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
+    """Speed set point [axis units/s] of the position controller on the kept position cycles, and below it what a drive makes of it."""
+    loops, cycle = axis.loops, machine.position_cycle
+    wanted, output = (
+        loops.position_gain_per_s * _delayed(machine, axis, trace, loops.position_delay_s),
+        trace.get(axis.name, "velocity_setpoint"),
     )
-    return loops.position_gain_per_s * error + loops.velocity_feedforward * ahead / cycle, output, np.ones(len(output), bool)
+    wanted = wanted - loops.position_gain_per_s * trace.get(axis.name, closed_on(trace, axis))
+    ahead = _delayed(machine, axis, trace, loops.feedforward_delay_s) - _delayed(machine, axis, trace, loops.feedforward_delay_s + cycle)
+    wanted = wanted + loops.velocity_feedforward * ahead / cycle
+    if trace.has(axis.name, FOLLOWED) and trace.period < cycle * (1.0 + 1e-6):
+        wanted = np.concatenate([wanted, speed_set_point(trace, axis, machine.speed_cycle)[:, 0]])
+        output = np.concatenate([output, trace.get(axis.name, FOLLOWED)])
+    return wanted, output, np.ones(len(output), bool)
+
+
+def _followed(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
+    """Speed set point that the drive follows (sample, speed cycle): as recorded at each sample, by the drive's law between them."""
+    made = speed_set_point(trace, axis, machine.speed_cycle)
+    return made + (trace.get(axis.name, FOLLOWED)[:, None] - made[:, :1]) if trace.has(axis.name, FOLLOWED) else made
 
 
 def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
@@ -165,36 +185,40 @@ def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     return command - (command[0] if axis.has_speed_integral else 0.0), ~limited
 
 
-def _speed_integral(axis: Axis, cycle: float, trace: Trace) -> np.ndarray:
+def _speed_integral(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
     """Integral of the speed's error [motor rad]: a sum of w* less the way of the motor."""
-    wanted, way = trace.get(axis.name, "velocity_setpoint"), trace.get(axis.name, "motor_position")
-    return (np.concatenate([[0.0], np.cumsum(wanted[:-1]) * cycle]) - (way - way[0])) / axis.ratio
+    wanted, way = _followed(machine, axis, trace).mean(axis=1), trace.get(axis.name, "motor_position")
+    return (np.concatenate([[0.0], np.cumsum(wanted[:-1]) * machine.position_cycle]) - (way - way[0])) / axis.ratio
 
 
-def _speed_controller(axis: Axis, inertia: float, cycle: float, trace: Trace) -> Law:
+def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace) -> Law:
     """Command [A, V, Nm] of a speed controller that measures the speed."""
-    loops, r = axis.loops, axis.ratio
-    error = (trace.get(axis.name, "velocity_setpoint") - trace.get(axis.name, "velocity")) / r
+    loops, r, cycle = axis.loops, axis.ratio, machine.position_cycle
+    error = (_followed(machine, axis, trace)[:, 0] - trace.get(axis.name, "velocity")) / r
     d = loops.feedforward_delay_s
-    curve = _delayed(axis, trace, d) - 2.0 * _delayed(axis, trace, d + cycle) + _delayed(axis, trace, d + 2.0 * cycle)
-    forward = loops.torque_feedforward * inertia * curve / cycle**2 / r
-    integral = _speed_integral(axis, cycle, trace) / loops.speed_integral_time_s
-    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + forward
+    now, before, first = (_delayed(machine, axis, trace, d + back * cycle) for back in (0.0, 1.0, 2.0))
+    forward = loops.torque_feedforward * inertia * (now - 2.0 * before + first) / cycle**2 / r
+    integral = _speed_integral(machine, axis, trace) / loops.speed_integral_time_s
+    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + sent_before(forward, trace, axis, machine.speed_cycle)[:, 0]
     current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
     return current - (current[0] if axis.has_speed_integral else 0.0), command, free
 
 
-def _speed_controller_of_samples(axis: Axis, cycle: float, trace: Trace) -> Law:
+def _speed_controller_of_samples(machine: Machine, axis: Axis, trace: Trace) -> Law:
     """The same where the speed is differentiated or filtered: its samples about each instant, feedforward and integral."""
-    rows = [*_samples(axis, trace, "velocity_setpoint"), *_samples(axis, trace, "velocity"), np.ones(len(trace.time))]
-    rows += [trace.get(axis.name, "torque_feedforward"), _speed_integral(axis, cycle, trace)]
+    rows = [*_about(_followed(machine, axis, trace)[:, 0]), *_samples(axis, trace, "velocity"), np.ones(len(trace.time))]
+    rows += [trace.get(axis.name, "torque_feedforward"), _speed_integral(machine, axis, trace)]
     return np.column_stack(rows), *_command(axis, trace)
 
 
 def _samples(axis: Axis, trace: Trace, signal: str) -> list[np.ndarray]:
     """TAPS columns: a signal from two samples before to two after each instant."""
-    padded = np.pad(trace.get(axis.name, signal), TAPS // 2, mode="edge")
+    return _about(trace.get(axis.name, signal))
+
+
+def _about(values: np.ndarray) -> list[np.ndarray]:
+    padded = np.pad(values, TAPS // 2, mode="edge")
     return list(np.lib.stride_tricks.sliding_window_view(padded, TAPS).T)
 
 
@@ -202,9 +226,9 @@ def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
     return np.gradient(trace.get(axis.name, signal), trace.period)
 
 
-def _current_loop(axis: Axis, trace: Trace) -> Law:
-    columns = [np.ones(len(trace.time))]
-    for signal in ("velocity_setpoint", "current_setpoint", "velocity"):  # i* between the samples follows from w* and w
+def _current_loop(machine: Machine, axis: Axis, trace: Trace) -> Law:
+    columns = [np.ones(len(trace.time)), *_about(_followed(machine, axis, trace)[:, 0])]
+    for signal in ("current_setpoint", "velocity"):  # i* between the samples follows from w* and w
         columns += _samples(axis, trace, signal)
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 

@@ -1,0 +1,62 @@
+"""Which block left its law first, on a machine whose drive closes the position loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.trace import Trace, read_trace
+from twin.regress.where import FOLLOWED, SHARE, block_shares
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import setpoints_of
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "x_200mm.csv"
+LAG = "axis.X.loops.speed_filter_time_s"
+
+
+def machine_with(lag_s: float = 0.0, **values: float) -> Machine:
+    """X of the home machine with dynamic servo control and a set point between two cycles; `lag_s` filters its speed."""
+    dsc = {"axis.X.loops.dsc_delay_s": 5.25e-3, "axis.X.loops.position_delay_s": 3e-3, "control.setpoint_interpolation": "linear"}
+    changed = {f"axis.X.{key.replace('loops_', 'loops.')}": value for key, value in values.items()}
+    return load_machine().with_axes(["X"]).with_values({**dsc, LAG: lag_s, **changed})
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1e-3])
+@pytest.mark.parametrize(
+    ("change", "block"),
+    [
+        ({"loops_position_gain_per_s": 50.5}, "position controller"),
+        ({"loops_dsc_delay_s": 5.5e-3}, "position controller"),
+        ({"loops_speed_gain_nm_s_per_rad": 1.01}, "speed controller"),
+        ({"coulomb_friction_nm": 1.02}, "mechanics"),
+    ],
+)
+def test_a_drive_that_closes_the_position_loop(change: dict[str, float], block: str, lag_s: float) -> None:
+    """The block that changed is the first with a large share; those before it follow the law of the golden result."""
+    golden = machine_with(lag_s)
+    if block in ("speed controller", "mechanics"):  # a share of what the file has
+        document = golden.document["axis"]["X"]
+        (key,) = change
+        was = document["loops"]["speed_gain_nm_s_per_rad"] if key.startswith("loops") else document[key]
+        change = {key: was * change[key]}
+    now = machine_with(lag_s, **change)
+    traces = [simulate(m, setpoints_of(read_trace(EXAMPLE), m), sample_period=m.position_cycle).trace for m in (golden, now)]
+    shares = dict(block_shares(golden, golden.axis("X"), *traces))
+    assert next((name for name, share in shares.items() if share > SHARE), "") == block, shares
+
+
+@pytest.mark.parametrize(("key", "block"), [("loops_speed_gain_nm_s_per_rad", "speed controller"), ("coulomb_friction_nm", "mechanics")])
+def test_a_record_without_what_the_drive_follows(key: str, block: str) -> None:
+    """It follows from the command and the position."""
+    golden = machine_with()
+    axis = golden.axis("X")
+    was = axis.coulomb_friction_nm if key.startswith("coulomb") else axis.loops.speed_gain_nm_s_per_rad
+    traces = []
+    for machine in (golden, machine_with(**{key: 1.05 * was})):
+        trace = simulate(machine, setpoints_of(read_trace(EXAMPLE), machine), sample_period=machine.position_cycle).trace
+        signals = {name: values for name, values in trace.signals.items() if name[1] != FOLLOWED}
+        traces.append(Trace(trace.time, signals, trace.kinds))
+    shares = dict(block_shares(golden, axis, *traces))
+    assert next((name for name, share in shares.items() if share > SHARE), "") == block, shares
