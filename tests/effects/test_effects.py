@@ -189,7 +189,7 @@ def test_names_that_effects_give_of_each_other_exist():
     for effect in EFFECTS.values():
         assert set(effect.contains) | set(effect.imitated_by) <= set(EFFECTS), effect.name
         assert all(p.judged_with in ("", *(q.name for q in effect.parameters)) for p in effect.parameters)
-        assert effect.rivals, "say what tells it from its rivals"
+        assert effect.rivals, "say what separates it from its rivals"
         assert effect.picture.look, "say what to look at in its picture"
 
 

@@ -1,4 +1,4 @@
-"""A gap is told in multiples of noise: also with a machine file that tells none."""
+"""A gap is given in multiples of noise, also with a machine file that states none."""
 
 from dataclasses import replace
 from pathlib import Path

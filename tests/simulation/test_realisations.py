@@ -1,4 +1,4 @@
-"""What other draws of noise make of a run: told by the decoupled plant beside one run of the engine."""
+"""Other draws of noise of a run: the decoupled plant gives them beside one run of the engine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def furthest(a: Trace, b: Trace, axis: str, signal: str) -> float:
 
 
 @pytest.mark.parametrize("axis", ["X", "A", "C"])
-def test_the_decoupled_plant_tells_what_other_realisations_would_be(mikron: Machine, measured: MeasuredRun, axis: str) -> None:
+def test_the_decoupled_plant_gives_the_other_realisations(mikron: Machine, measured: MeasuredRun, axis: str) -> None:
     """The expectation is that of all realisations in the engine, many times nearer than one of them is, and noise is as large."""
     motion = view_of(mikron, measured).motion
     by_engine, one, told = (
@@ -40,7 +40,7 @@ def test_the_decoupled_plant_tells_what_other_realisations_would_be(mikron: Mach
         assert scatter == pytest.approx(expected, rel=0.01), signal
 
 
-def test_without_the_engine_the_decoupled_plant_tells_all(mikron: Machine, measured: MeasuredRun) -> None:
+def test_without_the_engine_the_decoupled_plant_gives_all(mikron: Machine, measured: MeasuredRun) -> None:
     """Another mass in the model that only the engine has would show in the first and not in the second."""
     view = view_of(mikron, measured)
     light = mikron.with_axis("X", moving_mass_kg=0.9 * (mikron.axis("X").moving_mass_kg or 0.0))

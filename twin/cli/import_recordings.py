@@ -49,7 +49,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: bool = True, say: Callable[[str], None] | None = None) -> int:
-    """Make the campaign; returns the number of traces. `say` takes the lines that tell what was understood (print)."""
+    """Make the campaign; returns the number of traces. `say` receives the lines that report what was understood (such as print)."""
     from twin.recordings.overview import draw_run, understood_table
     from twin.recordings.understand import understand
     from twin.recordings.write import write_campaign, write_run

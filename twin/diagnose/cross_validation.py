@@ -134,7 +134,7 @@ def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
 def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit, alone: float) -> bool:
     """Is some direction of the effects' parameters known from these runs alone? A fit without them would leave it to chance.
 
-    Told of the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
+    Information about the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
     """
     p = fit.columns.shape[1]
     if not p:

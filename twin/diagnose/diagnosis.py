@@ -227,7 +227,7 @@ class Diagnosis:
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
-        """Rivals that this campaign cannot tell from what was found."""
+        """Rivals that this campaign cannot separate from what was found."""
         out = []
         for setting, found, _ in self.settings:
             for candidates in found.rounds:

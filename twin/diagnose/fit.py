@@ -105,7 +105,7 @@ class Fit:
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
     def information(self) -> np.ndarray:
-        """What the channels tell of the free parameters (free, free) in scale units, tuning eliminated."""
+        """Information of the channels about the free parameters (free, free) in scale units, tuning eliminated."""
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
 
     def covariance(self, inflation: float = 1.0) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The one further measurement that would tell most: a move that `twin run` accepts, chosen by what is still open."""
+"""The one further measurement that would decide most: a move that `twin run` accepts, chosen by what is still open."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
         return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
     _, best, rival = min(pairs, key=lambda p: p[0])
     name = best.setting.effect.name
-    reason = f"tells {name} from {rival.setting.effect.name}" if rival else f"confirms {name} on a run that it was not found on"
+    reason = f"separates {name} from {rival.setting.effect.name}" if rival else f"confirms {name} on a run that it was not found on"
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 

@@ -307,7 +307,7 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
 
 
 def _least(machine: Machine, axis: Axis, channel: str) -> float:
-    """What a channel cannot tell anyway [SI]."""
+    """Resolution of a channel [SI]: smaller differences are not seen."""
     if channel == "current":
         no_less = 0.0 if axis.has_current_loop and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
         return max(no_less, LEAST_NOISE["current"])
@@ -364,7 +364,7 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
 
 
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
-    """The channel with the noise that realisations tell, and `rough` (sample,), its own record beside a twin."""
+    """The channel with the noise that realisations show, and `rough` (sample,), its own record beside a twin."""
     axis, t = view.machine.axis(channel.axis), channel.thresholds
     signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None

@@ -2,7 +2,7 @@
 
 An effect is one function under `@effect(...)`. Its docstring holds the law and its source. The decorator holds everything
 else that the twin knows about it: block, parameters with units and bounds, axes, how a diagnosis starts and judges it, its
-units for people, what tells it from its rivals, its picture. The function describes how it acts on a `Change`: a changed
+units for people, what separates it from its rivals, its picture. The function describes how it acts on a `Change`: a changed
 parameter of control or machine, a term of the compiled loop, or an edit of the MuJoCo model. Nothing else has to be written
 for a new effect: every field but block and parameters has a default that suits one.
 """
@@ -145,7 +145,7 @@ class Parameter:
 class Effect:
     """An effect of the library or of a user's file; `act(change, axis, **parameters)` puts it on the machine.
 
-    separating_move    move that tells it best from its nearest rivals: what a diagnosis proposes as the next measurement
+    separating_move    move that separates it best from its nearest rivals: what a diagnosis proposes as the next measurement
     rivals             the same in words: what looks alike, and what parts them
     contains           names of effects that this one includes: they leave a machine that gets this one
     imitated_by        names of effects of which a little, normal on any machine, looks like a little of this one

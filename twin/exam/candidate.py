@@ -1,4 +1,4 @@
-"""The process that is examined: one campaign and one machine file in, one diagnosis out. It is told nothing else.
+"""The process that is examined: one campaign and one machine file in, one diagnosis out. It gets nothing else.
 
     python -m twin.exam.candidate CAMPAIGN MACHINE OUT [--quick]
 

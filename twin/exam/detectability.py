@@ -5,7 +5,7 @@ answer d of an effect stands against noise by s = |d|^2 / 2 (a log likelihood); 
 what remains of d when the rival's answer is projected out too. To first order s grows with the square of the size, so that
 
     smallest size found           = usual size * sqrt(evidence / s)
-    smallest size told apart      = usual size * sqrt(evidence / s_rival)
+    smallest size separated       = usual size * sqrt(evidence / s_rival)
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Key = tuple[str, str, str | None]
 
 @dataclass(frozen=True)
 class Outlook:
-    """One effect on one axis: smallest size found and told apart, as multiples of the usual size, and the nearest rival."""
+    """One effect on one axis: smallest size found and separated, as multiples of the usual size, and the nearest rival."""
 
     effect: str
     axis: str
@@ -226,12 +226,12 @@ def detectability_command(args: argparse.Namespace) -> int:
     write_json({name: [vars(o) for o in rows] for name, rows in outlooks_of.items()}, out / "plan.json", "detectability")
     write_plan_report(campaign, outlooks_of, out / "report.html")
     print(
-        table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in outlooks_of["as recorded"]], left=2)
+        table(["effect", "axis", "found from", "separated from", "nearest rival"], [row_of(o) for o in outlooks_of["as recorded"]], left=2)
     )
     print()
     print(
         table(
-            ["campaign", "found", "told apart", "invisible or not told apart at usual size"],
+            ["campaign", "found", "separated", "invisible or not separated at usual size"],
             [summary_row(n, r) for n, r in outlooks_of.items()],
         )
     )
@@ -258,7 +258,7 @@ def size_text(share: float) -> str:
 
 
 def summary_row(name: str, rows: Sequence[Outlook]) -> list[str]:
-    """How many effects of usual size a variant finds and tells apart, and which not."""
+    """How many effects of usual size a variant finds and separates, and which not."""
     lost = sorted({o.effect for o in rows if o.apart > USELESS})
     found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
     return [name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")]
@@ -271,15 +271,15 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
     helps = max(
         (n for n in outlooks_of if n.startswith("and ")), key=lambda n: sum(math.log(1 + 1 / o.apart) for o in outlooks_of[n]), default=""
     )
-    lead = f"Of {len(own)} effects of usual size this campaign finds and tells apart {apart}. " + (
+    lead = f"Of {len(own)} effects of usual size this campaign finds and separates {apart}. " + (
         f"The further run that would help most: {helps[4:]}." if helps else ""
     )
     sections = [
         Section("Down to which size", figures=[_chart(own)], tables=[
-            Table(["effect", "axis", "found from", "told apart from", "nearest rival"], [row_of(o) for o in own], left=2)
+            Table(["effect", "axis", "found from", "separated from", "nearest rival"], [row_of(o) for o in own], left=2)
         ]),
         Section("Other sensors, further runs", tables=[
-            Table(["campaign", "found", "told apart", "not at usual size"], [summary_row(n, r) for n, r in outlooks_of.items()], left=1)
+            Table(["campaign", "found", "separated", "not at usual size"], [summary_row(n, r) for n, r in outlooks_of.items()], left=1)
         ]),
     ]  # fmt: skip
     write_page(path, f"What {campaign.path.name} could show", lead, sections)
@@ -294,7 +294,7 @@ def _chart(rows: Sequence[Outlook]) -> Figure:
     apart = np.clip([o.apart for o in shown], 1e-4, 100)
     ax.hlines(y, found, apart, color=SOFT, linewidth=1)
     ax.plot(found, y, "o", color=GREEN, markersize=4, label="found")
-    ax.plot(apart, y, "o", color=BLUE, markersize=4, label="told apart from the nearest rival")
+    ax.plot(apart, y, "o", color=BLUE, markersize=4, label="separated from the nearest rival")
     ax.axvline(1.0, color="#1c2430", linewidth=1)
     ax.set_xscale("log")
     ax.set_yticks(y, [f"{o.effect.replace('_', ' ')} {o.axis}" for o in shown], fontsize=7)

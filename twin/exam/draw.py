@@ -1,7 +1,7 @@
 """Draws cases and writes their campaigns without truth.
 
     case = draw_case(seed, "single", machine)            # or pair, triple, healthy, outside
-    write_campaign(case, folder, machine)                # Parquet + campaign.toml, nothing that tells
+    write_campaign(case, folder, machine)                # Parquet + campaign.toml, nothing that gives the truth away
     truth = truth_of(case)                               # for the sealed file, kept elsewhere
 
 Everything comes from the seed: parameter factors, effects and sizes, richness, programme, noise.
@@ -255,7 +255,7 @@ def write_campaign(
     started_at_s: float = 0.0,
     machine_name: str = "mikron_ucp710",
 ) -> list[str]:
-    """Simulates the runs of a run set and writes them to `folder`; returns their file names. Nothing written tells the truth."""
+    """Simulates the runs of a run set and writes them to `folder`; returns their file names. Nothing written gives the truth away."""
     if runs not in RUN_SETS or signals not in SIGNALS:
         raise ValueError(
             f"runs {runs!r}, signals {signals!r}: runs must be one of {', '.join(RUN_SETS)}, signals one of {', '.join(SIGNALS)}"

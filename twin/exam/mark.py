@@ -83,7 +83,7 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     rivals = [
         _what(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
     ]
-    # one effect was named, and the true one told to be what this could be as well
+    # one effect was named, and the true one listed among its rivals
     rightly_ambiguous = answer["verdict"] == "effect" and len(named) == 1 and any(r in true for r in rivals)
     located = [(e["axis"], e["block"]) for e in answer["effects"]] or [(w["axis"], w["block"]) for w in answer["where"][:1]]
     return {

@@ -69,7 +69,7 @@ def sections_of(document: Document) -> list[Section]:
         Section(
             "How it was sealed",
             [
-                f"Seed {document['seed']}, richness {document['richness']}. The SHA-256 of all truths, told before the first diagnosis: "
+                f"Seed {document['seed']}, richness {document['richness']}. The SHA-256 of all truths, published before the first diagnosis: "
                 f"{document['seal']}. The truths stayed in the memory of the examining process until all answers were written." + level
             ],
         )
@@ -206,13 +206,13 @@ def _calibration(bins: Sequence[Document]) -> Figure:
         ax.plot([b["said"], b["said"]], [b["low"], b["high"]], color=BLUE, linewidth=3, alpha=0.3)
         ax.plot(b["said"], b["value"], "o", color=BLUE)
         ax.annotate(str(b["of"]), (b["said"], b["value"]), textcoords="offset points", xytext=(-14, -3), fontsize=8)
-    ax.set_xlabel("probability told")
+    ax.set_xlabel("stated probability")
     ax.set_ylabel("share that was there")
     ax.set_xlim(0, 1.02)
     ax.set_ylim(0, 1.05)
     return Figure(
         figure_svg(figure),
-        "Effects named, by the probability told with them; numbers: how many. On the line a probability means what it says.",
+        "Effects named, by their stated probability; numbers: how many. On the line the stated probability is the share that is right.",
     )
 
 

@@ -145,7 +145,7 @@ def _one_each(marks: Iterable[Mark]) -> list[Mark]:
 
 
 def singles(marks: Iterable[Mark]) -> list[Mark]:
-    """Cases with one effect and all signals and runs: what was measured is what `size` is told against."""
+    """Cases with one effect and all signals and runs: `size` is compared with what was measured."""
     return [m for m in marks if len(m["true"]) == 1 and m["stratum"] in FULL]
 
 

@@ -1,7 +1,7 @@
 """Sitting the examination: draw, seal, write campaigns, let each be diagnosed by a process that knows nothing else.
 
-The truths live in the memory of the examining process alone. Their SHA-256 is told before the first diagnosis begins; the
-diagnosing process gets a campaign folder and a machine file, and nothing on the disk tells more. When all are done the truths
+The truths live in the memory of the examining process alone. Their SHA-256 is published before the first diagnosis begins; the
+diagnosing process gets a campaign folder and a machine file, and nothing on the disk gives more away. When all are done the truths
 are written (`truths.json`) and must have that hash.
 """
 
@@ -141,7 +141,7 @@ def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
 def each(
     executor: Executor, function: Callable[..., Any], work: dict[str, tuple[Any, ...]], progress: Callable[[None], None]
 ) -> dict[str, Any]:
-    """function(*arguments) of every entry, in whatever order, told as they end."""
+    """function(*arguments) of every entry, in whatever order, reported as they end."""
     futures = {executor.submit(function, *arguments): name for name, arguments in work.items()}
     results = {}
     for future in as_completed(futures):

@@ -32,7 +32,7 @@ SHORTEST_WINDOW = 0.1
 ARM = 0.1
 """Lever that turns an angle into a length where poses are compared [m]."""
 COARSE = 4
-"""Vertices of a window that are looked at first: they only tell which segments need no look."""
+"""Vertices of a window that are looked at first: they only show which segments can be skipped."""
 LAGS = 4.0
 """The window is this many times the lag 1 / Kv of the slowest position controller: beyond it an axis is not following."""
 

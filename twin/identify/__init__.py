@@ -3,7 +3,7 @@
     campaign_fit    identify_campaign: campaign -> Identification: parameters with intervals, findings, machine (result)
     write           write_identified: the identified machine as a machine file, each value with grade, interval and campaign
     report          write_report: HTML and PNG
-    plan            plan_campaign: moves that tell every parameter to a wanted precision, with the predicted interval of each
+    plan            plan_campaign: moves that identify every parameter to a wanted precision, with the predicted interval of each
 
 The direct route, block by block:
     recording           flags checked, late channels taken back            findings           what is wrong with a recording, or missing

@@ -247,7 +247,7 @@ COLOURED = 2.0
 
 PRIOR = np.array([0.2, 0.2, 0.03, 0.01, 0.3])
 """How far inductance, resistance, load, mode and damping may lie off their start (standard deviation of the logarithm). Motor minus
-scale has told load and mode before, within 1 % and 0.3 %."""
+scale gave load and mode before, within 1 % and 0.3 %."""
 
 
 def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, reference: FastLoop) -> FastFit:

@@ -1,6 +1,6 @@
 """Where is the position loop closed: in the NC or in the drive (dynamic servo control, DSC)?
 
-The NC's speed set point v*(t) and the position x(t) are recorded. Two laws say which speed the axis is told to follow:
+The NC's speed set point v*(t) and the position x(t) are recorded. Two laws say which speed the axis is commanded to follow:
 
     closed in the NC      u(T) = v*(T)
     closed in the drive   u(T) = v*(T - Td) - Kv (x(T) - x(T - Td))        the drive uses its newest encoder value

@@ -29,7 +29,7 @@ def balance_of(result: Identification, axis: str) -> Balance | None:
 
 
 def _shown(result: Identification, *names: str) -> list[Axis]:
-    """Axes with a torque balance that told these parameters."""
+    """Axes with a torque balance that identified these parameters."""
     known = {(p.axis, p.name) for p in result.parameters}
     return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
 

@@ -1,7 +1,7 @@
 """What is wrong with, or missing from, a recording: said before any number is believed.
 
 Flags of the feedforward are checked against the signals, late channels are timed, limits and clipping found, and what a campaign
-cannot tell is named with the run that would.
+cannot identify is named with the run that would.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
             continue
         for signal, cost in _signals_of(axis).items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
-                out.append(Finding("", axis.name, f"no {signal} in any run: cannot tell {cost}; record {axis.name}.{signal}"))
+                out.append(Finding("", axis.name, f"no {signal} in any run: cannot identify {cost}; record {axis.name}.{signal}"))
     return out
 
 
 def _signals_of(axis: Axis) -> dict[str, str]:
-    """The signals that an axis of this structure could have, and what each tells."""
+    """The signals that an axis of this structure could have, and what each identifies."""
     if axis.has_current_loop:
         return SIGNALS
     motion = "motor_position" if axis.encoder == "motor" else "position"
@@ -211,7 +211,9 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
     if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * slides_above(axis):
         return [
             Finding(
-                "", name, "never moves: friction, inertia and delays cannot be told; run it there and back at three speeds ('twin plan')"
+                "",
+                name,
+                "never moves: friction, inertia and delays cannot be identified; run it there and back at three speeds ('twin plan')",
             )
         ]
     sliding = np.concatenate([r.speed[r.sliding] for r in runs])
@@ -234,7 +236,7 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
         )
     accelerations = np.concatenate([r.filtered(r.acceleration)[r.sliding] for r in runs])
     if np.percentile(np.abs(accelerations), 99) < 0.05 * axis.max_acceleration / axis.ratio:
-        out.append(Finding("", name, "hardly accelerates: inertia cannot be told; add accelerated moves ('twin plan')"))
+        out.append(Finding("", name, "hardly accelerates: inertia cannot be identified; add accelerated moves ('twin plan')"))
     limited = sum(float(r.limited.sum() * r.cycle) for r in runs)
     if limited > 0.0:
         out.append(

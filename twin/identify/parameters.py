@@ -245,7 +245,7 @@ CURES = {
     **dict.fromkeys(("moment_y", "moment_z"), "slow turns of A over its range"),
     **dict.fromkeys(("table_x", "table_y"), "turns of C at several tilts"),
 }
-"""The run that tells a parameter."""
+"""The run that identifies a parameter."""
 
 TOGETHER = {
     "velocity_feedforward": ("position_gain_per_s",),
@@ -286,5 +286,5 @@ def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
             elif (name in TOGETHER and set(TOGETHER[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTION_KEYS) and FRICTION_KEYS.keys() & found
             ):
-                out.append(Finding("", axis.name, f"no run tells {name}; add {cure} ('twin plan')"))
+                out.append(Finding("", axis.name, f"no run identifies {name}; add {cure} ('twin plan')"))
     return out

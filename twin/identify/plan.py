@@ -7,7 +7,7 @@ its range while C stands in several places and the other way round (first moment
 
 The predicted interval is that of the regression on the planned moves themselves, simulated with the noise of the machine file,
     half(n)^2 = law^2 + scatter^2 / n
-after n rounds: scatter shrinks with repeating, what the laws leave open does not. Regressing one round and two tells them apart. A real
+after n rounds: scatter shrinks with repeating, what the laws leave open does not. Regressing one round and two separates them. A real
 drive adds cogging and pre-sliding; docs/identify.md says how much wider intervals came out on a plant that has them.
 """
 
@@ -77,7 +77,7 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Plan:
-    """Runs and what they will tell."""
+    """Runs and what they will identify."""
 
     runs: tuple[PlannedRun, ...]
     predicted: tuple[Predicted, ...]

@@ -1,6 +1,6 @@
 """From products with the torque constant to values: what fixes a torque constant, and how far.
 
-Current and motion tell J/Kt, Fc/Kt, Fv/Kt, m g/Kt: one factor is common to all numbers of a motor, whatever the recording. Only something
+Current and motion give only J/Kt, Fc/Kt, Fv/Kt, m g/Kt: one factor is common to all numbers of a motor, whatever the recording. Only something
 known breaks the tie: a mass on a scale, a torque wrench, the motor's test sheet, or the machine file's tolerance: each parameter lies
 within it of its nominal value, so a factor that all products share is more likely the torque constant's than everyone's. Values are the
 most probable ones under those tolerances and the regression,
@@ -81,7 +81,7 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
         # the constant of an ideal actuator is what the numbers are counted in
         known = ["motor.torque_constant_nm_per_a"] if machine.axis(axis).has_current_loop else []
         keys = [*known, rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
-        # a weight tells the mass; elsewhere the inertia is one number, and the rotor stands for it
+        # a weight gives the mass; elsewhere the inertia is one number, and the rotor stands for it
         if is_vertical(machine, axis) and rotor != "moving_mass_kg":
             keys.append("moving_mass_kg")
         out += [f"axis.{axis}.{key}" for key in keys]

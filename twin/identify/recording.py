@@ -24,7 +24,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 
 SHORT_S = 0.5
-"""A run shorter than this tells nothing below 20 Hz: it is left out."""
+"""A run shorter than this shows nothing below 20 Hz: it is left out."""
 
 
 @dataclass(frozen=True)

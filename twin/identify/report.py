@@ -65,7 +65,7 @@ def _summary(result: Identification) -> Section:
         chosen = "the regression, without re-simulation"
     lines = [
         result.refused or f"The machine file that was written holds the values of {chosen}.",
-        "Current and motion tell inertia, friction and gravity only as products with each motor's torque constant. "
+        "Current and motion identify inertia, friction and gravity only as products with each motor's torque constant. "
         + (
             "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
             if result.tolerance_holds and all(result.tolerance_holds.values())
@@ -79,7 +79,7 @@ def _summary(result: Identification) -> Section:
 
 
 BLUNT = 20.0
-"""Runs left out that tell a parameter so many times less sharply do not judge it."""
+"""Runs left out that identify a parameter so many times less sharply do not judge it."""
 
 
 def _parameters(result: Identification) -> Section:
@@ -122,7 +122,7 @@ def _parameters(result: Identification) -> Section:
             ]
         )
     note = (
-        "Product: the number at the machine file's torque constant, all that current and motion tell. Value: after the split. Marked rows: the runs left out "
+        "Product: the number at the machine file's torque constant, all that current and motion give. Value: after the split. Marked rows: the runs left out "
         "disagree beyond both intervals, or the value lies at its bound. Condition: of the scaled regressors."
     )
     shown_columns = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
@@ -170,7 +170,7 @@ def _signals(result: Identification) -> Section:
     return Section(
         "Recording",
         [
-            "Skew of each channel against the scale, the current against the acceleration; below 0.4 ms a current's skew is not told from the current loop."
+            "Skew of each channel against the scale, the current against the acceleration; below 0.4 ms a current's skew cannot be separated from the current loop."
         ],
         tables=[Table(["axis", "channel", "late [us]", "95 %"], rows, left=2), Table(["measuring noise", "file", "measured"], noise)],
     )

@@ -10,7 +10,7 @@ feeds the unseen noise back into e and i, so e is not free of the residual: the 
 simulation as instruments (they follow the set points, not the noise).
 
 With feedforward on, the error e is a hundredth of the current: small parts that the columns lack weigh on the gain. The same regression
-on that simulation, whose gains are known, tells how much, and is taken back.
+on that simulation, whose gains are known, shows how much, and it is taken back.
 """
 
 from __future__ import annotations

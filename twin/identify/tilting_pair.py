@@ -1,4 +1,4 @@
-"""Balance of torques of the tilting pair A, C: inertias, first moments, friction, as the data alone tell them.
+"""Balance of torques of the tilting pair A, C: inertias, first moments, friction, as the data alone give them.
 
 With A about x, C about the table's normal z, moments of all that turns with C taken in the table frame about the point where C meets A:
 

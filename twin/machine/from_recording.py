@@ -373,7 +373,7 @@ def _constant(one: AxisLumps) -> list[str]:
     m = one.mechanics
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
-    return ["", "[[effect]]                                 # weight, counterbalance or friction one way: one recording cannot tell",
+    return ["", "[[effect]]                                 # weight, counterbalance or friction one way: one recording cannot separate them",
             'name = "constant_force"', f"axis = {json.dumps(one.name)}", _line("force", m.constant, f"{LUMP}: {_COMMAND_UNIT[m.effort]}")]  # fmt: skip
 
 

@@ -322,7 +322,7 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     one_way = min(np.mean(x[:, 1] > 0), np.mean(x[:, 1] < 0)) < 0.02
     columns = [i for i in range(x.shape[1]) if not (one_way and i == 1)]
     if one_way:
-        notes.append(f"the axis moves one way only: Coulomb friction and constant force are one number, told as constant {effort}")
+        notes.append(f"the axis moves one way only: Coulomb friction and constant force are one number, given as constant {effort}")
     found = lsq_linear(x[:, columns] / scale[columns], y, bounds=(low[columns], np.full(len(columns), np.inf)))
     b = np.zeros(x.shape[1])
     b[columns] = found.x / scale[columns]

@@ -251,7 +251,7 @@ def _axis(f: JointFacts, structure: str, known: dict[str, float], source: str) -
     ]
     if "loops.dsc_delay_s" in known:
         lines.append(value("loops.dsc_delay_s", 0.0))
-    if known.get("commissioned.inertia_kg_m2"):  # 0 on a control that was told none
+    if known.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
         lines += [f"[axis.{f.name}.commissioned]", _line("inertia_kg_m2", known.pop("commissioned.inertia_kg_m2"), f"from {source}")]
     return lines
 

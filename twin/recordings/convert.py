@@ -24,7 +24,7 @@ _MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angu
 
 @dataclass(frozen=True)
 class Conversion:
-    """value [SI] = factor * recorded + offset; `unit` is the one that the number was taken to be in, `kind` the axis' if it tells."""
+    """value [SI] = factor * recorded + offset; `unit` is the one that the number was taken to be in, `kind` the axis' if the unit shows it."""
 
     factor: float
     offset: float

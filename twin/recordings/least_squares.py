@@ -49,7 +49,7 @@ class Fit:
 
 
 EXCITED = 1e-9
-"""A column whose part outside the others is below this fraction of its length tells nothing."""
+"""A column whose part outside the others is below this fraction of its length carries no information."""
 
 ENTANGLED = 1e-3
 """A column that takes at least this part in such a combination is known only together with it."""

@@ -1,6 +1,6 @@
 """How much later than the position a channel was recorded, from the record alone.
 
-A channel y(t) = m(t - d) of a model m = X b in what the position tells: speed for a velocity, place, direction and acceleration for a
+A channel y(t) = m(t - d) of a model m = X b in quantities of the position: speed for a velocity, place, direction and acceleration for a
 motor encoder (a gap and a wind-up are no skew), torque balance for a current. Columns and channel pass the same zero-phase low-pass;
 d is found on a coarse scale first, then by Gauss-Newton, with the interval of the regression by strokes.
 """
@@ -23,7 +23,7 @@ CLEAR_FORCE = 0.9
 """Share of the channel's (a force's) variance that the model must explain; below, nothing is said."""
 FORCES = ("current", "torque", "voltage")
 INERTIA = 0.1
-"""Share of a force's variance that only the acceleration must explain: friction tells no time."""
+"""Share of a force's variance that only the acceleration must explain: friction carries no timing."""
 LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
 """Skew [s] from which it is said: an elastic drive train makes as much below."""
 LATE_CURRENT_S = 1.5e-3

@@ -285,7 +285,7 @@ def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
 
 
 def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:
-    """Kind of the axis as its unit tells, checked against the machine's and against the signal."""
+    """Kind of the axis as its unit shows, checked against the machine's and against the signal."""
     factor_to_si(unit, where)
     wanted = _MOTION.get(signal)
     implied = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)

@@ -39,10 +39,10 @@ SAME_TIME = 0.01
 """Share of a period by which the last samples of a record and of its simulation may part and count as simultaneous."""
 
 LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
-"""Noise below which no record is, SI: a machine file that tells none makes no measurement without."""
+"""Least noise of any record, SI: used where the machine file gives none."""
 
 LEAST_COMMAND = 1e-4
-"""What is not told apart of a command, as a share of its limit: the resolution of a converter."""
+"""Resolution of a command, as a share of its limit: that of a converter."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ def predict(
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 
     With a known `motion` of the machine's axes the engine simulates one realisation, and what the others would be besides, and their
-    scatter, is told by the decoupled plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
-    Without `engine` it tells all.
+    scatter, comes from the decoupled plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
+    Without `engine` all come from it.
     """
     setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
@@ -166,7 +166,7 @@ def gap_of_campaign(
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Unit in which a gap is told, and the factor from SI: um or arcsec, mm/s or deg/s; A, V or Nm."""
+    """Unit in which a gap is given, and the factor from SI: um or arcsec, mm/s or deg/s; A, V or Nm."""
     if signal in ("position", "motor_position"):
         return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal == "velocity":

@@ -1,4 +1,4 @@
-"""Design studies: vary numbers of the machine file, run programs or set points, tell what each number buys.
+"""Design studies: vary numbers of the machine file, run programs or set points, show what each number buys.
 
     study file -> variants -> evaluate, on threads or a cluster -> store -> results -> report, best machine
 

@@ -130,7 +130,7 @@ def retuned(machine: Machine, like: Machine) -> Machine:
 
 
 def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine:
-    """The machine with a control that was told its torque constants and inertias: those that its file leaves open, or all `anew`."""
+    """The machine with a control commissioned with its torque constants and inertias: those that its file leaves open, or all `anew`."""
     values: dict[str, Any] = {}
     inertias = home_inertia_at_motor(machine) if anew else commissioned_inertia(machine)
     for axis, inertia in zip(machine.axes, inertias.tolist()):

@@ -106,7 +106,7 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'twin[cluster]'") from None
     for name in ("distributed", "distributed.client", "distributed.core", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line below
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is reported in one line below
     _check_address(scheduler)
     try:
         client = Client(scheduler, timeout=SECONDS_TO_ANSWER, set_as_default=False)

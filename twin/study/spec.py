@@ -303,7 +303,7 @@ def _factor(table: Any, design: Design, column: int, machine: Machine, where: st
     if values and limits:
         raise InputError(f"{where}: has both values and a range; give one of them")
     if design.kind == "list":
-        # the rows tell its values
+        # the rows show its values
         return Factor(name, paths, relative, tuple(row[column] for row in design.rows if column < len(row)), None)
     if not values and not limits:
         raise InputError(f"{where}: has neither values nor a range; give values = [..] or range = [low, high]")

@@ -142,7 +142,7 @@ def programmed_path(program: Any) -> ToolPath:
     at = np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), np.arange(len(poses)))
     poses = np.column_stack([np.interp(at, np.arange(len(poses)), column) for column in poses.T])
     row = np.repeat(row, parts)
-    # the feed of a move as programmed, so that what it cuts can be told fast from slow; where only A and C move it is theirs
+    # the feed of a move as programmed, so that fast and slow cutting can be separated; where only A and C move it is theirs
     feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[row]
     tip, turn = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (poses[:, :3], poses[:, 3:]))
     way = np.where(moves.rotary[row], turn, tip)

@@ -90,7 +90,7 @@ def read(path: Path, how: How) -> Recording:
 
 
 def find_dialect(path: Path, given: Mapping[str, Any] | None = None) -> Dialect:
-    """Encoding, delimiter, decimal sign, heading and units of a file; `told` (the map's [csv]) wins."""
+    """Encoding, delimiter, decimal sign, heading and units of a file; `given` (the map's [csv]) wins."""
     given = given or {}
     for key in given:
         if key not in KEYS:

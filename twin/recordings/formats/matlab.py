@@ -16,7 +16,7 @@ _TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
 
 
 def read(path: Path, how: How) -> Recording:
-    """Vectors as signals on the map's time column or interval; single numbers are told, not imported."""
+    """Vectors as signals on the map's time column or interval; single numbers are reported, not imported."""
     columns: dict[str, np.ndarray] = {}
     if starts_with(path, b"MATLAB 7.3", b"\x89HDF"):
         _newer(path, columns)

@@ -21,7 +21,7 @@ def read(path: Path, how: How) -> Recording:
         raise InputError(f"{path}: TDMS needs the package npTDMS; install it with: pip install 'twin[tdms]'") from None
     if not starts_with(path, b"TDSm"):
         raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
-    log_manager.set_level(logging.CRITICAL)  # what it warns of is told below
+    log_manager.set_level(logging.CRITICAL)  # what it warns of is reported below
     try:
         with TdmsFile.open(path) as file:
             if file.file_status.incomplete_final_segment:
