@@ -116,7 +116,7 @@ def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[Rou
     return {name: [Judged(**j) for j in judged] for name, judged in document["routes"].items()}, document["told"]
 
 
-def told_error(j: Judged) -> str:
+def error_text(j: Judged) -> str:
     """'error +- half interval', marked where the interval does not hold the truth."""
     factor, unit = (1e6, "us") if j.group == "delays" else (100.0, "%")
     return f"{factor * j.error:.3f} +- {factor * j.half:.3f} {unit}{'' if j.holds else '  outside'}"
@@ -137,7 +137,7 @@ def recorded(folders: Sequence[Path], refine: bool) -> Routes:
             f"route chosen: {result.chosen}; findings: {'; '.join(map(str, result.findings)) or 'none'}"
         )
         routes = routes_of(result, truth_machine(machine, folder / "truth.toml"), products=("X", "Y", "C"))
-        rows = [[js[0].axis, js[0].name, *map(told_error, js)] for js in zip(*routes.values())]
+        rows = [[js[0].axis, js[0].name, *map(error_text, js)] for js in zip(*routes.values())]
         print(table(["axis", "parameter", *(f"{name}: error +- half interval" for name in routes)], rows, left=2))
         for name, judged in routes.items():
             pooled.setdefault(name, []).extend(judged)

@@ -124,12 +124,14 @@ def throughput(seconds: float) -> None:
         print(
             f"  variants of a {MOVE_S:g} s move a second: {np.median(one) / ticks:.2f} on one thread, {np.median(every) / ticks:.2f} on {cores}"
         )
-        print(f"  {cores} threads over one: {told(every / one)}; of bare mj_step, which shares nothing: {told(bare_every / bare_one)}")
+        print(
+            f"  {cores} threads over one: {ratio_text(every / one)}; of bare mj_step, which shares nothing: {ratio_text(bare_every / bare_one)}"
+        )
         print(f"  steps a second: {np.median(every):,.0f} in the study, {np.median(bare_every):,.0f} bare mj_step on {cores} threads")
-        print(f"  study over bare mj_step: {told(every / bare_every)}")
+        print(f"  study over bare mj_step: {ratio_text(every / bare_every)}")
 
 
-def told(ratios: np.ndarray) -> str:
+def ratio_text(ratios: np.ndarray) -> str:
     """Median and range of the turns."""
     return f"{np.median(ratios):.2f} (turns: {ratios.min():.2f} to {ratios.max():.2f})"
 

@@ -58,14 +58,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         record = read_emps(args.record)
         import_record(args.record, args.out)
-        print(told_law(record))
+        print(law_text(record))
         command("identify", args.out / "fit", "--machine", MACHINE, "--out", args.out / "identified" / "machine.toml")
         document = diagnosed(args.out, tilted(args.out) if args.with_offset else MACHINE, quick=args.quick)
-        print(told_order(document))
+        print(order_text(document))
         machines = {"published, without its offset": load_machine(MACHINE), "published": published(), "corrected": corrected(args.out)}
         run, predictions = last_third(args.out, machines)
-        print(told_gap(run, predictions, machines, repeatability(record, PERIOD_S)))
-        print(told_force(record))
+        print(gap_text(run, predictions, machines, repeatability(record, PERIOD_S)))
+        print(force_text(record))
         folder = args.pictures or args.out
         save_png(gap_figure(run, predictions, repeatability(record, PERIOD_S)), folder / "emps_gap.png", 110)
         save_png(friction_figure(record, machines), folder / "emps_friction.png", 110)
@@ -145,13 +145,13 @@ def last_third(out: Path, machines: dict[str, Machine]) -> tuple[MeasuredRun, di
     return run, {name: predict(machine, run) for name, machine in machines.items()}
 
 
-def told_law(record: Record) -> str:
+def law_text(record: Record) -> str:
     """How well the control does what its file says."""
     rms = float(np.sqrt(np.mean(law_error(record) ** 2)))
     return f"\ncontrol law held against the record: {rms * 1e3:.2f} mV RMS of a voltage of {np.abs(record.voltage).max():.2f} V"
 
 
-def told_order(document: dict[str, Any]) -> str:
+def order_text(document: dict[str, Any]) -> str:
     """What the residual contains, largest share first: what the diagnosis took, the best of what it did not take, what is left."""
     rows, told = [], 0.0
     taken = {(e["effect"], e["axis"]) for e in document["effects"]}
@@ -175,7 +175,7 @@ def told_order(document: dict[str, Any]) -> str:
     )
 
 
-def told_gap(run: MeasuredRun, predictions: dict[str, Prediction], machines: dict[str, Machine], repeats: tuple[float, float]) -> str:
+def gap_text(run: MeasuredRun, predictions: dict[str, Prediction], machines: dict[str, Machine], repeats: tuple[float, float]) -> str:
     """The gap on the last third, beside what the axis itself differs by from period to period."""
     rows = []
     for name, prediction in predictions.items():
@@ -211,7 +211,7 @@ def force_shapes(speed: np.ndarray, position: np.ndarray, period: float) -> dict
     }
 
 
-def told_force(record: Record) -> str:
+def force_text(record: Record) -> str:
     """A second opinion that knows nothing of the closed loop: the force below 50 Hz by regression, shape by shape."""
     part = slice(0, 2 * len(record.time) // 3)
     fit = fit_single_axis(replace(record, **{k: getattr(record, k)[part] for k in ("time", "setpoint", "position", "voltage")}))

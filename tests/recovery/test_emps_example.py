@@ -81,14 +81,14 @@ def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_
     assert found["torque_ripple"]["periods_per_rev"]["value"] == pytest.approx(1.0, rel=1e-3)
     control_is_not_blamed(document)
     assert gaps["corrected"] < 0.1 * gaps["file"]
-    told = example.told_order(document)
+    told = example.order_text(document)
     assert told.index("viscous asymmetry") < told.index("torque ripple") < told.index("no effect of the library")
 
 
 def test_a_second_opinion_by_regression(example: ModuleType, made: Path) -> None:
     record = example.read_emps(made)
     assert np.sqrt(np.mean(example.law_error(record) ** 2)) < 4e-3
-    told = example.told_force(record)
+    told = example.force_text(record)
     assert told.index("viscous friction by direction") < told.index("once a motor turn")
 
 

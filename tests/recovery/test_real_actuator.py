@@ -34,7 +34,7 @@ def test_the_load_is_found_and_no_cause_is_named(tmp_path: Path) -> None:
     k = trials["a"][0].by_load / trials["a"][0].load
     assert k == pytest.approx(5e-3, rel=0.1)
     assert all(t.by_load / k == pytest.approx(t.load, rel=0.15) for several in trials.values() for t in several)
-    said = " ".join(example.told(trials))
+    said = " ".join(example.summary_lines(trials))
     assert "+12 % at 20 kgf" in said or "+13 % at 20 kgf" in said
     assert "none is named" in said
 

@@ -78,11 +78,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"run.py: {error}", file=sys.stderr)
         return 2
-    print("\n".join(told(trials)))
+    print("\n".join(summary_lines(trials)))
     return 0
 
 
-def told(trials: dict[str, list[Trial]]) -> list[str]:
+def summary_lines(trials: dict[str, list[Trial]]) -> list[str]:
     """Load of every state, from the current of one trial with a known load, and what is not said."""
     first = next(iter(trials.values()))[0]
     k = first.by_load / first.load

@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             out / "identified.json",
         )
         machine = load_machine(out / "identified" / "machine.toml")
-        print(told(machine, read_campaign(out / "campaign", machine)))
+        print(summary_text(machine, read_campaign(out / "campaign", machine)))
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -64,7 +64,7 @@ def command(*arguments: object) -> None:
         raise SystemExit(code)
 
 
-def told(machine: Machine, campaign: Campaign) -> str:
+def summary_text(machine: Machine, campaign: Campaign) -> str:
     """Gap of each axis on the part of its motion that was left out, in parts of following error and range of the current."""
     division = divided(machine, campaign.runs)
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}

@@ -118,6 +118,64 @@ def pair_of(machine: dict, factors: dict, clamped: Sequence[tuple[float, float, 
 Settings = Any  # a SimpleNamespace of arrays [axis], made by settings_of
 
 
+ZERO_IN_LIBRARY = [
+    "set_point_lag",
+    "current_lag",
+    "stribeck_excess",
+    "presliding_stiffness",
+    "presliding_damping",
+    "asymmetry",
+    "friction_wave",
+    "friction_wave_number",
+    "constant_force",
+    "added_mass",
+    "gap",
+    "contact_stiffness",
+    "contact_damping",
+    "stiffness",
+    "damping",
+    "hardening",
+    "frame_w",
+    "frame_zeta",
+    "frame_ratio",
+    "ripple",
+    "ripple_n",
+    "ripple_phase",
+    "cogging",
+    "cogging_n",
+    "cogging_phase",
+    "lead",
+    "cyclic",
+    "cyclic_phase",
+    "eccentricity",
+    "eccentricity_phase",
+    "drift",
+    "disturbance",
+    "disturbance_w",
+]
+"""Parameters of effects of the library, one number per axis: zero on a machine without effects."""
+
+ZERO_OUTSIDE = [
+    "dead_band",
+    "speed_lag",
+    "notch_hz",
+    "notch_width",
+    "saturation_a",
+    "dead_time_v",
+    "windage",
+    "warming",
+    "warming_time",
+    "soft_gap",
+    "soft_share",
+    "scale_play",
+    "subperiod",
+    "subperiod_length",
+    "skew_s",
+    "jitter_s",
+]
+"""The same of effects outside the library."""
+
+
 def settings_of(machine: dict, factors: dict) -> Settings:
     """All arrays of control and mechanics for a machine without effects; effects change them in place."""
     axis = [machine["axis"][a] for a in AXES]
@@ -170,63 +228,9 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.clamped = []
     s.machine, s.factors = machine, factors
 
-    # What a nominal machine has not: neutral values
-    def zeros() -> np.ndarray:
-        return np.zeros(len(AXES))
-
-    for key in (
-        "set_point_lag",
-        "current_lag",
-        "stribeck_excess",
-        "presliding_stiffness",
-        "presliding_damping",
-        "asymmetry",
-        "friction_wave",
-        "friction_wave_number",
-        "constant_force",
-        "added_mass",
-        "gap",
-        "contact_stiffness",
-        "contact_damping",
-        "stiffness",
-        "damping",
-        "hardening",
-        "frame_w",
-        "frame_zeta",
-        "frame_ratio",
-        "ripple",
-        "ripple_n",
-        "ripple_phase",
-        "cogging",
-        "cogging_n",
-        "cogging_phase",
-        "lead",
-        "cyclic",
-        "cyclic_phase",
-        "eccentricity",
-        "eccentricity_phase",
-        "drift",
-        "disturbance",
-        "disturbance_w",
-        # outside the library
-        "dead_band",
-        "speed_lag",
-        "notch_hz",
-        "notch_width",
-        "saturation_a",
-        "dead_time_v",
-        "windage",
-        "warming",
-        "warming_time",
-        "soft_gap",
-        "soft_share",
-        "scale_play",
-        "subperiod",
-        "subperiod_length",
-        "skew_s",
-        "jitter_s",
-    ):
-        setattr(s, key, zeros())
+    # What a nominal machine lacks: neutral values
+    for key in (*ZERO_IN_LIBRARY, *ZERO_OUTSIDE):
+        setattr(s, key, np.zeros(len(AXES)))
     s.stribeck_velocity = np.full(len(AXES), 1e-3)
     s.speed_clip = np.full(len(AXES), FREE)
     s.coupling = np.zeros((len(AXES), len(AXES)))  # [this, from]: mass
