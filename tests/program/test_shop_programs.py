@@ -188,6 +188,37 @@ def test_an_inside_corner_that_the_tool_cannot_reach_stays_an_error(read) -> Non
         read(text.format(2), "part.ngc")
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("part.mpf", "G1 X1 F100\nLABEL:\nX1 Y=R1\nX2\nR1=R1+1\nX3\nGOTOB LABEL\nM30\n"),
+        ("part.mpf", "G1 X1 F100\nWHILE R1<1\nX=R2\nR2=R2+1\nENDWHILE\nM30\n"),
+        ("part.nc", "G21\nG1 X1 F100\nWHILE [1 EQ 1] DO1\n#1=[#1+1]\nX#1\nEND1\nM30\n"),
+        ("part.ngc", "G21\nG1 X1 F100\n#2=0\no1 do\n#1=[#1+1]\nX#1\no1 while [#2 EQ 0]\nM2\n"),
+    ],
+)
+def test_an_endless_loop_is_found_before_the_limit_of_jumps(read, name: str, text: str) -> None:
+    with pytest.raises(InputError, match=r"does not end: in 10000 jumps"):
+        read(text, name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("part.mpf", "G1 X1 F100\nWHILE R1<12000\nR1=R1+1\nENDWHILE\nX2\nM30\n"),
+        ("part.mpf", "G1 X1 F100\nFOR R1=1 TO 12000\nENDFOR\nX2\nM30\n"),
+        ("part.mpf", "G1 X1 F100\nLABEL:\nR1=R1+1\nCASE R1 OF 12000 GOTOF OUT DEFAULT GOTOB LABEL\nOUT:\nX2\nM30\n"),
+        ("part.ngc", "G21\nG1 X1 F100\no1 repeat [12000]\no1 endrepeat\nX2\nM2\n"),
+        (
+            "part.ngc",
+            "G21\nG1 X1 F100\no1 while [#1 LT 3]\n#2=0\no2 while [#2 LT 4000]\n#2=[#2+1]\no2 endwhile\n#1=[#1+1]\no1 endwhile\nX2\nM2\n",
+        ),
+    ],
+)
+def test_a_long_loop_is_no_endless_one(read, name: str, text: str) -> None:
+    assert ends(read(text, name))[-1, 0] == 2
+
+
 def test_drilling_cycles(read) -> None:
     program = read("G0 X0 Y0 Z20\nF100\nMCALL CYCLE81(10,0,2,-12)\nX5\nX10\nMCALL\nX0\n")
     assert ends(program)[:, [0, 2]].tolist() == [[5, 20], [5, 2], [5, -12], [5, 10], [10, 10], [10, 2], [10, -12], [10, 10], [0, 10]]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,6 +80,7 @@ class Control:
         self.plain = True  # blocks of coordinates alone may take the fast way
         self.tool_radius: Callable[[], float] = lambda: 0.0
         self.line, self.block = 0, -1
+        self.reads: list[Any] | None = None  # see `flow.FrontEnd`
         self.tools = Tools(self.out, machine, self.iso)
 
     # ------------------------------------------------------------------ places

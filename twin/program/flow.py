@@ -16,6 +16,8 @@ from twin.program.source import Unit
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
+MOST_SAME_JUMPS = 10_000
+"""Jumps in a row during which nothing changes that a condition reads: the program goes round for ever."""
 DEEPEST_CALL = 40
 
 CLOSES = {
@@ -60,6 +62,7 @@ class FrontEnd(Protocol):
 
     line: int
     block: int
+    reads: list[Any] | None  # values of the variables that an expression reads are added to it
 
     def clean(self, text: str) -> str: ...
     def statement(self, text: str) -> Statement | None: ...
@@ -79,7 +82,8 @@ class Flow:
     def __init__(self, unit: Unit, front: FrontEnd):
         self.front = front
         self.frames = [Frame(unit, unit.first)]
-        self.ran = self.jumps = 0
+        self.ran = self.jumps = self.same_jumps = 0
+        self._seen: dict[tuple, tuple] = {}
         self.ended = False
 
     @property
@@ -173,6 +177,7 @@ class Flow:
         if frame.again > 0:
             frame.again -= 1
             frame.at, frame.repeats, frame.counters = frame.first, [], {}
+            self.same_jumps = 0
             self._jump(1)
             return
         self.frames.pop()
@@ -196,32 +201,32 @@ class Flow:
             frame.at = self._partners(frame, at, s)[-1]
             self.advance(frame)
         elif kind == "while" and self._opens(frame, at):
-            if front.number_of(s.text, s.column):
+            if self._value(s.text, s.column):
                 self.advance(frame)
             else:
                 self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "while":  # it ends a DO
-            self._loop(frame, self._partners(frame, at, s)[0], bool(front.number_of(s.text, s.column)), s.column)
+            self._loop(frame, self._partners(frame, at, s)[0], bool(self._value(s.text, s.column)), s.column)
         elif kind == "endwhile" or kind == "endloop":
             opener = self._partners(frame, at, s)[0]
             self._jump(s.column)
             frame.at = opener
         elif kind == "until":
-            self._loop(frame, self._partners(frame, at, s)[0], not front.number_of(s.text, s.column), s.column)
+            self._loop(frame, self._partners(frame, at, s)[0], not self._value(s.text, s.column), s.column)
         elif kind == "for":
             name, first, last = s.rest
-            front.assign(name, front.number_of(first, s.column), s.column)
-            if front.number_of(name, s.column) <= front.number_of(last, s.column):
+            front.assign(name, self._value(first, s.column), s.column)
+            if self._value(name, s.column) <= self._value(last, s.column):
                 self.advance(frame)
             else:
                 self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "endfor":
             opener = self._partners(frame, at, s)[0]
             name, _, last = frame.unit.statements[opener].rest  # type: ignore[attr-defined]
-            front.assign(name, front.number_of(name, s.column) + 1.0, s.column)
-            self._loop(frame, opener, front.number_of(name, s.column) <= front.number_of(last, s.column), s.column)
+            front.assign(name, self._value(name, s.column) + 1.0, s.column)
+            self._loop(frame, opener, self._value(name, s.column) <= self._value(last, s.column), s.column)
         elif kind == "times":
-            count = int(front.number_of(s.text, s.column))
+            count = int(self._value(s.text, s.column))
             frame.counters[at] = count
             if count > 0:
                 self.advance(frame)
@@ -230,6 +235,7 @@ class Flow:
         elif kind == "endtimes":
             opener = self._partners(frame, at, s)[0]
             frame.counters[opener] = frame.counters.get(opener, 1) - 1
+            self.same_jumps = 0
             self._loop(frame, opener, frame.counters[opener] > 0, s.column)
         elif kind == "break":
             self._behind(frame, self._around(frame, at, s)[-1])
@@ -253,16 +259,32 @@ class Flow:
             if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
                 self.advance(frame)
 
+    def _value(self, text: str, column: int) -> float:
+        """The value of a condition or of the bound of a loop."""
+        reads: list[Any] = []
+        self.front.reads = reads
+        value = self.front.number_of(text, column)
+        self.front.reads = None
+        self.decided(text, (value, *reads))
+        return value
+
+    def decided(self, text: str, by: tuple) -> None:
+        """A decision was taken by these values; values that differ from those at the last time show that the program gets on."""
+        key = (self.frame.unit.path, self.frame.unit.name, self.frame.at, text)
+        if self._seen.get(key) != by:
+            self._seen[key] = by
+            self.same_jumps = 0
+
     def _branch(self, frame: Frame, at: int, s: Statement) -> None:
         """IF: the first branch whose condition holds; a branch is left at the next ELSE."""
-        if self.front.number_of(s.text, s.column):
+        if self._value(s.text, s.column):
             self._partners(frame, at, s)
             self.advance(frame)
             return
         for place in self._partners(frame, at, s)[1:]:
             other = frame.unit.statements[place]
             assert isinstance(other, Statement)
-            if other.kind != "elseif" or self.front.number_of(other.text, other.column):
+            if other.kind != "elseif" or self._value(other.text, other.column):
                 self._behind(frame, place)
                 return
 
@@ -284,6 +306,12 @@ class Flow:
     def _jump(self, column: int) -> None:
         self._count()
         self.jumps += 1
+        self.same_jumps += 1
+        if self.same_jumps > MOST_SAME_JUMPS:
+            raise WordError(
+                f"the loop with this jump does not end: in {MOST_SAME_JUMPS} jumps nothing has changed that a condition reads; correct it",
+                column,
+            )
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 
@@ -363,7 +391,7 @@ class Flow:
 
     def _goto(self, frame: Frame, at: int, s: Statement) -> None:
         condition, direction, target = s.rest
-        if condition and not self.front.number_of(condition, s.column):
+        if condition and not self._value(condition, s.column):
             self.advance(frame)
             return
         self._jump(s.column)

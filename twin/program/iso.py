@@ -255,7 +255,10 @@ class Iso(Control):
         return int(number)
 
     def _hash(self, expression: Expression, at: int) -> float:
-        return self._read(self._key(expression), expression.column + at)
+        value = self._read(self._key(expression), expression.column + at)
+        if self.reads is not None:
+            self.reads.append(value)
+        return value
 
     def _read(self, key: int | str, column: int) -> float:
         frame = self.flow.frame

@@ -193,6 +193,7 @@ class Sinumerik(Control):
         if not match:
             raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
         value = self._value_of(match[1], s.column)
+        self.flow.decided(match[1], (value,))
         for part in _CASE_PART.finditer(match[2]):
             if part[1] == "DEFAULT" or self._value_of(part[1], s.column) == value:
                 self.flow._goto(frame, frame.at, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
@@ -224,7 +225,14 @@ class Sinumerik(Control):
     # ------------------------------------------------------------------ values
 
     def _value_of(self, text: str, column: int) -> Value:
-        value = Expression(text, SINUMERIK, self._variable, None, 0, column).whole()
+        variable = self._variable if self.reads is None else self._noted_variable
+        value = Expression(text, SINUMERIK, variable, None, 0, column).whole()
+        return value
+
+    def _noted_variable(self, e: Expression, name: str, at: int) -> Value:
+        value = self._variable(e, name, at)
+        if self.reads is not None:
+            self.reads.append(value)
         return value
 
     def number_of(self, text: str, column: int) -> float:
