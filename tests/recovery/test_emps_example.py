@@ -11,9 +11,10 @@ import pytest
 from scipy.io import savemat
 
 from tests.builders.script import script
-from tests.conftest import SHARED
+from tests.conftest import ROOT, SHARED
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
+from twin.identify.single_axis import fit_single_axis
 from twin.machine.machine import load_machine
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -107,3 +108,39 @@ def test_the_measured_axis(example: ModuleType, tmp_path: Path) -> None:
     assert np.sqrt(np.mean(example.law_error(example.read_emps(RECORD)) ** 2)) < 4.5e-3
     assert gaps["corrected"] < 0.5 * gaps["file"]
     assert gaps["corrected"] < 0.85 * gaps["published"]
+
+
+@pytest.mark.slow
+def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> None:
+    """docs/measured_axis.md, all but the diagnosis: law, identification, gap on the last third, regression."""
+    if not RECORD.is_file():
+        pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
+    page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
+    record = example.read_emps(RECORD)
+    example.import_record(RECORD, tmp_path, picture=False)
+    example.command("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
+    axis, (force,) = example.identified(tmp_path).axis("X"), example.identified(tmp_path).effects
+    machines = {"start": load_machine(example.MACHINE), "published": example.published(), "identified": example.identified(tmp_path)}
+    run, predictions = example.last_third(tmp_path, machines)
+    rows = {}
+    for name, prediction in predictions.items():
+        gap = example.gap_of(machines[name], run, prediction)["X"]
+        rows[name] = f"| {gap['motor_position'].rms:.2f} um | {gap['voltage'].rms:.3f} V | {gap['motor_position'].max:.1f} um |"
+    said = [
+        f"{np.sqrt(np.mean(example.law_error(record) ** 2)) * 1e3:.1f} mV RMS",
+        f"inertia {axis.moving_mass_kg + axis.reflected_inertia:.1f} kg",
+        f"Coulomb friction {axis.coulomb_friction:.1f} N",
+        f"viscous friction {axis.viscous_friction:.0f} N s/m",
+        f"constant force {force['force']:.2f} N",
+        f"start of the diagnosis {rows['start']}",
+        f"published, with its offset of {example.PUBLISHED_OFFSET_N} N {rows['published']}",
+        f"identified from the first two thirds {rows['identified']}",
+        "error is {:.2f} %; the published model's is {:.2f} %".format(
+            100 * fit_single_axis(record).force_error, 100 * example.PUBLISHED_FORCE_ERROR
+        ),
+    ]
+    assert [words for words in said if words not in page] == []
+    text = example.force_text(record)
+    for shape in ("viscous friction by direction", "once a motor turn", "none of these"):
+        share = next(line for line in text.splitlines() if line.startswith(shape)).split()[-2]
+        assert f"{shape} {share} %" in page, shape
