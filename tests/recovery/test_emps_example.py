@@ -135,9 +135,7 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
         f"start of the diagnosis {rows['start']}",
         f"published, with its offset of {example.PUBLISHED_OFFSET_N} N {rows['published']}",
         f"identified from the first two thirds {rows['identified']}",
-        "error is {:.2f} %; the published model's is {:.2f} %".format(
-            100 * fit_single_axis(record).force_error, 100 * example.PUBLISHED_FORCE_ERROR
-        ),
+        f"error is {100 * fit_single_axis(record).force_error:.2f} %; the published model's is {100 * example.PUBLISHED_FORCE_ERROR:.2f} %",
     ]
     assert [words for words in said if words not in page] == []
     text = example.force_text(record)
