@@ -1,4 +1,4 @@
-"""One more nuisance beside a tuning: what is foreseen for it is what the tuning that has it gives."""
+"""One more nuisance beside a tuning: what is predicted for it is what the tuning that has it gives."""
 
 from types import SimpleNamespace
 
@@ -28,7 +28,7 @@ def drawn():
     )
 
 
-def test_a_trial_foresees_loss_and_size(drawn):
+def test_a_trial_predicts_loss_and_size(drawn):
     tuning, column, residual = drawn
     trial, with_it = trial_of(tuning, column, residual), tuning.with_column(Nuisance("X", "elasticity"), column)
     assert trial.gain == pytest.approx(tuning.loss(residual) - with_it.loss(residual), rel=1e-9)
