@@ -178,6 +178,9 @@ def test_an_arc_that_leads_back_inside_another_makes_a_cusp(read) -> None:
     program = read(text.format(41), "part.ngc")
     meet = ends(program)[program.moves.kind == ARC][0, :2]  # 19.5 mm from the one centre, 10.5 mm from the other
     assert [np.hypot(*(meet - [10, 0])), np.hypot(*(meet - [10, 10]))] == pytest.approx([19.5, 10.5])
+    open_by_10_um = text.replace("Y20 J20", "Y19.99 J20").replace("J-10", "J-9.995").format(41)
+    program = read(open_by_10_um, "part.ngc")  # the radius at the corner counts, which is that of the end
+    assert np.hypot(*(ends(program)[program.moves.kind == ARC][0, :2] - [10, 0])) == pytest.approx(19.49)
     assert (read(text.format(42), "part.ngc").moves.kind == ARC).sum() > (program.moves.kind == ARC).sum()
 
 

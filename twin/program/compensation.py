@@ -194,7 +194,7 @@ def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
         cross = u[0] * v[1] - u[1] * v[0]
         points = [] if abs(cross) < 1e-30 else [one.a + u * (((two.a - one.a)[0] * v[1] - (two.a - one.a)[1] * v[0]) / cross)]
     elif one.centre is not None and two.centre is not None:
-        points = _circles(one.centre, float(np.hypot(*(one.a - one.centre))), two.centre, float(np.hypot(*(two.a - two.centre))))
+        points = _circles(one.centre, float(np.hypot(*(one.b - one.centre))), two.centre, float(np.hypot(*(two.a - two.centre))))
     else:
         line, arc = (two, one) if two.centre is None else (one, two)
         assert arc.centre is not None
