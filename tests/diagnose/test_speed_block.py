@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.diagnose import diagnose
 from twin.diagnose.blocks import block_residuals
 from twin.diagnose.observe import observe
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting, with_effects
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import MeasuredRun
+from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import read_trace
 from twin.simulation.in_force import speed_set_point
 from twin.simulation.run import simulate
@@ -55,6 +56,21 @@ def test_what_is_in_force_is_what_the_drive_follows(delay_s: float) -> None:
     follows, sent = trace.get("X", "drive_velocity_setpoint"), trace.get("X", "velocity_setpoint")
     assert np.abs(made[:, 0] - follows).max() < 1e-5 * np.abs(follows).max()
     assert np.abs(sent - follows).max() > 0.01 * np.abs(follows).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1.0, 0.7])
+def test_diagnosis_of_a_drive_that_closes_the_position_loop(factor: float) -> None:
+    """No block of a healthy one is blamed; a weak speed gain is found in the speed controller."""
+    nominal = dsc_machine()
+    real = nominal if factor == 1.0 else with_effects(nominal, [parse_setting(f"speed_gain:X:factor={factor}", nominal)])
+    setpoints = setpoints_of(read_trace(EXAMPLE), nominal)
+    traces = [simulate(real, setpoints, sample_period=2e-3, noise_seed=seed).trace for seed in (1, 2)]
+    runs = tuple(MeasuredRun(f"run {k}", trace, "velocity+torque", 0.0) for k, trace in enumerate(traces))
+    diagnosis = diagnose(Campaign(EXAMPLE, nominal.name, runs), nominal, quick=True)
+    found = [(setting.effect.name, setting.parameters["factor"]) for setting, _, _ in diagnosis.settings]
+    assert [place["block"] for place in diagnosis.where] == ([] if factor == 1.0 else ["speed controller"])
+    assert found == ([] if factor == 1.0 else [("speed_gain", pytest.approx(factor, abs=0.02))])
 
 
 def dsc_machine() -> Machine:
