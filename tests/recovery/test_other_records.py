@@ -14,6 +14,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
@@ -81,7 +82,7 @@ def test_each_of_two_effects_keeps_its_own_place():
     ]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
         _lead(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
-    _gather(listed)
+    _gather(listed, DEFAULT.echo)
     assert {p["block"]: p["_excess"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
     assert by_block["transmission"]["effect"] == "backlash"
