@@ -416,6 +416,25 @@ class Control:
         )
         self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
 
+    def set_frames(self) -> None:
+        """Bring the frames of the language into force; each front end has its own."""
+
+    def _swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
+        """A tilted plane from here on: TRAORI on, the tool across the plane."""
+        self._unswivel()
+        self.swivelled = matrix, origin, not self.out.modes.traori
+        self.transform(True)
+        self.set_frames()
+
+    def _unswivel(self) -> None:
+        """Back to the plane before, and TRAORI off where the plane had switched it on."""
+        if self.swivelled is not None:
+            _, _, switched = self.swivelled
+            self.swivelled = None
+            if switched:
+                self.transform(False)
+            self.set_frames()
+
     def transform(self, on: bool) -> None:
         """TRAORI and its end."""
         if self.comp is not None:

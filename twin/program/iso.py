@@ -784,20 +784,8 @@ class Iso(Control):
         origin = np.array([w.pop(n).value * self.unit if n in w else 0.0 for n in LINEAR])
         i, j, k = (w.pop(n).value if n in w else 0.0 for n in "IJK")
         matrix = rotation(2, i) @ rotation(0, j) @ rotation(2, k)
-        self._untilt()
-        was = self.out.modes.traori
-        self.swivelled = matrix, origin, not was
-        self.transform(True)
-        self.set_frames()
+        self._swivel(matrix, origin)
         self.note("G68.2: the tool stands across the plane at once; A and C turn with the next move")
-
-    def _untilt(self) -> None:
-        if self.swivelled is not None:
-            _, _, switched = self.swivelled
-            self.swivelled = None
-            if switched:
-                self.transform(False)
-            self.set_frames()
 
     # ------------------------------------------------------------------ modes
 
@@ -874,7 +862,7 @@ class Iso(Control):
         elif number in (68, 51, 51.1, 50, 50.1):
             self._turn_plane(number, w, column)
         elif number == 69:
-            self._untilt()
+            self._unswivel()
             self._turn_plane(69, w, column)
         elif number == 68.2:
             self._tilt(w)

@@ -1074,20 +1074,8 @@ class Sinumerik(Control):
 
     def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
         """CYCLE800: the plane from here on; the tool stands across it."""
-        self._unswivel()
-        was = self.out.modes.traori
-        self.swivelled = matrix, origin, not was
-        self.transform(True)
-        self.set_frames()
+        self._swivel(matrix, origin)
         self.note("CYCLE800: the tool stands across the plane at once; A and C turn with the next move")
-
-    def _unswivel(self) -> None:
-        if self.swivelled is not None:
-            _, _, switched = self.swivelled
-            self.swivelled = None
-            if switched:
-                self.transform(False)
-            self.set_frames()
 
     def unswivel(self) -> None:
         """CYCLE800(): back to the plane before."""
