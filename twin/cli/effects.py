@@ -6,6 +6,7 @@ import argparse
 
 from twin.cli.arguments import add_machine, machine_of, picture_file
 from twin.errors import InputError
+from twin.machine.machine import Machine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,6 +14,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", nargs="?", metavar="NAME", help="show one effect: its law, parameters, bounds and usual sizes")
     parser.add_argument("--picture", metavar="FILE.png", help="draw what the effect NAME does to a short move")
     add_machine(parser)
+
+
+def _law_page(machine: Machine, picture: str | None) -> int:
+    """What a law may depend on and change, its formulas, and the laws that the machine has."""
+    from twin.effects.law import OUTPUTS, VARIABLES
+    from twin.effects.law_shapes import SHAPES
+    from twin.simulation.law_picture import draw_laws, laws_in
+    from twin.simulation.summary import table
+
+    print("law (any block; any axis)\n\nAn output of one block as a function of one variable, y = f(x), that no other effect describes.\n")
+    print(table(["variable", "what it is"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
+    outputs = [[block, name, o.words] for block, of_block in OUTPUTS.items() for name, o in of_block.items()]
+    print(table(["block", "output", "what it is"], outputs, left=3) + "\n")
+    print(
+        table(
+            ["formula", "equation", "numbers"],
+            [[s.name, s.equation, ", ".join(n.name for n in s.numbers)] for s in SHAPES.values()],
+            left=3,
+        )
+    )
+    for setting in laws_in(machine):
+        print(f"\non axis {setting.axis}: {setting.effect.summary}\n  {setting.table()}")
+    if picture:
+        print(f"written: {draw_laws(machine, picture_file(picture))}")
+    return 0
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -26,8 +52,11 @@ def carry_out(args: argparse.Namespace) -> int:
     if not args.name:
         effects = sorted(EFFECTS.values(), key=lambda e: BLOCKS.index(e.block))
         rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in effects]
+        rows.append(["law", "".join(machine.axis_names), "any", "A law that none of them describes, as a formula or a curve"])
         print(table(["effect", "axes", "block", "what it is"], rows, left=4))
         return 0
+    if args.name == "law":
+        return _law_page(machine, args.picture)
     effect = find_effect(args.name, "twin effects")
     rivals = f"Rivals: {effect.rivals}\n" if effect.rivals else ""
     print(f"{effect.name} ({effect.block}; {effect.which_axes})\n\n{effect.law}\n\n{rivals}")

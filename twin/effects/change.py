@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 import math
 from typing import Any
@@ -34,6 +34,7 @@ class Change:
     couplings: dict[str, Coupling] = field(default_factory=dict)
     scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(default_factory=list)  # axis index, force of the start (axis,)
 
     def __post_init__(self) -> None:
         # the control keeps what it was commissioned with, whatever the effects make of the motor
@@ -70,6 +71,17 @@ class Change:
         """A constant force on the load, towards +q; the integrators carry it at the start of a run."""
         self.constant_force[self.index(axis)] += force
         self.add_term(constant_load_force, FORCE, axis, [force])
+
+    def held_with(self, axis: Axis, force: Callable[[np.ndarray], float]) -> None:
+        """A force on the load, towards +q, that depends on where the axes start (axis,); the integrators carry it at the start of a run."""
+        self.force_at_rest.append((self.index(axis), force))
+
+    def constant_force_at(self, start: np.ndarray) -> np.ndarray:
+        """Force (axis,) towards +q that acts at rest on this start (axis,)."""
+        force = self.constant_force.copy()
+        for a, law in self.force_at_rest:
+            force[a] += law(start)
+        return force
 
     def add_inertia(self, axis: Axis, added: float) -> None:
         """Mass or inertia that the load of this axis alone feels."""
@@ -169,7 +181,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     change = Change(machine, started_at)
     # by block, then in the order of the library: a machine with the same effects in another order is the same machine
     order = {name: i for i, name in enumerate(EFFECTS)}
-    for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order[s.effect.name])):
+    for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):
         if not setting.is_nil:
             source = {"from_axis": change.machine.axis(setting.from_axis)} if setting.from_axis else {}
             setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)

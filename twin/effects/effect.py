@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import inspect
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from twin.effects.picture import Picture
 from twin.effects.scan import Scan
@@ -32,6 +32,7 @@ QUANTITIES = {
     "stiffness": ("N/m", "Nm/rad"),
     "damping": ("N s/m", "Nm s/rad"),
     "number": ("1", "1"),
+    "acceleration": ("m/s2", "rad/s2"),
     "time": ("s", "s"),
     "frequency": ("Hz", "Hz"),
     "current": ("A", "A"),
@@ -152,6 +153,7 @@ class Effect:
     normal             name of a normal imperfection that this effect is a large case of: "elasticity" of a drive train,
                        "slip" of a contact before it breaks away
     picture            what its picture shows
+    definition         of an effect that is made from its own table (`effect_from_table`): the entries that make it what it is
     """
 
     name: str
@@ -169,6 +171,12 @@ class Effect:
     imitated_by: tuple[str, ...] = ()
     normal: Literal["", "elasticity", "slip"] = ""
     picture: Picture = AN_ACCELERATION
+    definition: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """What a machine can have once on an axis: its name, and of one made from its table also what makes it what it is."""
+        return " ".join([self.name, *(f"{k}={v}" for k, v in self.definition.items() if k != "points")])
 
     @property
     def law(self) -> str:
@@ -205,6 +213,12 @@ class Effect:
 
 EFFECTS: dict[str, Effect] = {}
 """All effects by name. The decorator fills it."""
+
+FROM_TABLE: dict[str, Callable[[Mapping[str, Any], str], Effect]] = {}
+"""Effects that are made from their own `[[effect]]` table: name -> function of the table and of the place for messages.
+
+They have no usual size and no start: a diagnosis does not search them among the effects of the library.
+"""
 
 AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     "all": ("any axis", lambda machine, axis: True),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from twin.effects.effect import Effect, find_effect
+from twin.effects.effect import FROM_TABLE, Effect, find_effect
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
 
@@ -24,12 +24,12 @@ class Setting:
     @property
     def key(self) -> tuple[str, str, str | None]:
         """Effect, axis and from_axis: what a machine can have once."""
-        return self.effect.name, self.axis, self.from_axis
+        return self.effect.key, self.axis, self.from_axis
 
     def table(self) -> dict[str, Any]:
         """As it stands in a machine file."""
         source = {"from_axis": self.from_axis} if self.from_axis else {}
-        return {"name": self.effect.name, "axis": self.axis, **source, **self.parameters}
+        return {"name": self.effect.name, "axis": self.axis, **source, **self.effect.definition, **self.parameters}
 
     def factor_on(self, field: str) -> float:
         """The factor by which it multiplies a field of the axis, its motor or its loops; 1 where it leaves that as it is."""
@@ -50,7 +50,8 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
     """A Setting from a table {name, axis, parameters...}; every fault is an InputError."""
     if not isinstance(table, Mapping) or "name" not in table:
         raise InputError(f'{where}: an effect needs a name; write name = "backlash"')
-    found = find_effect(table["name"], where)
+    made = FROM_TABLE.get(table["name"]) if isinstance(table["name"], str) else None
+    found = made(table, where) if made else find_effect(table["name"], where)
     where = f"{where}: {found.name}"
     if "axis" not in table:
         raise InputError(f"{where}: 'axis' is missing; name one of {', '.join(machine.axis_names)}")
@@ -71,7 +72,7 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
         raise InputError(f"{where}: has no from_axis; leave it out")
     values: dict[str, float] = {}
     for key, value in table.items():
-        if key in ("name", "axis", "from_axis"):
+        if key in ("name", "axis", "from_axis") or key in found.definition:
             continue
         parameter = found.parameter(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):

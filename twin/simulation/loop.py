@@ -35,7 +35,10 @@ from twin.simulation.loop_terms import (
     FORCE,
     MEASURE,
     SETPOINT,
+    SPEED,
+    X_CURRENT,
     X_CURRENT_SETPOINT,
+    X_FOLLOWING_ERROR,
     X_FRICTION_FORCE,
     X_FRICTION_LEVEL,
     X_LOAD_ACCELERATION,
@@ -52,6 +55,7 @@ from twin.simulation.loop_terms import (
     X_ROTOR_SPEED,
     X_SCALE,
     X_SETPOINT,
+    X_SPEED_SETPOINT,
     X_STEP,
     X_TIME,
     TermTable,
@@ -196,6 +200,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited):  
             if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
                 measured_current = current
             motor_speed = signals[a, X_MOTOR_SPEED]
+            signals[a, X_CURRENT] = current
             if recorded:
                 record_control(a, row, record, drives, state, signals)
                 record.velocity[row, a] = measured_speed if differentiated else motor_speed
@@ -279,6 +284,14 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
         setpoint = signals[a, X_SETPOINT]
     fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
     position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
+    if terms.start[SPEED + 1] > terms.start[SPEED]:
+        signals[a, X_SETPOINT] = setpoint
+        signals[a, X_FOLLOWING_ERROR] = setpoint - closed_on
+        signals[a, X_SPEED_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
+        call_axis_terms(terms, SPEED, signals, a)
+        state.commanded_speed[a] = signals[a, X_SPEED_SETPOINT] / drives.ratio[a]
+        if not drives.dsc[a]:
+            state.speed_setpoint[a] = state.commanded_speed[a]
 
 
 @compiled(inline=True)

@@ -1,4 +1,4 @@
-"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at four places.
+"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at five places.
 
 A term is a C function `void law(parameters*, state*, signals*, axis)` made by `@term` from a function whose first line
 is `p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals (and may read
@@ -6,6 +6,7 @@ the rows of other axes). The loop keeps one table of active terms and knows none
 
     MEASURE   every tick            what the encoders see: SCALE, MOTOR_POSITION, MOTOR_SPEED
     SETPOINT  every position cycle  the delayed set point
+    SPEED     every position cycle  the speed set point that the position controller made
     CURRENT   every current cycle   the current set point
     FORCE     every tick            LOAD_FORCE, ROTOR_FORCE, MOTOR_TORQUE, FRICTION_LEVEL
 """
@@ -21,8 +22,8 @@ import numpy as np
 
 from twin.compiled_functions import compiled, compiled_callback
 
-MEASURE, SETPOINT, CURRENT, FORCE = range(4)
-STAGES = 4
+MEASURE, SETPOINT, SPEED, CURRENT, FORCE = range(5)
+STAGES = 5
 
 # columns of the signals, one row an axis; positions in m or rad, forces at the axis in N or Nm
 (
@@ -45,10 +46,13 @@ STAGES = 4
     X_MOTOR_TORQUE,  # torque added to the motor's, Nm
     X_FRICTION_LEVEL,  # Coulomb level of the load's contact, N or Nm
     X_FRICTION_FORCE,  # friction on the load beside Coulomb's and the viscous one of the model
-) = range(19)
-SIGNAL_COUNT = 19
-PARAMETER_COUNT = 8
-STATE_COUNT = 4
+    X_CURRENT,  # current of the motor, A, or the command of an axis without current loop
+    X_SPEED_SETPOINT,  # axis units a second
+    X_FOLLOWING_ERROR,  # delayed set point minus what the position loop is closed on
+) = range(22)
+SIGNAL_COUNT = 22
+PARAMETER_COUNT = 88
+STATE_COUNT = 8
 MAX_AXES = 32
 
 _Pointer = types.CPointer(types.float64)

@@ -132,10 +132,11 @@ def _at_rest(machine: Machine, actual: Change, plant: PlantFace, setpoints: Setp
     """The simulation at rest on the first set point, integrators carrying gravity and constant forces."""
     drives = cascade.drives_of(actual.machine)
     start = setpoints.start - actual.scale_offset
-    held_force = plant.place_at_rest(start, actual.constant_force, actual)
+    constant = actual.constant_force_at(start)
+    held_force = plant.place_at_rest(start, constant, actual)
     sag = _sag(actual.machine, held_force)
     if sag.any():
-        held_force = plant.place_at_rest(start - sag, actual.constant_force, actual)
+        held_force = plant.place_at_rest(start - sag, constant, actual)
     state = cascade.drives_at_rest(drives, held_force * drives.ratio)
     _check_held(machine, state, drives)
     signals = np.zeros((len(machine.axes), SIGNAL_COUNT))

@@ -1,0 +1,472 @@
+"""A law that no effect of the library describes: an output of one block as a function of one variable, y = f(x).
+
+    [[effect]]
+    name = "law"
+    axis = "X"
+    block = "mechanics"
+    output = "friction"
+    variables = ["speed"]
+    formula = "height * e^(-((speed - at) / width)^2)"
+    height = -489.0                   # N
+    width = 0.009                     # m/s
+
+`formula` is a shape of `twin.effects.law_shapes`, by its name or its equation; its numbers stand beside it, in SI. A curve that no formula
+describes has `points = [[x, y], ...]` instead, with straight lines or a cubic spline `between` them. `VARIABLES` and `OUTPUTS` list what a
+law may depend on and what it may change. A variable of another axis takes `from_axis`; `memory_s` lets the output follow with a lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.compiled_functions import compiled
+from twin.effects.change import Change
+from twin.effects.effect import FROM_TABLE, Effect, Parameter
+from twin.effects.law_shapes import CURVE, LAG, MOST_POINTS, NOTCH, TABLE, Number, Shape, find_shape, row_of, value_of, values_of
+from twin.effects.picture import Picture
+from twin.errors import InputError, nearest
+from twin.machine.machine import Axis
+from twin.simulation.loop_terms import (
+    CURRENT,
+    FORCE,
+    MEASURE,
+    SETPOINT,
+    SPEED,
+    X_CURRENT,
+    X_CURRENT_SETPOINT,
+    X_FOLLOWING_ERROR,
+    X_FRICTION_LEVEL,
+    X_LOAD_ACCELERATION,
+    X_LOAD_FORCE,
+    X_LOAD_MIDDLE,
+    X_LOAD_POSITION,
+    X_LOAD_SPEED,
+    X_MOTOR_POSITION,
+    X_MOTOR_SPEED,
+    X_MOTOR_TORQUE,
+    X_ROTOR_MIDDLE,
+    X_ROTOR_POSITION,
+    X_SCALE,
+    X_SETPOINT,
+    X_SPEED_SETPOINT,
+    X_STEP,
+    X_TIME,
+    arrays,
+    term,
+)
+
+NAME = "law"
+
+(
+    V_POSITION,
+    V_TURN,
+    V_VELOCITY,
+    V_SPEED,
+    V_ACCELERATION,
+    V_ACCELERATION_SIZE,
+    V_CURRENT,
+    V_TIME,
+    V_DIRECTION,
+    V_SLACK,
+    V_FOLLOWING_ERROR,
+    V_SPEED_SETPOINT,
+    V_CURRENT_SETPOINT,
+) = range(13)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a law may depend on: its code in the loop, its quantity, what it is, and the blocks in which alone it is known."""
+
+    code: int
+    quantity: str
+    words: str
+    only: tuple[str, ...] = ()
+
+
+VARIABLES = {
+    "position": Variable(V_POSITION, "length", "position of the load"),
+    "turn": Variable(V_TURN, "angle", "angle of the motor"),
+    "velocity": Variable(V_VELOCITY, "speed", "signed speed"),
+    "speed": Variable(V_SPEED, "speed", "speed without sign"),
+    "acceleration": Variable(V_ACCELERATION, "acceleration", "acceleration"),
+    "acceleration_size": Variable(V_ACCELERATION_SIZE, "acceleration", "acceleration without sign"),
+    "current": Variable(V_CURRENT, "current", "motor current"),
+    "time": Variable(V_TIME, "time", "time since the start of the campaign"),
+    "direction": Variable(V_DIRECTION, "number", "direction of motion z remembered over `length`: dz/dt = (v - |v| z) / length"),
+    "slack": Variable(V_SLACK, "number", "place inside a play of `length` to either side: dz/dt = v / length, between -1 and 1"),
+    "following_error": Variable(V_FOLLOWING_ERROR, "length", "delayed set point minus measured position", ("position controller",)),
+    "speed_setpoint": Variable(V_SPEED_SETPOINT, "speed", "speed set point", ("position controller",)),
+    "current_setpoint": Variable(V_CURRENT_SETPOINT, "current", "current set point", ("speed controller",)),
+}
+"""What a law may depend on, by its name in a machine file."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a law may change: its quantity and what a value of it does."""
+
+    quantity: str
+    words: str
+
+
+OUTPUTS: dict[str, dict[str, Output]] = {
+    "mechanics": {
+        "force": Output("force", "force on the load, towards +q"),
+        "friction": Output("force", "added to the Coulomb friction, which acts against the motion and holds at rest"),
+    },
+    "transmission": {"displacement": Output("length", "motor position minus load position, from the start of a run")},
+    "measurement": {"displacement": Output("length", "scale minus load position, from the start of a run")},
+    "current loop": {"torque": Output("torque", "torque added to the motor's")},
+    "speed controller": {"current": Output("current", "added to the current set point")},
+    "position controller": {
+        "speed": Output("speed", "added to the speed set point"),
+        "set_point": Output("length", "added to the delayed set point"),
+    },
+}
+"""What a law may change in each block; the first is meant where a table names none."""
+
+DEFINING = ("block", "output", "variables", "formula", "points", "between", "period")
+"""Entries of a law's table that are no numbers to fit."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """What a law's table says besides its numbers."""
+
+    block: str
+    output: str
+    variable: str
+    shape: Shape
+    points: tuple[tuple[float, float], ...] = ()
+    between: str = "linear"
+    period: float = 0.0  # of a curve through points that comes back, in the variable's unit; 0 for one that does not
+
+    @property
+    def is_remembered(self) -> bool:
+        """Does the variable have a length of memory?"""
+        return self.variable in ("direction", "slack")
+
+    def definition(self) -> dict[str, Any]:
+        """As it stands in a machine file."""
+        head: dict[str, Any] = {"block": self.block, "output": self.output, "variables": [self.variable]}
+        if self.shape.code != TABLE:
+            return {**head, "formula": self.shape.text(self.variable)}
+        return {
+            **head,
+            "points": [list(p) for p in self.points],
+            "between": self.between,
+            **({"period": self.period} if self.period else {}),
+        }
+
+    def unit(self, of: str, axis: Axis) -> str:
+        """Unit of a number of the shape at this axis."""
+        return _parameter(Number("", of), self).unit(axis)  # type: ignore[arg-type]
+
+    def values(self, x: np.ndarray, numbers: Mapping[str, float], axis: Axis) -> np.ndarray:
+        """The law (sample,) at values of its variable, without memory."""
+        x = np.mod(x, self.period) if self.period else np.asarray(x, float)
+        return values_of(self.shape, x, row_of(self.shape, numbers, self.gain(axis), self.points, self.between))
+
+    def gain(self, axis: Axis) -> float:
+        """Nominal factor from the variable to the output, which shapes of a characteristic bend or clip."""
+        if self.output == "torque":
+            return axis.motor.torque_constant_nm_per_a
+        return axis.loops.position_gain_per_s if self.variable == "following_error" else 1.0
+
+
+def law_of(table: Mapping[str, Any], where: str) -> Law:
+    """What a table says; every fault is an InputError."""
+    block = table.get("block", "mechanics")
+    if block not in OUTPUTS:
+        raise InputError(f"{where}: law: no block {block!r}; {nearest(str(block), OUTPUTS)}")
+    output = table.get("output", next(iter(OUTPUTS[block])))
+    if output not in OUTPUTS[block]:
+        raise InputError(f"{where}: law: output = {output!r} is nothing that the {block} gives; {nearest(str(output), OUTPUTS[block])}")
+    variables = table.get("variables", ())
+    if not isinstance(variables, list | tuple) or len(variables) != 1:
+        raise InputError(f'{where}: law: variables = {variables!r}: name one, e.g. variables = ["speed"]; a sum of laws is several of them')
+    variable = variables[0]
+    if variable not in VARIABLES:
+        raise InputError(f"{where}: law: no variable {variable!r}; {nearest(str(variable), VARIABLES)}")
+    only = VARIABLES[variable].only
+    if only and block not in only:
+        raise InputError(f"{where}: law: {variable} is known in the {only[0]} only, not in the {block}; take another variable")
+    if ("formula" in table) == ("points" in table):
+        raise InputError(f"{where}: law: give either a formula or points = [[x, y], ...]")
+    if "formula" in table:
+        shape = find_shape(table["formula"], variable, f"{where}: law")
+        if shape.code in (LAG, NOTCH) and variable not in ("speed_setpoint", "current_setpoint"):
+            raise InputError(f"{where}: law: a {shape.name} filters a set point; give it the variable speed_setpoint or current_setpoint")
+        return Law(block, output, variable, shape)
+    return Law(block, output, variable, CURVE, *_points_of(table, f"{where}: law"))
+
+
+def _points_of(table: Mapping[str, Any], where: str) -> tuple[tuple[tuple[float, float], ...], str, float]:
+    """Points, what is between them, and the period after which the curve comes back."""
+    between = table.get("between", "linear")
+    if between not in ("linear", "cubic"):
+        raise InputError(f"{where}: between = {between!r}; write linear or cubic")
+    try:
+        points = tuple((float(x), float(y)) for x, y in table["points"])
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: points = {table['points']!r}: write pairs of numbers, points = [[0.0, 1.5], [0.1, 0.8]]") from None
+    if not 2 <= len(points) <= MOST_POINTS or not all(math.isfinite(v) for p in points for v in p):
+        raise InputError(f"{where}: {len(points)} points: give 2 to {MOST_POINTS} pairs of finite numbers")
+    if any(b[0] <= a[0] for a, b in itertools.pairwise(points)):
+        raise InputError(f"{where}: the first numbers of points must increase; sort them and leave no place twice")
+    period = table.get("period", 0.0)
+    if isinstance(period, bool) or not isinstance(period, int | float) or not 0.0 <= period < math.inf:
+        raise InputError(f"{where}: period = {period!r}: give a positive number in the variable's unit")
+    return points, between, float(period)
+
+
+def effect_of(table: Mapping[str, Any], where: str) -> Effect:
+    """The effect that a law's table describes."""
+    law = law_of(table, where)
+    parameters = [_parameter(number, law) for number in law.shape.numbers]
+    if law.is_remembered:
+        parameters.append(Parameter("length", "length", 1e-9, 10.0, logarithmic=True))
+    if "memory_s" in table:
+        parameters.append(Parameter("memory_s", "time", 0.0, 1e5, shape=True))
+
+    def act(change: Change, axis: Axis, from_axis: Axis | None = None, **numbers: float) -> None:
+        _act(law, change, axis, from_axis, numbers)
+
+    act.__doc__ = sentence(law)
+    return Effect(
+        NAME,
+        law.block,
+        sentence(law),
+        tuple(parameters),
+        act,
+        lambda machine, axis: True,
+        "any axis",
+        from_axis="from_axis" in table,
+        picture=EXAMPLE_PICTURE,
+        definition=law.definition(),
+    )
+
+
+FROM_TABLE[NAME] = effect_of
+
+EXAMPLE_PICTURE = Picture("", "reversal")
+
+EXAMPLE: dict[str, Any] = {
+    "name": NAME,
+    "block": "mechanics",
+    "output": "friction",
+    "variables": ["speed"],
+    "formula": "gaussian",
+    "height": -150.0,
+    "width": 0.005,
+}
+"""A law for the page and the picture of `twin effects law`: friction that is lower at low speed."""
+
+
+def sentence(law: Law) -> str:
+    """What a law is, in one line."""
+    of = VARIABLES[law.variable].words
+    output = law.output.replace("_", " ")
+    how = f"along {law.shape.words}" if law.shape.code != TABLE else f"through {len(law.points)} points"
+    return f"A law of the {law.block}: {output} over {of}, {how}"
+
+
+def _parameter(number: Number, law: Law) -> Parameter:
+    quantities = {"output": OUTPUTS[law.block][law.output].quantity, "variable": VARIABLES[law.variable].quantity}
+    return Parameter(
+        number.name,
+        quantities.get(number.of, number.of),
+        number.low,
+        number.high,
+        default=number.default,
+        shape=number.fixed,
+        neutral=number.neutral,
+        logarithmic=number.logarithmic,
+        periodic=number.of == "angle",
+        any_size=True,
+    )
+
+
+# the compiled row of a law: this head, then the shape's numbers
+P_VARIABLE, P_SHAPE, P_AXIS, P_FACTOR, P_OFFSET, P_LENGTH, P_MEMORY, P_CYCLE, P_PERIOD = range(9)
+HEAD = 9
+S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST, S_N1, S_N2 = range(7)
+
+
+def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
+    machine = change.machine
+    stage, kernel = {
+        "force": (FORCE, force_law),
+        "friction": (FORCE, friction_law),
+        "torque": (FORCE, torque_law),
+        "current": (CURRENT, current_law),
+        "speed": (SPEED, speed_law),
+        "set_point": (SETPOINT, set_point_law),
+        "displacement": (MEASURE, motor_law if law.block == "transmission" else scale_law),
+    }[law.output]
+    source = from_axis or axis
+    cycle = {CURRENT: machine.current_cycle, SPEED: machine.position_cycle, SETPOINT: machine.position_cycle}.get(stage, machine.base_tick)
+    head = [0.0] * HEAD
+    head[P_VARIABLE], head[P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
+    head[P_AXIS], head[P_FACTOR] = float(change.index(source)), 1.0 / source.ratio if law.variable == "turn" else 1.0
+    head[P_OFFSET] = change.started_at if law.variable == "time" else 0.0
+    head[P_LENGTH], head[P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
+    head[P_CYCLE], head[P_PERIOD] = cycle, law.period
+    row = (
+        _filter_row(law, numbers, cycle)
+        if law.shape.code in (LAG, NOTCH)
+        else row_of(law.shape, numbers, law.gain(axis), law.points, law.between)
+    )
+    change.add_term(kernel, stage, axis, [*head, *row])
+    if law.output == "force":
+        change.held_with(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
+
+
+def _filter_row(law: Law, numbers: Mapping[str, float], cycle: float) -> list[float]:
+    """Coefficients of a sampled filter: y += p0 (x - y), or b0 b1 b2 a1 a2 of a notch by the bilinear rule with prewarping."""
+    if law.shape.code == LAG:
+        return [-math.expm1(-cycle / numbers["time_constant_s"])]
+    t = math.tan(min(math.pi * numbers["frequency_hz"] * cycle, 1.5))
+    a0 = 1.0 + numbers["width"] * t + t * t
+    return [v / a0 for v in (1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 - numbers["width"] * t + t * t)]
+
+
+def _at_rest(law: Law, numbers: Mapping[str, float], source: Axis, position: float, started_at: float) -> float:
+    """Force of a law before anything moves."""
+    x = {"position": position, "turn": position / source.ratio, "time": started_at}.get(law.variable, 0.0)
+    return float(law.values(np.array([x]), numbers, source)[0])
+
+
+@compiled
+def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
+    """y of the law now; its memories advance by one call."""
+    variable, row = int(p[P_VARIABLE]), x[int(p[P_AXIS])]
+    h = row[X_STEP]
+    speed = row[X_LOAD_SPEED] + (0.5 * h * row[X_LOAD_ACCELERATION] if in_the_middle else 0.0)
+    if variable == V_POSITION:
+        u = row[X_LOAD_MIDDLE] if in_the_middle else row[X_LOAD_POSITION]
+    elif variable == V_TURN:
+        u = row[X_ROTOR_MIDDLE] if in_the_middle else row[X_ROTOR_POSITION]
+    elif variable == V_VELOCITY:
+        u = speed
+    elif variable == V_SPEED:
+        u = abs(speed)
+    elif variable == V_ACCELERATION:
+        u = row[X_LOAD_ACCELERATION]
+    elif variable == V_ACCELERATION_SIZE:
+        u = abs(row[X_LOAD_ACCELERATION])
+    elif variable == V_CURRENT:
+        u = row[X_CURRENT]
+    elif variable == V_TIME:
+        u = row[X_TIME]
+    elif variable == V_DIRECTION:  # exact for a speed that holds through the cycle
+        moved = abs(speed) * p[P_CYCLE] / p[P_LENGTH]
+        if moved > 0.0:
+            s[S_MEMORY] += (math.copysign(1.0, speed) - s[S_MEMORY]) * -math.expm1(-moved)
+        u = s[S_MEMORY]
+    elif variable == V_SLACK:
+        s[S_MEMORY] = min(max(s[S_MEMORY] + speed * p[P_CYCLE] / p[P_LENGTH], -1.0), 1.0)
+        u = s[S_MEMORY]
+    elif variable == V_FOLLOWING_ERROR:
+        u = row[X_FOLLOWING_ERROR]
+    elif variable == V_SPEED_SETPOINT:
+        u = row[X_SPEED_SETPOINT]
+    else:
+        u = row[X_CURRENT_SETPOINT]
+    u = u * p[P_FACTOR] + p[P_OFFSET]
+    if p[P_PERIOD] > 0.0:
+        u -= p[P_PERIOD] * math.floor(u / p[P_PERIOD])
+    shape = int(p[P_SHAPE])
+    y = filtered(shape, u, p, s) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
+    if p[P_MEMORY] > 0.0:
+        if s[S_STARTED] == 0.0:
+            s[S_LAGGED] = y
+        s[S_LAGGED] += (y - s[S_LAGGED]) * -math.expm1(-p[P_CYCLE] / p[P_MEMORY])
+        y = s[S_LAGGED]
+    if s[S_STARTED] == 0.0:
+        s[S_STARTED], s[S_FIRST], s[S_BEFORE] = 1.0, y, y
+    return y
+
+
+@compiled
+def filtered(shape, u, p, s):  # type: ignore[no-untyped-def]
+    """A set point behind the filter; before the first call it has stood where it is."""
+    if shape == LAG:
+        if s[S_STARTED] == 0.0:
+            s[S_N1] = u
+        s[S_N1] += p[HEAD] * (u - s[S_N1])
+        return s[S_N1]
+    b0, b1, b2, a1, a2 = p[HEAD], p[HEAD + 1], p[HEAD + 2], p[HEAD + 3], p[HEAD + 4]
+    if s[S_STARTED] == 0.0:
+        s[S_N2] = (b2 - a2) * u
+        s[S_N1] = (b1 - a1) * u + s[S_N2]
+    y = b0 * u + s[S_N1]
+    s[S_N1] = b1 * u - a1 * y + s[S_N2]
+    s[S_N2] = b2 * u - a2 * y
+    return y
+
+
+@term
+def force_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_LOAD_FORCE] += law_value(p, s, x, axis, True)
+
+
+@term
+def friction_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Coulomb level += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_FRICTION_LEVEL] += law_value(p, s, x, axis, True)
+
+
+@term
+def torque_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """T += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_MOTOR_TORQUE] += law_value(p, s, x, axis, True)
+
+
+@term
+def current_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """i* += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_CURRENT_SETPOINT] += law_value(p, s, x, axis, False)
+
+
+@term
+def speed_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """w* += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_SPEED_SETPOINT] += law_value(p, s, x, axis, False)
+
+
+@term
+def set_point_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """s += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_SETPOINT] += law_value(p, s, x, axis, False)
+
+
+@term
+def motor_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Motor encoder: q + y - y at the start; its speed is the derivative."""
+    p, s, x = arrays(parameters, state, signals)
+    y = law_value(p, s, x, axis, False)
+    x[axis, X_MOTOR_POSITION] += y - s[S_FIRST]
+    x[axis, X_MOTOR_SPEED] += (y - s[S_BEFORE]) / x[axis, X_STEP]
+    s[S_BEFORE] = y
+
+
+@term
+def scale_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Scale: q + y - y at the start."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_SCALE] += law_value(p, s, x, axis, False) - s[S_FIRST]

@@ -1,0 +1,268 @@
+"""Shapes of a law: curves y(x) of one variable with few numbers, and curves through points.
+
+Each shape has an equation in which `x` stands for the variable. The compiled `value_of` computes all of them; the loop, the fits and the
+pictures call that one function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+import re
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.compiled_functions import compiled
+from twin.errors import InputError
+
+(
+    STEP,
+    LINE,
+    POWER,
+    EXPONENTIAL,
+    APPROACH,
+    GAUSSIAN,
+    SINE,
+    GAS_SPRING,
+    SATURATION,
+    BENDING,
+    CLIP,
+    CLIP_ABOVE,
+    CLIP_BELOW,
+    DEAD_BAND,
+    TABLE,
+) = range(15)
+LAG, NOTCH = 100, 101
+"""Filters: what they give depends on what came before."""
+
+NUMBERS = 8
+"""Numbers that a shape may have in the compiled row; a table has its points there."""
+
+MOST_POINTS = 24
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a shape: `of` is what it is measured in, the output's unit, the variable's unit or its own quantity."""
+
+    name: str
+    of: Literal["output", "variable", "number", "angle", "time", "frequency"]
+    low: float = -math.inf
+    high: float = math.inf
+    neutral: float | None = None
+    default: float | None = None
+    fixed: bool = False  # a fit leaves it as it is
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One shape: its name, its equation, its numbers in the order of the compiled row, and what it is in words."""
+
+    name: str
+    code: int
+    equation: str
+    numbers: tuple[Number, ...]
+    words: str
+
+    def text(self, variable: str) -> str:
+        """The equation with the variable's name in it."""
+        return re.sub(r"\bx\b", variable, self.equation)
+
+
+def _height(name: str = "height") -> Number:
+    return Number(name, "output", neutral=0.0)
+
+
+def _width(name: str, *, fixed: bool = False, default: float | None = None) -> Number:
+    return Number(name, "variable", 1e-12, fixed=fixed, default=default, logarithmic=True)
+
+
+def _place(name: str = "at", *, default: float | None = None) -> Number:
+    return Number(name, "variable", default=default)
+
+
+SHAPES = {
+    s.name: s
+    for s in (
+        Shape("step", STEP, "height * (x > at)", (_height(), _place()), "a step"),
+        Shape("line", LINE, "height * x / reach", (_height(), _width("reach", fixed=True, default=1.0)), "a straight line"),
+        Shape(
+            "power",
+            POWER,
+            "height * sign(x) * |x / reach|^n",
+            (_height(), _width("reach", fixed=True, default=1.0), Number("n", "number", 0.1, 6.0)),
+            "a power",
+        ),
+        Shape("exponential", EXPONENTIAL, "height * e^(-x / scale)", (_height(), _width("scale")), "an exponential that fades"),
+        Shape(
+            "approach", APPROACH, "height * (1 - e^(-x / scale))", (_height(), _width("scale")), "an exponential that approaches a level"
+        ),
+        Shape(
+            "gaussian",
+            GAUSSIAN,
+            "height * e^(-((x - at) / width)^2)",
+            (_height(), _width("width"), _place(default=0.0)),
+            "a bell curve",
+        ),
+        Shape(
+            "sine",
+            SINE,
+            "amplitude * sin(2 pi x / period + phase_rad)",
+            (_height("amplitude"), _width("period"), Number("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0)),
+            "a wave",
+        ),
+        Shape(
+            "gas spring",
+            GAS_SPRING,
+            "height * |1 + (x - at) / length|^-n",
+            (_height(), _width("length"), _place(default=0.0), Number("n", "number", 0.5, 3.0, default=1.3, fixed=True)),
+            "the pressure of an enclosed gas",
+        ),
+        Shape("saturation", SATURATION, "height * tanh(x / scale)", (_height(), _width("scale")), "a curve that saturates"),
+        Shape(
+            "bending",
+            BENDING,
+            "gain * (x / sqrt(1 + (x / knee)^2) - x)",
+            (Number("knee", "variable", 1e-12, neutral=math.inf, logarithmic=True),),
+            "a characteristic that bends over",
+        ),
+        Shape("clip", CLIP, "gain * (clip(x, -limit, limit) - x)", (Number("limit", "variable", 1e-12, neutral=math.inf),), "a limit"),
+        Shape(
+            "clip above",
+            CLIP_ABOVE,
+            "gain * (min(x, limit) - x)",
+            (Number("limit", "variable", neutral=math.inf),),
+            "a limit on one side",
+        ),
+        Shape(
+            "clip below",
+            CLIP_BELOW,
+            "gain * (max(x, limit) - x)",
+            (Number("limit", "variable", neutral=-math.inf),),
+            "a limit on one side",
+        ),
+        Shape(
+            "dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a band without answer"
+        ),
+        Shape("lag", LAG, "first-order lag", (Number("time_constant_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),), "a lag"),
+        Shape(
+            "notch",
+            NOTCH,
+            "(s^2 + w^2) / (s^2 + width w s + w^2), w = 2 pi frequency_hz",
+            (
+                Number("width", "number", 0.0, 10.0, neutral=0.0, logarithmic=True),
+                Number("frequency_hz", "frequency", 0.1, 2000.0, logarithmic=True),
+            ),
+            "a notch",
+        ),
+    )
+}
+"""Every shape by its name. `gain` is the nominal factor from the variable to the output: the motor's torque constant, the position gain, 1."""
+
+CURVE = Shape("table", TABLE, "points", (Number("scale", "number", neutral=0.0, default=1.0),), "a table")
+"""A curve through points, times `scale`; beyond the points the last value holds."""
+
+
+def find_shape(formula: object, variable: str, where: str) -> Shape:
+    """The shape of that name, or with that equation; an InputError with all of them where there is none."""
+    wanted = "".join(str(formula).split())
+    for shape in SHAPES.values():
+        if wanted in (shape.name.replace(" ", ""), "".join(shape.text(variable).split()), "".join(shape.equation.split())):
+            return shape
+    raise InputError(
+        f"{where}: formula = {str(formula)!r} is none of the shapes {', '.join(SHAPES)}; `twin effects law` lists their equations"
+    )
+
+
+def table_row(points: Sequence[Sequence[float]], between: str) -> list[float]:
+    """Compiled numbers of a curve through points (x, y): count, then places, values and second derivatives (0 for straight pieces)."""
+    x, y = np.array(points, float).T
+    bend = CubicSpline(x, y, bc_type="natural")(x, 2) if between == "cubic" and len(x) > 2 else np.zeros(len(x))
+    return [float(len(x)), *x, *y, *bend]
+
+
+def row_of(
+    shape: Shape, numbers: Mapping[str, float], gain: float = 1.0, points: Sequence[Sequence[float]] = (), between: str = ""
+) -> list[float]:
+    """Compiled numbers of a shape: its own in their order and the gain, or scale and points of a table."""
+    own = [numbers.get(n.name, n.default if n.default is not None else 0.0) for n in shape.numbers]
+    if shape.code == TABLE:
+        return [*own, *table_row(points, between)]
+    return [*own, *[0.0] * (NUMBERS - 1 - len(own)), gain]
+
+
+@compiled
+def value_of(code, x, p):  # type: ignore[no-untyped-def]
+    """y(x) of the shape with this code and these compiled numbers."""
+    if code == TABLE:
+        return p[0] * curve_value(x, p)
+    if code == STEP:
+        return p[0] if x > p[1] else 0.0
+    if code == LINE:
+        return p[0] * x / p[1]
+    if code == POWER:
+        return math.copysign(p[0] * abs(x / p[1]) ** p[2], p[0] * x)
+    if code == EXPONENTIAL:
+        return p[0] * math.exp(min(-x / p[1], 50.0))
+    if code == APPROACH:
+        return p[0] * (1.0 - math.exp(min(-x / p[1], 50.0)))
+    if code == GAUSSIAN:
+        return p[0] * math.exp(-(((x - p[2]) / p[1]) ** 2))
+    if code == SINE:
+        return p[0] * math.sin(2.0 * math.pi * x / p[1] + p[2])
+    if code == GAS_SPRING:
+        return p[0] * max(abs(1.0 + (x - p[2]) / p[1]), 1e-3) ** -p[3]
+    if code == SATURATION:
+        return p[0] * math.tanh(x / p[1])
+    gain = p[NUMBERS - 1]
+    if code == BENDING:
+        return gain * (x / math.sqrt(1.0 + (x / p[0]) ** 2) - x)
+    if code == CLIP:
+        return gain * (min(max(x, -p[0]), p[0]) - x)
+    if code == CLIP_ABOVE:
+        return gain * (min(x, p[0]) - x)
+    if code == CLIP_BELOW:
+        return gain * (max(x, p[0]) - x)
+    if code == DEAD_BAND:
+        return -gain * min(max(x, -p[0]), p[0])
+    return 0.0
+
+
+@compiled
+def curve_value(x, p):  # type: ignore[no-untyped-def]
+    """The curve through the points of `table_row`, which stands at p[1:]."""
+    n = int(p[1])
+    first = 2
+    if x <= p[first]:
+        return p[first + n]
+    if x >= p[first + n - 1]:
+        return p[first + 2 * n - 1]
+    low, high = 0, n - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if p[first + middle] <= x:
+            low = middle
+        else:
+            high = middle
+    width = p[first + high] - p[first + low]
+    b = (x - p[first + low]) / width
+    a = 1.0 - b
+    bend = (a**3 - a) * p[first + 2 * n + low] + (b**3 - b) * p[first + 2 * n + high]
+    return a * p[first + n + low] + b * p[first + n + high] + bend * width**2 / 6.0
+
+
+@compiled
+def _values(code, x, p, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = value_of(code, x[i], p)
+
+
+def values_of(shape: Shape, x: np.ndarray, row: Sequence[float]) -> np.ndarray:
+    """y (sample,) of a shape with these compiled numbers, as the loop computes it."""
+    out = np.zeros(len(x))
+    _values(shape.code, np.ascontiguousarray(x, float), np.array(row, float), out)
+    return out

@@ -1,0 +1,89 @@
+"""Draws the laws of a machine: each output over its variable, within what the axis can do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.effects import Setting, check_setting, settings_of
+from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, law_of
+from twin.machine.machine import Axis, Machine
+from twin.report import new_figure, save_png
+from twin.report.colours import axis_colour, hexadecimal
+from twin.units import ARCSEC, AXIS_UNITS
+
+SHOWN_TIME_S = 600.0
+"""Time that is shown of a law of time."""
+
+ACROSS = 4
+"""A curve's range is so many of its widths, where the axis could go further."""
+
+
+def laws_in(machine: Machine) -> list[Setting]:
+    """The laws of a machine."""
+    return [s for s in settings_of(machine) if s.effect.name == NAME]
+
+
+def laws_shown(machine: Machine) -> list[Setting]:
+    """The laws of a machine, or the example of the page on its first axis where it has none."""
+    return laws_in(machine) or [check_setting({**EXAMPLE, "axis": machine.axis_names[0]}, machine, "twin effects law")]
+
+
+def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]:
+    """Values of a variable that the axis can reach, SI."""
+    half = {"velocity": axis.max_velocity, "speed_setpoint": axis.max_velocity, "acceleration": axis.max_acceleration, "direction": 1.0}
+    half |= {"slack": 1.0, "following_error": 1e-4, "current": axis.motor.peak_current_a, "current_setpoint": axis.motor.peak_current_a}
+    if variable in half:
+        return -half[variable], half[variable]
+    whole = {"speed": axis.max_velocity, "acceleration_size": axis.max_acceleration, "turn": 2.0 * math.pi, "time": SHOWN_TIME_S}
+    return (0.0, whole[variable]) if variable in whole else axis.travel
+
+
+def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
+    """Unit and factor from SI in which people read a quantity."""
+    units = AXIS_UNITS[axis.kind]
+    linear = axis.kind == "linear"
+    return {
+        "length": units.position,
+        "speed": units.speed,
+        "acceleration": units.acceleration,
+        "force": ("N" if linear else "Nm", 1.0),
+        "torque": ("Nm", 1.0),
+        "current": (axis.effort_unit, 1.0),
+        "angle": ("deg", math.degrees(1.0)),
+        "time": ("s", 1.0),
+        "number": ("", 1.0),
+    }[quantity]
+
+
+def small_length(axis: Axis) -> tuple[str, float]:
+    """Unit and factor from SI of a displacement that is an error: um or arcsec."""
+    return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+
+
+def draw_laws(machine: Machine, path: Path) -> Path:
+    """Write the picture: one panel for each law."""
+    shown = laws_shown(machine)
+    figure, places = new_figure(len(shown), 1, 8.6, 2.8)
+    for place, setting in zip(places[:, 0], shown):
+        axis, law = machine.axis(setting.axis), law_of(setting.table(), "twin effects law")
+        source = machine.axis(setting.from_axis) if setting.from_axis else axis
+        low, high = range_of(law.variable, machine, source)
+        widths = [setting.parameters[n] for n in ("width", "scale", "period") if n in setting.parameters]
+        if widths and law.variable != "turn":
+            low, high = max(low, -ACROSS * widths[0]), min(high, ACROSS * widths[0])
+        x = np.linspace(low, high, 600)
+        variable_unit, per = shown_in(VARIABLES[law.variable].quantity, source)
+        output = OUTPUTS[law.block][law.output]
+        unit, factor = small_length(axis) if output.quantity == "length" else shown_in(output.quantity, axis)
+        place.plot(per * x, factor * law.values(x, setting.parameters, axis), color=hexadecimal(axis_colour(axis.name)), linewidth=1.8)
+        if law.points:
+            px, py = np.array(law.points).T
+            place.plot(per * px, factor * setting.parameters["scale"] * py, "o", color=hexadecimal(axis_colour(axis.name)), markersize=4)
+        place.set_xlabel(f"{law.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{variable_unit or '1'}]")
+        place.set_ylabel(f"{law.output.replace('_', ' ')} [{unit}]")
+        place.set_title(f"law on axis {axis.name}, {law.block}: {law.definition().get('formula', 'through points')}")
+    save_png(figure, path, 80)
+    return path
