@@ -1,13 +1,14 @@
 """Gaps on runs left out, where what a fold leaves open is a machine that cannot be simulated."""
 
-from types import SimpleNamespace
-
+import numpy as np
 import pytest
 
 from twin.diagnose import corrected
 from twin.errors import InputError, SimulationError
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
 
-RUNS = [SimpleNamespace(name=name) for name in ("first", "second", "third")]
+RUNS = [MeasuredRun(name, Trace(np.arange(3.0), {}), None, 0.0) for name in ("first", "second", "third")]
 FOLDS = [[0], [1], [2]]
 
 

@@ -1,16 +1,13 @@
 """Which sizes are believed: what is found on machines, and more than their normal spread."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from twin.diagnose import sizes
+from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose.fit import Fit, free_parameters
+from twin.diagnose.observe import in_turn
 from twin.diagnose.plausible import is_plausible
-from twin.diagnose.settings import DEFAULT
-from twin.diagnose.state import Found
-from twin.diagnose.tuning import tuning_from
+from twin.diagnose.sizes import without_implausible
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
 
@@ -38,15 +35,11 @@ def test_sizes_believed(effect, axis, parameters, believed):
 
 
 @pytest.mark.parametrize(("slope", "kept"), [(1.0, True), (0.01, False)])
-def test_an_effect_that_has_no_size_is_not_there(monkeypatch, slope, kept):
-    """A backlash that may be 700 times smaller than was found may as well be none."""
-    rows = 1000
+def test_an_effect_that_has_no_size_is_not_there(slope: float, kept: bool) -> None:
+    """Known by a weak slope, this clearance of 4 um could as well be 700 times smaller: that is no backlash."""
+    group = group_of([np.zeros(1000)], "Z")
     settings = (Setting(EFFECTS["backlash"], "Z", {"clearance": 4e-6}),)
-    tuning = tuning_from((), np.zeros((rows, 0)), 0.01)
-    fit = Fit(settings, free_parameters(settings, MACHINE), 1.0, np.zeros(0), np.zeros(rows), np.full((rows, 1), slope), tuning)
-    group = SimpleNamespace(size=rows, thresholds=DEFAULT)
-    found = Found(group, group, tuning, fit, fit, 1.0, accepted=(fit,))
-    monkeypatch.setattr(sizes, "fit_effects", lambda group, machine, tuning, rest, *_: SimpleNamespace(settings=tuple(rest)))
-    monkeypatch.setattr(Found, "inflated", lambda self: self)
-    rest = sizes.without_implausible(found, MACHINE, map)
+    free = free_parameters(settings, MACHINE)
+    fit = Fit(settings, free, 1.0, np.zeros(0), np.zeros(group.size), np.full((group.size, 1), slope), no_tuning(group.size))
+    rest = without_implausible(found_of(group, fit=fit), MACHINE, in_turn)
     assert (rest.fit.settings == settings) == kept

@@ -1,13 +1,10 @@
 """One more nuisance beside a tuning: what is predicted for it is what the tuning that has it gives."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose.cross_validation import beyond_tolerance
-from twin.diagnose.fit import no_effect
-from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import excess_of
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import trial_of, tuning_from
@@ -47,8 +44,7 @@ def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
     tuning = drawn[0]
     for deviations, explained in (((2.0, -1.0), True), ((2.0, 15.0), False)):
         rows = tuning.jacobian @ np.array(deviations)
-        channel = SimpleNamespace(axis="X", rows=slice(0, ROWS))
-        group = SimpleNamespace(residual=rows, credit=np.ones(ROWS), expected=np.ones(ROWS), size=ROWS, axes=("X",), channels=[channel])
-        found = SimpleNamespace(group=group, fit=no_effect(group, tuning), thresholds=DEFAULT)
+        group = group_of([rows])
+        found = found_of(group, tuning)
         assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
         assert (beyond_tolerance(found) < 0.0) is explained

@@ -1,11 +1,11 @@
 """From which size on an effect would show: its square over noise, beyond what re-tuning takes up, against the evidence needed."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import unseen
 from twin.diagnose.candidates import Start
 from twin.diagnose.settings import DEFAULT
@@ -20,12 +20,10 @@ ALONG = np.repeat([1.0, 0.0], ROWS // 2)
 ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
 
 
-def sizes_of(columns, monkeypatch, credit=1.0):
+def sizes_of(columns, monkeypatch, moving=None):
     """Usual sizes from which effects would show that change these rows; a nuisance takes up what lies along it."""
     tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
-    found = SimpleNamespace(
-        tuning=tuning, thresholds=DEFAULT, group=SimpleNamespace(credit=np.full(ROWS, credit), expected_loss=0.0, channels=[])
-    )
+    found = found_of(group_of([np.zeros(ROWS)], moving=moving), tuning)
     axes = dict(zip("XYZ", columns))
 
     def answer(found, setting):
@@ -45,8 +43,12 @@ def of_evidence(evidence):
     return ACROSS * math.sqrt(2.0 * evidence / ACROSS.sum())
 
 
+NEEDED = DEFAULT.evidence + DEFAULT.imperfect * 0.5 * ROWS
+"""Evidence that a friction needs in these rows: the least, and a share of what noise makes."""
+
+
 def test_a_quarter_of_the_evidence_is_half_the_size(monkeypatch):
-    sizes = sizes_of([of_evidence(DEFAULT.evidence / 4.0), of_evidence(1.1 * DEFAULT.evidence), None], monkeypatch)
+    sizes = sizes_of([of_evidence(NEEDED / 4.0), of_evidence(1.1 * NEEDED), None], monkeypatch)
     assert sizes == {"X": pytest.approx(2.0, rel=1e-6)}  # what shows, and what no machine runs with, is not listed
 
 
@@ -56,8 +58,8 @@ def test_what_changes_nothing_or_only_what_is_re_tuned_never_shows(monkeypatch):
 
 
 def test_what_shows_only_where_an_axis_was_stuck_hardly_counts(monkeypatch):
-    sizes = sizes_of([of_evidence(DEFAULT.evidence)], monkeypatch, credit=0.04)
-    assert sizes == {"X": pytest.approx(5.0, rel=1e-6)}
+    sizes = sizes_of([of_evidence(NEEDED)], monkeypatch, moving=np.zeros(ROWS, bool))
+    assert sizes == {"X": pytest.approx(DEFAULT.unsettled_weight**-0.5, rel=1e-6)}
 
 
 def test_a_limit_is_asked_at_a_usual_level_not_at_the_measured_one():
