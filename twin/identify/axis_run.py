@@ -112,7 +112,7 @@ def _window(cycle: float) -> np.ndarray:
 
 def slides_above(axis: Axis) -> float:
     """Speed at the motor from which friction is on its line [rad/s; m/s of a direct drive]."""
-    return SLIDING_M_PER_S if axis.kind == "linear" and axis.ratio == 1.0 else SLIDING_RAD_PER_S
+    return SLIDING_M_PER_S if axis.drive == "direct" else SLIDING_RAD_PER_S
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:

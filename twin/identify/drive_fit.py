@@ -20,6 +20,7 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError
 from twin.machine.machine import Axis, Machine
+from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import RELATED
 from twin.simulation.gap import at_times, is_moving, simulated_period
@@ -249,14 +250,13 @@ class _Work:
         axis = self.machine.axis(name)
         load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
         if axis.rotor_inertia_kg_m2 > 0.0 and axis.ratio != 1.0:
-            key = "rotor_and_screw_inertia_kg_m2" if axis.kind == "linear" else "rotor_and_gear_inertia_kg_m2"
             # keep the shares where the load is known to be part of it
             share = load / (load + axis.rotor_inertia_kg_m2) if axis.moving_mass_kg is not None else 0.0
-            out: dict[str, object] = {f"axis.{name}.{key}": inertia * (1.0 - share) if share else max(inertia - load, 1e-12)}
+            out: dict[str, object] = {path_of(axis, "rotor_inertia"): inertia * (1.0 - share) if share else max(inertia - load, 1e-12)}
             if share:
-                out[f"axis.{name}.moving_mass_kg"] = inertia * share / axis.ratio**2
+                out[path_of(axis, "moving_mass")] = inertia * share / axis.ratio**2
             return out
-        return {f"axis.{name}.moving_mass_kg": inertia / axis.ratio**2}
+        return {path_of(axis, "moving_mass"): inertia / axis.ratio**2}
 
     def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
         """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None where it diverges."""

@@ -222,7 +222,7 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
             Finding(
                 "",
                 name,
-                f"never slides faster than {slides_above(axis):g} {'m' if axis.ratio == 1.0 else 'rad'}/s at the motor: no friction law; add constant speeds ('twin plan')",
+                f"never slides faster than {slides_above(axis):g} {'m' if axis.drive == 'direct' else 'rad'}/s at the motor: no friction law; add constant speeds ('twin plan')",
             )
         ]
     out = []

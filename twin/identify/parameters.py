@@ -15,21 +15,13 @@ from twin.identify.findings import Finding
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
 from twin.machine.machine import Axis, Machine
+from twin.machine.parameters import SPREAD, parameter
+from twin.machine.toleranced import TOLERANCED, inertia_of, path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
 
 LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
 
-LOOP_UNITS = {
-    "position_gain_per_s": "1/s",
-    "velocity_feedforward": "1",
-    "position_delay_s": "s",
-    "feedforward_delay_s": "s",
-    "speed_gain_nm_s_per_rad": "Nm s/rad",
-    "speed_integral_time_s": "s",
-    "torque_feedforward": "1",
-    "dsc_delay_s": "s",
-}
-FRICTION_KEYS = {"coulomb_friction": "coulomb_friction_nm", "viscous_friction": "viscous_friction_nm_s_per_rad"}
+FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 
 
@@ -44,6 +36,12 @@ def parameters_of(machine: Machine, direct: Direct, other: Direct, splits: dict[
         out += _control(axis, direct, other)
         out += _mechanics(machine, axis, float(inertias[k]), direct, other, splits)
     return out
+
+
+def units_of(axis: Axis) -> tuple[str, str, str]:
+    """Units of inertia, Coulomb friction and viscous friction of an axis: at the motor, or at the axis of a direct drive."""
+    inertia, coulomb, viscous = (parameter(SPREAD[name]).unit(axis.drive) for name in ("rotor_inertia", *FRICTIONS))
+    return inertia, coulomb, viscous
 
 
 def _around(value: float, half: float) -> Range:
@@ -66,7 +64,7 @@ def _control(axis: Axis, direct: Direct, other: Direct) -> list[Parameter]:
                 aside = _around(check.values[name], check.deviations[name] * check.quantile)
             out.append(
                 Parameter(
-                    axis.name, name, LOOP_UNITS[name], getattr(axis.loops, name), _around(value, half),
+                    axis.name, name, parameter(name).unit(axis.drive), getattr(axis.loops, name), _around(value, half),
                     _around(float(np.clip(value, low, high)), half), False, block.condition, not low <= value <= high,
                     f"axis.{axis.name}.loops.{name}", aside,
                 )
@@ -90,7 +88,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
     if key is None:
         return []
     balance, check = direct.balance[key], other.balance.get(key)
-    kt_log, kt_sd = splits[key].factors.get(f"axis.{axis.name}.motor.torque_constant_nm_per_a", (0.0, 0.0)) if key in splits else (0.0, 0.0)
+    kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
     out = []
     for inner, name, unit, factor, before in _rows_of(machine, axis, inertia, paired=key == "A C"):
         i = balance.names.index(inner)
@@ -102,7 +100,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
             aside = _around(*(float(x * factor) for x in (check.fit.values[i], check.fit.deviations[i] * check.fit.quantile)))
         # the value: the product at the most probable torque constant, whose doubt adds
         split = value * math.exp(kt_log)
-        path = f"axis.{axis.name}.{FRICTION_KEYS[name]}" if name in FRICTION_KEYS else ""
+        path = path_of(axis, name) if name in FRICTIONS else ""
         out.append(
             Parameter(
                 axis.name, name, unit, before, _around(value, half), _around(split, math.hypot(half, 1.96 * kt_sd * abs(split))),
@@ -117,7 +115,7 @@ def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list
     r = axis.ratio
     # the pair's numbers are at the axes, those of an axis by itself at the motor
     suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
-    mass, force, damping = ("kg", "N", "N s/m") if axis.kind == "linear" and r == 1.0 else ("kg m2", "Nm", "Nm s/rad")
+    mass, force, damping = units_of(axis)
     out = [
         (f"inertia{suffix}", "inertia", mass, twice, inertia),
         (f"coulomb{suffix}", "coulomb_friction", force, once, axis.coulomb_friction_nm),
@@ -170,25 +168,34 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     for name, fit in fits.axes.items():
         axis = before.axis(name)
         r = axis.ratio
-        direct = axis.kind == "linear" and r == 1.0
-        mass, force, damping = ("kg", "N", "N s/m") if direct else ("kg m2", "Nm", "Nm s/rad")
+        mass, force, damping = units_of(axis)
         rows = {
             "inertia": ("inertia", mass, axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r, 1.0, ""),
-            "coulomb_friction_nm": ("coulomb_friction", force, axis.coulomb_friction_nm, 1.0, f"axis.{name}.coulomb_friction_nm"),
-            "viscous_friction_nm_s_per_rad": (
+            TOLERANCED["coulomb_friction"]: (
+                "coulomb_friction",
+                force,
+                axis.coulomb_friction_nm,
+                1.0,
+                path_of(axis, "coulomb_friction"),
+            ),
+            TOLERANCED["viscous_friction"]: (
                 "viscous_friction",
                 damping,
                 axis.viscous_friction_nm_s_per_rad,
                 1.0,
-                f"axis.{name}.viscous_friction_nm_s_per_rad",
+                path_of(axis, "viscous_friction"),
             ),
             "constant_force": ("constant_torque", force, 0.0, r, ""),
         }
         for field, value in fit.values.items():
             if field in fit.unseen or not math.isfinite(fit.deviations[field]):
                 continue
-            label, unit, start, factor, path = rows.get(
-                field, (field, LOOP_UNITS.get(field, "1"), float(getattr(axis.loops, field, 0.0)), 1.0, f"axis.{name}.loops.{field}")
+            label, unit, start, factor, path = rows.get(field) or (
+                field,
+                parameter(field).unit(axis.drive),
+                float(getattr(axis.loops, field)),
+                1.0,
+                f"axis.{name}.loops.{field}",
             )
             half = 1.96 * fit.deviations[field] * factor
             around = _around(value * factor, half)
@@ -214,19 +221,17 @@ def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[s
         axis = machine.axis(p.axis)
         if p.name == "inertia":
             # the rotor carries the change of the whole
-            if axis.rotor_inertia_kg_m2 > 0.0:
-                out[p.axis, "rotor_inertia_kg_m2"] = d / axis.rotor_inertia_kg_m2
-            else:
-                out[p.axis, "moving_mass_kg"] = relative
-        elif p.name in FRICTION_KEYS:
-            out[p.axis, FRICTION_KEYS[p.name]] = relative
+            rotor = axis.rotor_inertia_kg_m2
+            out[p.axis, TOLERANCED[inertia_of(axis)]] = d / rotor if rotor > 0.0 else relative
+        elif p.name in FRICTIONS:
+            out[p.axis, TOLERANCED[p.name]] = relative
         elif p.name == "gravity_torque" and axis.rotor_inertia_kg_m2 > 0.0:
-            out[p.axis, "moving_mass_kg"] = relative
+            out[p.axis, TOLERANCED["moving_mass"]] = relative
         elif p.name == "moment_z":
             out[p.axis, "body.cradle"] = relative
         elif p.name == "table_x":
             out[p.axis, "body.workpiece"] = relative
-        elif p.name in LOOP_UNITS:
+        elif hasattr(axis.loops, p.name):
             out[p.axis, p.name] = d if p.name.endswith("delay_s") else relative
     return out
 
@@ -284,7 +289,7 @@ def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
                     label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
                     out.append(Finding("", axis.name, label))
             elif (name in TOGETHER and set(TOGETHER[name]) <= found.keys()) or (
-                name in ("inertia", *FRICTION_KEYS) and FRICTION_KEYS.keys() & found
+                name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
                 out.append(Finding("", axis.name, f"no run identifies {name}; add {cure} ('twin plan')"))
     return out

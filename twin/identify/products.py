@@ -22,7 +22,8 @@ from scipy.optimize import least_squares
 from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Machine
+from twin.machine.toleranced import inertia_of, path_of
 
 FLOOR = 2e-4
 """Relative deviation below which no product is believed: laws hold no better."""
@@ -76,33 +77,25 @@ def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
 def _paths(machine: Machine, name: str) -> tuple[str, ...]:
     """Paths of the machine-file values that the products of a motor hold."""
     out = []
-    for axis in name.split():
-        rotor = inertia_key(machine.axis(axis))
+    for axis in map(machine.axis, name.split()):
+        inertia = inertia_of(axis)
         # the constant of an ideal actuator is what the numbers are counted in
-        known = ["motor.torque_constant_nm_per_a"] if machine.axis(axis).has_current_loop else []
-        keys = [*known, rotor, "coulomb_friction_nm", "viscous_friction_nm_s_per_rad"]
+        known = ["torque_constant"] if axis.has_current_loop else []
+        parameters = [*known, inertia, "coulomb_friction", "viscous_friction"]
         # a weight gives the mass; elsewhere the inertia is one number, and the rotor stands for it
-        if is_vertical(machine, axis) and rotor != "moving_mass_kg":
-            keys.append("moving_mass_kg")
-        out += [f"axis.{axis}.{key}" for key in keys]
+        if is_vertical(machine, axis.name) and inertia != "moving_mass":
+            parameters.append("moving_mass")
+        out += [path_of(axis, parameter) for parameter in parameters]
     if name == "A C":
         out += [f"body.{b}.mass_kg" for b in ("cradle", "table", "workpiece")]
     return tuple(out)
 
 
-def inertia_key(axis: Axis) -> str:
-    """Key of the number that stands for all inertia of an axis: the rotor's, or the mass of a drive without one."""
-    if axis.rotor_inertia_kg_m2 == 0.0:
-        return "moving_mass_kg"
-    return "rotor_and_screw_inertia_kg_m2" if axis.kind == "linear" else "rotor_and_gear_inertia_kg_m2"
-
-
 def _share(machine: Machine, path: str) -> float:
     """How much more than the tolerance a rotor may be off where it stands for the load's mass, too."""
-    if not path.endswith("rotor_and_screw_inertia_kg_m2"):
-        return 1.0
-    axis = machine.axis(path.split(".")[1])
-    if is_vertical(machine, axis.name):
+    table, name, _ = path.split(".", 2)
+    axis = machine.axis(name) if table == "axis" else None
+    if axis is None or axis.kind != "linear" or path != path_of(axis, "rotor_inertia") or is_vertical(machine, name):
         return 1.0
     return math.hypot(1.0, (axis.moving_mass_kg or 0.0) * axis.ratio**2 / axis.rotor_inertia_kg_m2)
 
@@ -120,24 +113,22 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
 
             numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
             for k, axis in enumerate((a, c)):
-                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * f(f"axis.{axis.name}.rotor_and_gear_inertia_kg_m2")
-            kt = [f(f"axis.{axis.name}.motor.torque_constant_nm_per_a") for axis in (a, c)]
+                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * f(path_of(axis, "rotor_inertia"))
+            kt = [f(path_of(axis, "torque_constant")) for axis in (a, c)]
             numbers = numbers / np.where(np.arange(10) == 1, kt[1], kt[0])
             friction = []
             for axis, k in zip((a, c), kt):  # type: ignore[assignment]
                 friction += [
-                    axis.coulomb_friction * f(f"axis.{axis.name}.coulomb_friction_nm") / k,
-                    axis.viscous_friction * f(f"axis.{axis.name}.viscous_friction_nm_s_per_rad") / k,
+                    axis.coulomb_friction * f(path_of(axis, "coulomb_friction")) / k,
+                    axis.viscous_friction * f(path_of(axis, "viscous_friction")) / k,
                 ]
             return np.concatenate([numbers, friction])
 
         return pair
     axis = machine.axis(name)
-    kt = index.get(f"axis.{name}.motor.torque_constant_nm_per_a")
-    rotor, coulomb, viscous = (
-        index[f"axis.{name}.{k}"] for k in (inertia_key(axis), "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
-    )
-    mass = index.get(f"axis.{name}.moving_mass_kg")
+    kt = index.get(path_of(axis, "torque_constant"))
+    rotor, coulomb, viscous = (index[path_of(axis, p)] for p in (inertia_of(axis), "coulomb_friction", "viscous_friction"))
+    mass = index.get(path_of(axis, "moving_mass"))
     load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
     if axis.moving_mass_kg is None:
         load = max((axis.commissioned_inertia or 0.0) - axis.rotor_inertia_kg_m2, 0.0)

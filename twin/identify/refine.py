@@ -26,8 +26,8 @@ from twin.identify.axis_run import AxisRun, _window, axis_run
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
 from twin.identify.drive_balance import EVERY, MeanCurrent, mean_of
-from twin.identify.products import inertia_key
 from twin.machine.machine import Axis, Machine
+from twin.machine.toleranced import TOLERANCED, field_value, inertia_of, path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import RELATED
 from twin.simulation.gap import is_moving
@@ -105,7 +105,7 @@ def knobs_of(machine: Machine, runs: Sequence[MeasuredRun], known: Collection[tu
 
 def _own(axis: Axis, field: str) -> str:
     """The field of an axis that stands for this one: without a rotor the moving mass is all inertia."""
-    return "moving_mass_kg" if field == "rotor_inertia_kg_m2" and axis.rotor_inertia_kg_m2 == 0.0 else field
+    return TOLERANCED[inertia_of(axis)] if field == TOLERANCED["rotor_inertia"] else field
 
 
 def _is_knob(machine: Machine, axis: Axis, field: str, known: Collection[tuple[str, str]]) -> bool:
@@ -201,7 +201,7 @@ def refined_machine(
             so_far[knob] = so_far.get(knob, 0.0) + kept
         if say:
             say(f"refinement step {step + 1}: misfit {misfits[-1]:.3f}")
-    return Refined(_documented(machine, now), deviations, (misfits[0], misfits[-1]))
+    return Refined(_possible(now), deviations, (misfits[0], misfits[-1]))
 
 
 def _turn_all(machine: Machine, slot: Sequence[Knob]) -> Machine:
@@ -358,20 +358,11 @@ def _spread_of(machine: Machine, knobs: Sequence[Knob], spread: np.ndarray) -> d
     return out
 
 
-def _documented(start: Machine, now: Machine) -> Machine:
-    """The refined numbers as a machine file's values, so that the machine can be written."""
+def _possible(now: Machine) -> Machine:
+    """The refined machine with no friction below zero, checked: a fit may pass through values that no machine file may hold."""
     values: dict[str, object] = {}
     for axis in now.axes:
-        if axis.rotor_inertia_kg_m2 > 0.0:
-            values[f"axis.{axis.name}.{inertia_key(axis)}"] = axis.rotor_inertia_kg_m2
-        values[f"axis.{axis.name}.coulomb_friction_nm"] = max(axis.coulomb_friction_nm, 0.0)
-        values[f"axis.{axis.name}.viscous_friction_nm_s_per_rad"] = max(axis.viscous_friction_nm_s_per_rad, 0.0)
-        if axis.moving_mass_kg is not None:
-            values[f"axis.{axis.name}.moving_mass_kg"] = axis.moving_mass_kg
-        for field in FIELDS:
-            if hasattr(axis.loops, field) and _in_file(start, axis, field):
-                values[f"axis.{axis.name}.loops.{field}"] = getattr(axis.loops, field)
-    for body in now.bodies:
-        values[f"body.{body.name}.mass_kg"] = body.mass_kg
-        values[f"body.{body.name}.inertia_kg_m2"] = list(body.inertia_kg_m2)
-    return start.with_values(values)
+        for name in ("coulomb_friction", "viscous_friction"):
+            if field_value(axis, name) < 0.0:
+                values[path_of(axis, name)] = 0.0
+    return now.with_values(values)

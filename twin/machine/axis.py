@@ -88,6 +88,13 @@ class Axis:
     encoder: str = "scale"
 
     @property
+    def drive(self) -> str:
+        """What turns the motor into motion, as `twin.machine.parameters` has it: screw, gear, or direct for a linear motor."""
+        if self.kind == "rotary":
+            return "gear"
+        return "direct" if self.ratio == 1.0 else "screw"
+
+    @property
     def has_current_loop(self) -> bool:
         """Is there a current controller with a winding behind the speed controller?"""
         return self.structure == keys.STRUCTURES[0]

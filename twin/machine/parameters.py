@@ -13,6 +13,7 @@ takes the name from here.
 from __future__ import annotations
 
 from dataclasses import dataclass
+import itertools
 import math
 
 INFINITE = math.inf
@@ -71,6 +72,10 @@ class Parameter:
     def key(self, drive: str) -> str:
         """Key below `[axis.N]` of an axis with this drive."""
         return {"screw": self.screw, "gear": self.gear, "direct": self.direct}[drive]
+
+    def unit(self, drive: str) -> str:
+        """Unit of the number of an axis with this drive, as its key says it; '1' for a plain number."""
+        return unit_of_key(self.key(drive).rsplit(".", 1)[-1]) or "1"
 
 
 def _same(key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "") -> Parameter:
@@ -183,6 +188,16 @@ _SUFFIX_TO_SI = {
     "_deg": math.pi / 180.0,
     "_us": 1e-6,
 }
+
+
+_UNIT_WORDS = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "h": "H", "per": "/"}
+_UNIT_WORDS |= {word: word for word in ("m", "kg", "s", "us", "rad", "deg", "rev", "min", "ohm", "m2", "s2", "s3")}
+
+
+def unit_of_key(key: str) -> str:
+    """Unit at the end of a key: 'm/rev' of screw_lead_m_per_rev, 'Nm s/rad' of a damping; '' where the key has none."""
+    units = [_UNIT_WORDS[word] for word in itertools.takewhile(_UNIT_WORDS.__contains__, reversed(key.split("_")))]
+    return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
 
 
 def si_from_key(key: str) -> float:

@@ -23,7 +23,7 @@ def sheet(machine: Machine) -> str:
     def each(value) -> list[str]:  # type: ignore[no-untyped-def]
         return [value(axis) for axis in machine.axes]
 
-    row("kind", "", each(lambda a: a.kind + (", direct" if a.kind == "linear" and a.ratio == 1.0 else "")))
+    row("kind", "", each(lambda a: a.kind + (", direct" if a.drive == "direct" else "")))
     row("structure", "", each(lambda a: a.structure if a.has_current_loop else f"{a.structure} on a {a.effort}"))
     row("travel", "mm, deg", each(_travel))
     row("highest speed", "m/min, deg/s", each(lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0)))))

@@ -25,6 +25,11 @@ def toleranced(axis: Axis) -> list[str]:
     return [name for name in TOLERANCED if has(axis, name)]
 
 
+def inertia_of(axis: Axis) -> str:
+    """The parameter that stands for all inertia of an axis: the rotor's, or the mass of a drive without a rotor."""
+    return "rotor_inertia" if axis.rotor_inertia_kg_m2 > 0.0 else "moving_mass"
+
+
 def field_value(axis: Axis, parameter: str) -> float:
     """Value of a toleranced parameter of an axis."""
     field = TOLERANCED[parameter]

@@ -232,7 +232,7 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
             if per_turn is not None or (kind or implied) != implied:
                 raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if implied == 'linear' else 'mm'}_per_rev")
             per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, implied
-    if per_turn is None and machine is not None and not (kind == "linear" and machine.axis(axis).ratio == 1.0):
+    if per_turn is None and machine is not None and machine.axis(axis).drive != "direct":
         per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no turns
     optional = table.get("optional", False)
     if not isinstance(optional, bool):

@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 import copy
 import fnmatch
-import itertools
 from typing import Any
 
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
+from twin.machine.parameters import unit_of_key
 from twin.simulation.plant_spec import load_spec
 
 ADDED_MASS = "added_mass."
@@ -95,19 +95,13 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-_UNIT_WORDS = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "h": "H", "per": "/"}
-_UNIT_WORDS |= {word: word for word in ("m", "kg", "s", "us", "rad", "deg", "rev", "min", "ohm", "m2", "s2", "s3")}
-
-
 def unit_at(path: str) -> str:
     """Unit of the number at a path, from the end of its key: 'm/rev', 'Nm s/rad'; 'SI' for an effect's, '' where the key has none."""
     if path.startswith("effect."):
         return "SI"
     if path.startswith(ADDED_MASS):
         return "kg"
-    words = next(part for part in reversed(path.split(".")) if not part.isdigit()).split("_")
-    units = [_UNIT_WORDS[w] for w in itertools.takewhile(_UNIT_WORDS.__contains__, reversed(words))]
-    return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
+    return unit_of_key(next(part for part in reversed(path.split(".")) if not part.isdigit()))
 
 
 def number_at(machine: Machine, path: str) -> float | None:

@@ -1,0 +1,35 @@
+"""The table of parameters gives each number its unit: that of its key for the drive of the axis."""
+
+from __future__ import annotations
+
+import pytest
+
+from twin.machine.machine import Machine
+from twin.machine.parameters import PARAMETERS, parameter, unit_of_key
+from twin.machine.toleranced import inertia_of
+
+
+@pytest.mark.parametrize(
+    ("field", "units"),
+    [
+        ("rotor_inertia_kg_m2", ("kg m2", "kg m2", "kg")),
+        ("viscous_friction_nm_s_per_rad", ("Nm s/rad", "Nm s/rad", "N s/m")),
+        ("speed_gain_nm_s_per_rad", ("Nm s/rad", "Nm s/rad", "N s/m")),
+        ("position_gain_per_s", ("1/s", "1/s", "1/s")),
+        ("max_velocity", ("m/min", "rev/min", "m/min")),
+        ("velocity_feedforward", ("1", "1", "1")),
+    ],
+)
+def test_unit_of_each_drive(field: str, units: tuple[str, str, str]) -> None:
+    assert tuple(parameter(field).unit(drive) for drive in ("screw", "gear", "direct")) == units
+
+
+def test_only_plain_numbers_have_no_unit() -> None:
+    plain = {p.field for p in PARAMETERS if p.key("screw") and not unit_of_key(p.key("screw"))}
+    assert plain == {"loops.velocity_feedforward", "loops.torque_feedforward", "loops.speed_mean_cycles"}
+
+
+def test_drive_and_inertia_of_an_axis(mikron: Machine) -> None:
+    assert [mikron.axis(name).drive for name in "XC"] == ["screw", "gear"]
+    assert inertia_of(mikron.axis("X")) == "rotor_inertia"
+    assert inertia_of(mikron.with_axis("X", rotor_inertia_kg_m2=0.0).axis("X")) == "moving_mass"
