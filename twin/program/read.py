@@ -10,7 +10,8 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program.collect import Collector
 from twin.program.expressions import WordError
-from twin.program.iso import LINUXCNC, Iso
+from twin.program.iso import Iso
+from twin.program.iso_lines import LINUXCNC
 from twin.program.moves import Program, place_of
 from twin.program.sinumerik import Sinumerik
 from twin.program.source import Source, units_of

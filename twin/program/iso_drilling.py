@@ -1,0 +1,105 @@
+"""The drilling cycles of ISO programs, G73 to G89."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from twin.machine.machine import Machine
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.cycles import FEED, RAPID, Drilling
+from twin.program.expressions import WordError
+from twin.program.iso_variables import IsoVariables
+
+CYCLES = {73, 74, 81, 82, 83, 84, 85, 86, 89}
+MOST_REPEATS = 10_000
+
+
+class IsoDrilling(IsoVariables):
+    """Drilling cycles and the words that they keep."""
+
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+        super().__init__(path, machine, linuxcnc=linuxcnc)
+        self.cycle: dict[str, Any] | None = None
+        self.sticky: dict[str, float] = {}
+        self.initial = 0.0  # height at which the cycles began [m]
+        self.retract_to_start = True  # G98
+
+    def _drill(self, codes: set[float], coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """A drilling cycle at the holes of the block."""
+        assert self.cycle is not None
+        number = self.cycle["g"]
+        for name in (*ROTARY, *OTHER):
+            if name in coordinates:
+                raise WordError(f"Cannot put {name} in a canned cycle; move {name} in a block before", coordinates[name].column)
+        a, b, across = arcs.PLANES[self.plane]
+        named = {n: coordinates[n].value for n in coordinates}
+        for name in "RPQIJ":
+            if name in w:
+                self.sticky[name] = w.pop(name).value
+        depth_axis = LINEAR[across]
+        if depth_axis in named:
+            self.sticky["Z"] = named.pop(depth_axis)
+        repeats = 1
+        for name in ("L", "K"):
+            if name in w:
+                repeats = int(w.pop(name).value)
+        if not (coordinates or codes & CYCLES or repeats != 1):
+            return
+        if "Z" not in self.sticky or "R" not in self.sticky:
+            missing = depth_axis if "Z" not in self.sticky else "R"
+            raise WordError(f"G{number} needs {missing}; add it", 1)
+        if number in (73, 83) and not self.sticky.get("Q", 0.0) > 0.0:
+            raise WordError(f"G{number} needs Q, the depth of one peck, above 0; add it", 1)
+        if math.isnan(self.feed) or self.feed == 0.0:
+            self._no_feed()
+        if self.comp is not None:
+            raise WordError("a drilling cycle stands inside G41 or G42; write G40 before", 1)
+        if repeats > MOST_REPEATS:
+            raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
+        here = self.here() / self.unit
+        start_height, initial = float(here[across]), self.initial / self.unit
+        if self.absolute:
+            safe, depth = self.sticky["R"], self.sticky["Z"]
+        else:
+            safe = initial + self.sticky["R"]
+            depth = safe + self.sticky["Z"]
+        if self.linuxcnc and self.plane != 17 and number in (74, 84):
+            raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves", 1)
+        if depth > safe:
+            raise WordError(f"G{number}: {depth_axis} {depth:g} lies above R {safe:g}; correct one", 1)
+        clear = max(safe, initial) if self.retract_to_start else safe
+        pause = self.sticky.get("P", 0.0) if number in (74, 82, 84, 86, 89, 73, 83, 88) else 0.0
+        if not self.linuxcnc:
+            pause /= 1000.0
+        if number in (73, 83, 85, 81) and self.linuxcnc:
+            pause = 0.0
+        cycle = Drilling(
+            safe, depth, clear, dwell=pause, peck=self.sticky.get("Q", 0.0) if number in (73, 83) else 0.0, break_chip=number == 73,
+            back=0.254e-3 / self.unit, out=FEED if number in (74, 84, 85, 89) else RAPID, feed_all_the_way=self.linuxcnc,
+        )  # fmt: skip
+        if number in (73, 83):
+            self.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
+        nothing = [math.nan, math.nan]
+        if start_height < safe:
+            self._height(across, safe)
+        for _ in range(repeats):
+            point = self.here()
+            for name, value in named.items():
+                i = INDEX[name]
+                point[i] = value * self.unit if self.absolute else point[i] + value * self.unit
+            self.go(mv.RAPID, point, nothing)
+            if abs(self.here()[across] / self.unit - safe) > 1e-12:
+                self._height(across, safe)
+            self.drill(cycle)
+
+    def _height(self, across: int, value: float) -> None:
+        point = self.here()
+        point[across] = value * self.unit
+        self.go(mv.RAPID, point, [math.nan, math.nan])
+
+    def _no_feed(self) -> None:
+        raise WordError("the feed is 0; give F a number above 0", 1)

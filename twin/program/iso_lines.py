@@ -1,0 +1,129 @@
+"""The lines of ISO programs: what is comment, what the flow must know, where blocks and subprograms begin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from twin.program.control import Control
+from twin.program.expressions import WordError
+from twin.program.flow import Statement
+from twin.program.source import Unit
+
+OWORD = re.compile(
+    r"\s*(?:N[\d.]+\s*)?O\s*(<[^>]*>|\d+|\[.*?\]|#\d+|#<[^>]*>)\s*"
+    r"(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE)\b\s*(.*)$",
+    re.A,
+)
+PROGRAM = re.compile(r"\s*[O:]\s*(\d+|<[^>]*>)\s*$", re.A)
+_NUMBERED = re.compile(r"\s*N\s*(\d+)(?:\.\d*)?", re.A)
+_IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GOTO\s*(.+?)|THEN\s*(.+?))\s*$", re.A)
+_WHILE = re.compile(r"\s*WHILE\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
+_DO = re.compile(r"\s*(DO|END)\s*(\d+)\s*$", re.A)
+_GOTO = re.compile(r"\s*GOTO\s*(.+?)\s*$", re.A)
+COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
+_ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
+_LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
+LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O\s*(?:<[^>]*>|\d+\s*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#\s*<", re.I | re.M)
+SEPARATOR = "\x01"
+
+
+class IsoLines(Control):
+    """Reads lines."""
+
+    iso = True
+
+    def clean(self, text: str) -> str:
+        """The block in capitals without comments; what a comment prints stands behind a separator."""
+        messages: list[str] = []
+
+        def comment(match: re.Match[str]) -> str:
+            inner = match[1]
+            if active := _ACTIVE.match(inner):
+                messages.append(f"{active[1].upper()},{active[2]}")
+            elif (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
+                self.note(f"({log[1].upper()}): understood, without effect on the motion")
+            elif log and "," in inner:
+                raise WordError(f"({log[1].lower()},..) runs code of the control, which is not simulated; remove it", match.start() + 1)
+            return " " * len(match[0])
+
+        if "(" in text or ";" in text:
+            head, semicolon, tail = text.partition(";")
+            text = COMMENT.sub(comment, head)
+            if semicolon and (log := _LOG.match(tail)) and log[1].upper() in ("PY",) and "," in tail[:6]:
+                raise WordError(";py,.. runs code of the control, which is not simulated; remove it", len(head) + 1)
+            if semicolon and (active := _ACTIVE.match(tail)):
+                messages.append(f"{active[1].upper()},{active[2]}")
+        text = text.upper().rstrip()
+        stripped = text.lstrip()
+        if stripped.startswith("%"):
+            text = ""
+        elif stripped.startswith("/"):
+            text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
+        return text + "".join(SEPARATOR + m for m in messages)
+
+    def statement(self, text: str) -> Statement | None:
+        """What the flow must know of a line."""
+        body = text.split(SEPARATOR)[0]
+        if match := OWORD.match(body):
+            return _oword(match)
+        if match := PROGRAM.match(body):
+            return Statement("program", match[1].lstrip("0") or "0")
+        if SEPARATOR in text:
+            return None
+        number = _NUMBERED.match(body)
+        start = number.end() if number and re.match(r"\s*(IF|WHILE|DO|END|GOTO)\b|\s*(DO|END|GOTO)\s*\d", body[number.end() :]) else 0
+        rest = " " * start + body[start:]
+        if match := _IF.match(rest):
+            if match[2]:
+                return Statement("goto", column=match.start(1) + 1, rest=(match[1], "", self._target(match[2])))
+            return Statement("then", match[3], match[1], match.start(1) + 1, (match.start(3),))
+        if match := _WHILE.match(rest):
+            return Statement("while", f"DO{match[2]}", match[1], match.start(1) + 1)
+        if match := _DO.match(rest):
+            return Statement("loop" if match[1] == "DO" else "endwhile", f"DO{match[2]}")
+        if match := _GOTO.match(rest):
+            return Statement("goto", column=match.start(1) + 1, rest=("", "", self._target(match[1])))
+        return None
+
+    @staticmethod
+    def _target(text: str) -> str:
+        return f"N{int(text)}" if text.isdigit() else f"={text}"
+
+    def labels(self, unit: Unit) -> dict[str, list[int]]:
+        """Lines by block number, N100."""
+        found: dict[str, list[int]] = {}
+        for i, line in enumerate(unit.lines):
+            if match := _NUMBERED.match(line.upper().lstrip("/ ")):
+                found.setdefault(f"N{int(match[1])}", []).append(i)
+        return found
+
+
+def between_percents(unit: Unit) -> Unit:
+    """A program between two lines % ends at the second."""
+    marks = [i for i, line in enumerate(unit.lines) if line.strip().startswith("%")]
+    first = next((i for i, line in enumerate(unit.lines) if line.strip()), 0)
+    if len(marks) >= 2 and marks[0] == first:
+        return replace(unit, lines=[*unit.lines[: marks[1]], "M2"])
+    return unit
+
+
+def subs_of(unit: Unit) -> dict[str, int]:
+    """Subprograms of O-words in a program: name -> line."""
+    if unit.subs is None:
+        unit.subs = {}
+        for at, line in enumerate(unit.lines):
+            if "O" in line.upper() and (m := OWORD.match(COMMENT.sub("", line.split(";")[0]).upper())) and m[2] == "SUB":
+                unit.subs.setdefault(plain_key(m[1]), at)
+    return unit.subs
+
+
+def plain_key(key: str) -> str:
+    return str(int(key)) if key.isdigit() else key.replace(" ", "")
+
+
+def _oword(match: re.Match[str]) -> Statement:
+    key, word, text = plain_key(match[1]), match[2].lower(), match[3]
+    column = match.start(3) + 1
+    kind = {"repeat": "times", "endrepeat": "endtimes"}.get(word, word)
+    return Statement(kind, key, text, column)

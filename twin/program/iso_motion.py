@@ -1,0 +1,179 @@
+"""The motion blocks of ISO programs: lines, arcs, polar coordinates, reference points, dwell, cutter radius."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+import re
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.expressions import WordError
+from twin.program.iso_drilling import IsoDrilling
+from twin.program.source import Unit
+
+
+class IsoMotion(IsoDrilling):
+    """Moves."""
+
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+        super().__init__(path, machine, linuxcnc=linuxcnc)
+        self.motion = None if linuxcnc else 1
+        self.polar = False
+        self.modal_macro: tuple[Unit, int, dict] | None = None
+
+    def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
+        coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
+        if codes & {28, 30}:
+            self._reference(28 if 28 in codes else 30, coordinates, w)
+            return
+        if 43.5 in codes or (self.out.modes.traori and self.motion in (0, 1) and w.keys() & set("IJK") and not codes & {2, 3}):
+            vector = tuple(w.pop(n).value if n in w else 0.0 for n in "IJK") if w.keys() & set("IJK") else None
+        else:
+            vector = None
+        if self.cycle is not None:
+            self._drill(codes, coordinates, w)
+            return
+        in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
+        moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
+        if codes & {2, 3} and not moves:
+            raise WordError("a circle needs its centre (I J K) or radius R, and an end point; add them", 1)
+        if not moves:
+            return
+        if self.motion is None:
+            raise WordError("coordinates without a motion: G80 is in force; give G0 or G1", 1)
+        if self.motion == 5:
+            raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", 1)
+        kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion]
+        if kind != mv.RAPID and self.feed == 0.0:
+            self._no_feed()
+        suppress = 53 in codes
+        if self.polar:
+            self._polar(coordinates)
+        if suppress and kind == mv.ARC:
+            raise WordError("G53 goes with G0 or G1; give the arc in the work coordinates", 1)
+        start = self.here()
+        point, angles = self.target(coordinates, suppress)
+        arc = None
+        if kind == mv.ARC:
+            radius = w.pop("R").value * self.unit if "R" in w else None
+            turns = 0
+            if "P" in w:
+                item = w.pop("P")
+                if item.value != int(item.value) or not 1 <= item.value <= 10_000:
+                    raise WordError(f"P{item.value:g}: the number of turns of an arc is a whole number from 1", item.column)
+                turns = int(item.value) - 1
+            if radius is None and not in_plane:
+                raise WordError("a circle needs its centre (I J K) or radius R; add it to the block", 1)
+            if self.centre_absolute and len([n for n in in_plane if "IJK".index(n) in arcs.PLANES[self.plane][:2]]) < 2 and in_plane:
+                raise WordError("under G90.1 a circle needs both words of its centre; add the other", 1)
+            arc = self.arc_centre(start, point, in_plane, radius), self.motion == 2, turns
+        self._corner_words(w)
+        self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))  # type: ignore[arg-type]
+        if self.modal_macro is not None:
+            unit, at, variables = self.modal_macro
+            if frame := self.flow.call(unit, at, name="G66", style="macro"):
+                frame.variables = dict(variables)
+
+    def _corner_words(self, w: dict[str, Item]) -> None:
+        for name in (",R", ",C"):
+            if name in w:
+                raise WordError(f"{name} is not supported: roundings and chamfers between blocks; write them as blocks", w[name].column)
+
+    def _polar(self, coordinates: dict[str, Item]) -> None:
+        """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program."""
+        a, b = (LINEAR[i] for i in arcs.PLANES[self.plane][:2])
+        here = self.here()
+        first, second = (here[arcs.PLANES[self.plane][k]] for k in (0, 1))
+        radius, angle = math.hypot(first, second) / self.unit, math.degrees(math.atan2(second, first))
+        if not self.absolute:
+            raise WordError("G16 with G91 is not supported; use G90", 1)
+        if a in coordinates:
+            radius = coordinates[a].value
+        if b in coordinates:
+            angle = coordinates[b].value
+        if a in coordinates or b in coordinates:
+            column = next(iter(coordinates.values())).column
+            coordinates[a] = Item(radius * math.cos(math.radians(angle)), "", column)
+            coordinates[b] = Item(radius * math.sin(math.radians(angle)), "", column)
+
+    def _reference(self, number: int, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """G28, G30: through the point of the block to the reference point, rapid."""
+        if number == 30:
+            w.pop("P", None)
+        self.note("G28, G30: the reference point is the zero of the axes, or [frame.G28] x_m .. of the machine file")
+        point, angles = self.target(coordinates, False)
+        none = [math.nan, math.nan]
+        if coordinates:
+            self.go(mv.RAPID, point, angles)
+        named = coordinates or {n: Item(0.0) for n in (*LINEAR, *ROTARY)}
+        goal = np.array(self.out.position[:3])
+        for n in named:
+            if n in LINEAR:
+                goal[INDEX[n]] = self.home[number][INDEX[n]]
+            elif n in ROTARY:
+                none[INDEX[n] - 3] = self.home[number][INDEX[n]]
+            else:
+                self.other_axes[n] = 0.0
+        self.go(mv.RAPID, goal, none, suppress=True)
+
+    def _dwell(self, w: dict[str, Item]) -> None:
+        name = next((n for n in ("P", "X", "U") if n in w), None)
+        if name is None:
+            raise WordError("G4 needs its time, e.g. G4 P1.5", 1)
+        item = w.pop(name)
+        seconds = item.value
+        if name == "P" and not self.linuxcnc and self._written_whole(item):
+            seconds /= 1000.0
+            self.note("G4 P without a decimal point counts in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
+        self.dwell(seconds)
+
+    def _written_whole(self, item: Item) -> bool:
+        text = self.flow.frame.unit.lines[self.flow.frame.at]
+        return "." not in re.split(r"[^\d.+\-]", text[item.column :].lstrip())[0]
+
+    def _path_mode(self, number: float, w: dict[str, Item], with_m19: bool) -> None:
+        if "R" in w and number == 64 and with_m19:
+            raise WordError("R may belong to G64 or to M19 here; write two blocks", w["R"].column)
+        if "R" in w and number == 64:
+            w.pop("R")
+            self.note("G64 R: a setting of the planner of LinuxCNC, without effect on the path")
+        if number == 64:
+            p = w.pop("P").value if "P" in w else 0.0
+            self.tolerance = p * self.unit if p > 0.0 else type(self)._default_tolerance()
+            if "Q" in w:
+                w.pop("Q")
+                self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
+        self.rounding = 60 if number == 61.1 or (number == 61 and not self.linuxcnc) else 64
+        if number == 61 and self.linuxcnc:
+            self.tolerance = 1e-6
+            self.note("G61: exact path, a rounding of 1 um")
+        self.round_corners()
+
+    @staticmethod
+    def _default_tolerance() -> float:
+        from twin.program.collect import DEFAULT_TOLERANCE
+
+        return DEFAULT_TOLERANCE
+
+    def _compensation(self, number: float, w: dict[str, Item], column: int) -> None:
+        if number == 40:
+            w.pop("D", None)
+            self.compensate(0, 0.0, along_next=False)
+            return
+        if "D" in w:
+            item = w.pop("D")
+            radius = 0.5 * item.value * self.unit if number in (41.1, 42.1) else None
+            if radius is None:
+                radius = 0.0 if item.value == 0 else self.tools.radius(f"{item.value:g}", item.column)
+        elif number in (41.1, 42.1):
+            raise WordError("G41.1 and G42.1 need D, the diameter of the tool", column)
+        else:
+            radius = self.tools.radius(self.tools.name, column)
+        if not radius:
+            self.note("G41, G42 with radius 0: the contour is the path")
+        self.compensate(1 if number < 42 else -1, radius, along_next=not self.linuxcnc)

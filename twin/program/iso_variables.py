@@ -1,0 +1,195 @@
+"""The variables of ISO programs: numbered and named parameters, system variables, expressions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program.control import INDEX, OTHER, ROTARY
+from twin.program.expressions import ISO, Expression, Null, WordError
+from twin.program.flow import Flow
+from twin.program.iso_frames import IsoFrames
+
+
+class IsoVariables(IsoFrames):
+    """Values of variables and expressions."""
+
+    flow: Flow
+
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+        super().__init__(path, machine, linuxcnc=linuxcnc)
+        self.numbers: dict[int, float] = {}
+        self.names: dict[str, float] = {}
+        self.returned_value = (0.0, 0.0)
+        self.home = {28: self.frame_table("G28"), 30: self.frame_table("G30")}
+
+    def number_of(self, text: str, column: int) -> float:
+        """The value of an expression."""
+        expression = self._expression(text, 0, column)
+        value = expression.whole()
+        if isinstance(value, str):
+            raise WordError("a number is needed here", column)
+        return value
+
+    def _expression(self, text: str, at: int, column: int = 1) -> Expression:
+        return Expression(text, ISO, self._named, self._hash, at, column)
+
+    def _named(self, expression: Expression, name: str, at: int) -> float:
+        if name.startswith("EXISTS") and expression.peek() == "[":
+            expression.at += 1
+            if expression.peek() != "#":
+                raise expression.fail("EXISTS[..] needs a parameter, e.g. EXISTS[#<depth>]")
+            expression.at += 1
+            key = self._key(expression)
+            if expression.peek() != "]":
+                raise expression.fail("bracket of EXISTS is not closed")
+            expression.at += 1
+            try:
+                value = self._read(key, at)
+                return float(self.linuxcnc or not isinstance(value, Null))
+            except WordError:
+                return 0.0
+        raise expression.fail(f"'{name}' is no value; a number, #variable or [expression] is needed", at)
+
+    def _key(self, expression: Expression) -> int | str:
+        """The parameter behind a #: its number or name."""
+        if expression.peek() == "<":
+            end = expression.text.find(">", expression.at)
+            if end < 0:
+                raise expression.fail("the name of a parameter is not closed with '>'")
+            name = expression.text[expression.at + 1 : end].replace(" ", "")
+            expression.at = end + 1
+            return name
+        at = expression.at
+        number = expression.atom()
+        if isinstance(number, str) or number != int(number) or number < 0:
+            raise expression.fail("the number of a variable is a whole number from 0", at)
+        return int(number)
+
+    def _hash(self, expression: Expression, at: int) -> float:
+        value = self._read(self._key(expression), expression.column + at)
+        if self.reads is not None:
+            self.reads.append(value)
+        return value
+
+    def _read(self, key: int | str, column: int) -> float:
+        frame = self.flow.frame
+        if isinstance(key, str):
+            if key in frame.variables:
+                return frame.variables[key]
+            if key in self.names:
+                return self.names[key]
+            if (value := self._predefined(key)) is not None:
+                return value
+            raise WordError(f"parameter #<{key.lower()}> has no value; set it before, or pass it to the program", column)
+        if key == 0:
+            return Null(0.0)
+        if key <= 33:
+            return frame.variables.get(key, Null(0.0))
+        if (value := self._system_value(key)) is not None:
+            return value
+        if key in self.numbers:
+            return self.numbers[key]
+        if self.linuxcnc and key > 5602:
+            raise WordError(f"parameter #{key} is out of range, 5602 is the last", column)
+        if not self.linuxcnc and key >= 1000:
+            raise WordError(f"system variable #{key} has no value here; set it in the program or remove it", column)
+        return Null(0.0)
+
+    def assign(self, name: str, value: float, column: int) -> None:
+        """Not needed: ISO has no FOR."""
+        raise NotImplementedError
+
+    def _write(self, key: int | str, value: float, column: int) -> None:
+        frame = self.flow.frame
+        if isinstance(key, str):
+            if key.startswith(("_INI[", "_HAL[")) or (self._predefined(key) is not None and key not in frame.variables):
+                raise WordError(f"#<{key.lower()}> belongs to the control; choose another name", column)
+            (self.names if key.startswith("_") else frame.variables)[key] = value
+        elif key == 0 or (self.linuxcnc and key > 5602):
+            raise WordError(f"#{key} cannot be set", column)
+        elif key == 3000 and not self.linuxcnc:
+            raise WordError("the program stops itself with an alarm (#3000); correct what it asks for", column)
+        elif key <= 33 if not self.linuxcnc else key <= 30:
+            frame.variables[key] = value
+        elif self.linuxcnc and (5420 <= key <= 5428 or 5400 <= key <= 5413):
+            raise WordError(f"#{key} belongs to the control and cannot be set", column)
+        elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and (k := (key - 5201) % 20) <= 10:
+            self._write_system(n, k, value)
+        else:
+            self.numbers[key] = value
+
+    def _write_system(self, n: int, k: int, value: float) -> None:
+        """A zero offset by its parameter, #5221 and on."""
+        if k == 10:
+            self.turned[n] = value
+        elif 1 <= k <= 6 and "XYZABC"[k - 1] in INDEX:
+            name = "XYZABC"[k - 1]
+            self.systems[n] = self.systems[n].copy()
+            self.systems[n][INDEX[name]] = math.radians(value) if name in ROTARY else value * 1e-3
+        elif value:
+            raise WordError("an offset of B U V W cannot be set on this machine", 1)
+        if n == self.system:
+            self.set_frames()
+
+    def _own(self, values: np.ndarray, k: int) -> float:
+        """Component k (1 to 9: X Y Z A B C U V W) in the unit of the program."""
+        if not 1 <= k <= 9 or "XYZABCUVW"[k - 1] not in INDEX:
+            return 0.0
+        name = "XYZABCUVW"[k - 1]
+        value = float(values[INDEX[name]])
+        return math.degrees(value) if name in ROTARY else value / self.unit
+
+    def _system_value(self, key: int) -> float | None:
+        fanuc = not self.linuxcnc
+        if 5420 <= key < 5429 or (fanuc and (5001 <= key <= 5006 or 5041 <= key <= 5046)):
+            k = key - 5419 if key >= 5420 else key - (5000 if key < 5040 else 5040)
+            name = "XYZABCUVW"[k - 1]
+            if name in OTHER:
+                return math.degrees(self.other_axes[name]) if name == "B" else self.other_axes[name] / self.unit
+            return self._own(self._place(), k)
+        if self.linuxcnc and 5440 <= key < 5449:
+            return self._own(np.array([*self.out.position[:3], *self.out.settle()]), key - 5439)
+        if 5021 <= key <= 5029:
+            return self._own(np.array(self.out.position), key - 5020)
+        if key == 5210:
+            return float(self.shift_on)
+        if 5211 <= key <= 5219:
+            factor = self.unit / 1e-3 if key - 5210 not in (4, 5, 6) else 1.0  # stored in mm
+            return self._own(self.shift if self.shift_on else self.shift_kept, key - 5210) * factor + 0.0
+        if key == 5220:
+            return float(self.system)
+        if 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and (k := (key - 5201) % 20) <= 10:
+            if k == 10:
+                return self.turned[n]
+            return self._own(self.systems[n], k) * (self.unit / 1e-3 if k not in (4, 5, 6) else 1.0)
+        if 5161 <= key <= 5169 or 5181 <= key <= 5189:
+            base = 28 if key < 5180 else 30
+            return self._own(self.home[base], key - (5160 if base == 28 else 5180)) * (self.unit / 1e-3)
+        if key == 5400 and self.linuxcnc:
+            return float(self.tools.name) if self.tools.name.isdigit() else 0.0
+        return None
+
+    def _predefined(self, name: str) -> float | None:
+        place = {"_X": 1, "_Y": 2, "_Z": 3, "_A": 4, "_B": 5, "_C": 6, "_U": 7, "_V": 8, "_W": 9}
+        if name in place:
+            return self._system_value(5419 + place[name])
+        if name in ("_ABS_X", "_ABS_Y", "_ABS_Z", "_ABS_A", "_ABS_C"):
+            return self._own(np.array(self.out.position), place[name[4:]])
+        values = {
+            "_VALUE": lambda: self.returned_value[0], "_VALUE_RETURNED": lambda: self.returned_value[1],
+            "_LINE": lambda: float(self.line), "_METRIC": lambda: float(self.unit == 1e-3), "_IMPERIAL": lambda: float(self.unit != 1e-3),
+            "_ABSOLUTE": lambda: float(self.absolute), "_INCREMENTAL": lambda: float(not self.absolute),
+            "_FEED": lambda: 0.0 if math.isnan(self.feed) else self.feed, "_RPM": lambda: self.out.modes.spindle,
+            "_CCOMP": lambda: float(self.comp is not None), "_PLANE": lambda: self.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.system),
+            "_TASK": lambda: 0.0, "_CURRENT_TOOL": lambda: float(self.tools.name) if self.tools.name.isdigit() else 0.0,
+            "_CALL_LEVEL": lambda: float(len(self.flow.frames) - 1), "_REMAP_LEVEL": lambda: 0.0,
+        }  # fmt: skip
+        return values[name]() if name in values else None
+
+
+def _system_number(number: int) -> float:
+    return 10.0 * (53 + number) if number <= 6 else 590.0 + number - 6

@@ -1,0 +1,143 @@
+"""Subprograms of SINUMERIK programs: calls with values, MCALL, CASE, declarations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import re
+
+from twin.errors import nearest
+from twin.machine.machine import Machine
+from twin.program import sinumerik_cycles as cycles
+from twin.program.expressions import Value, WordError
+from twin.program.flow import Frame, Statement
+from twin.program.sinumerik_motion import SinumerikMotion
+from twin.program.source import Folder, Unit, plain_name
+from twin.program.tables import REFUSED, SINUMERIK_NAMES
+from twin.program.words import Word, split_arguments
+
+_CASE = re.compile(r"\s*CASE\s*(.+?)\s+OF\b(.*)\Z", re.A)
+_CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", re.A)
+_PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
+
+
+class SinumerikCalls(SinumerikMotion):
+    """Calls, and statements that move nothing."""
+
+    def __init__(self, path: Path, machine: Machine, units: list[Unit]):
+        super().__init__(path, machine)
+        self.units = {plain_name(u.name): u for u in reversed(units)}
+        self.folder = Folder(path)
+        self.mcall: Callable[[], None] | None = None
+
+    def other(self, s: Statement, frame: Frame) -> None:
+        """CASE, DEF, PROC and the like."""
+        if s.kind == "case":
+            self._case(s, frame)
+        elif s.kind in ("def", "redef"):
+            self._define(s, frame)
+        elif s.kind == "define":
+            raise WordError("DEFINE .. AS is not supported: macros; write the words themselves", s.column)
+        elif s.kind == "extern":
+            self.note("EXTERN: a declaration, without effect on the motion")
+        elif s.kind in ("endwhile", "endif"):
+            raise WordError(f"{s.kind.upper()} ends nothing that was begun", s.column)
+
+    def _case(self, s: Statement, frame: Frame) -> None:
+        match = _CASE.match(s.text)
+        if not match:
+            raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
+        value = self._value_of(match[1], s.column)
+        self.flow.decided(match[1], (value,))
+        for part in _CASE_PART.finditer(match[2]):
+            if part[1] == "DEFAULT" or self._value_of(part[1], s.column) == value:
+                self.flow._goto(frame, frame.at, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+                return
+
+    def _own_program(self, name: str) -> bool:
+        """Whether a subprogram beside the program has the name of a word of the control that is not simulated."""
+        return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self._find(name) is not None
+
+    def _find(self, name: str) -> Unit | None:
+        return self.units.get(plain_name(name)) or self.folder.find(name)
+
+    def _call(self, word: Word, times: int) -> None:
+        name = word.name if word.name != "L" else f"L{word.value:g}"
+        unit = self._find(name)
+        arguments = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
+        if unit is None and name == "L":
+            raise WordError("L needs a number", word.column)
+        if unit is None:
+            if word.index is not None or (word.value is not None and word.name != "L"):
+                raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
+            still = self.machine.document.get("program", {})
+            if isinstance(still, dict) and name in [str(n).upper() for n in still.get("calls_without_motion", [])]:
+                self.note(f"{name}: moves no axis, says the machine file")
+                return
+            hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""
+            hint = f"{hint}; or " if hint.startswith("did you") else ""
+            raise WordError(
+                f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program; {hint}add the file, or list it in "
+                "[program] calls_without_motion of the machine file if it moves no axis",
+                word.column,
+            )
+        self._release()
+        variables, first = self._arguments(unit, arguments, word)
+        if frame := self.flow.call(unit, first, times=times, name=name, column=word.column):
+            frame.variables = variables
+
+    def _arguments(self, unit: Unit, arguments: list[tuple[str, int]], word: Word) -> tuple[dict, int]:
+        """Values of the parameters of a PROC, and the line it begins at."""
+        for at, line in enumerate(unit.lines):
+            body = self._body(self.clean(line))[0]
+            if not body.strip() or body.strip().startswith("EXTERN"):
+                continue
+            match = _PROC.match(body)
+            if not match:
+                break
+            variables: dict[str, dict] = {}
+            for k, (part, _) in enumerate(split_arguments(match[2] or "")):
+                declared, _, default = part.partition("=")
+                words = re.sub(r"\[[^\]]*\]", " ", declared).split()
+                if not words:
+                    continue
+                name = words[-1]
+                start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
+                given = arguments[k] if k < len(arguments) and arguments[k][0] else (default, 1)
+                if "AXIS" in declared and given[0]:
+                    value: Value = given[0]
+                else:
+                    value = self._value_of(*given) if given[0].strip() else start
+                variables[name] = {(): value, ("default",): start}
+            if len(arguments) > len(split_arguments(match[2] or "")):
+                raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(arguments)}", word.column)
+            return variables, at + 1
+        if any(t for t, _ in arguments):
+            raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
+        return {}, 0
+
+    def _modal(self, calls: list[Word], cycle: Word | None) -> None:
+        """MCALL: a cycle or subprogram behind each block that moves; alone it ends."""
+        if cycle is not None:
+            self.mcall = cycles.drilling(self, cycle.name, cycles.values_of(self, cycle), cycle)
+            return
+        if not calls:
+            self.mcall = None
+            return
+        word = calls.pop(0)
+        unit = self._find(word.name if word.name != "L" else f"L{word.value:g}")
+        if unit is None:
+            raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
+        variables, first = self._arguments(unit, [(t, c + word.text_column) for t, c in split_arguments(word.text or "")], word)
+
+        def call() -> None:
+            if frame := self.flow.call(unit, first, name=unit.name, column=word.column):
+                frame.variables = {k: dict(v) for k, v in variables.items()}
+
+        self.mcall = call
+
+    def returned(self, frame: Frame) -> None:
+        """The end of a subprogram; a last corner or compensation goes on in the caller."""
+
+    def runs_into(self, what: str, column: int) -> None:
+        """The end of the file ends a program like M30."""

@@ -1,0 +1,105 @@
+"""The frames of SINUMERIK programs: settable (G54 to G599), programmable (TRANS, ROT, SCALE, MIRROR), tilted planes (CYCLE800)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program import arcs
+from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item, rotation
+from twin.program.expressions import WordError
+from twin.program.sinumerik_corners import SinumerikCorners
+from twin.program.words import Word
+
+
+class SinumerikFrames(SinumerikCorners):
+    """Frames and what changes them."""
+
+    def __init__(self, path: Path, machine: Machine):
+        super().__init__(path, machine)
+        self.settable: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.chosen = "G500"
+        self.basic = np.eye(3), np.zeros(5)
+        self.program_matrix, self.program_offset, self.fine = np.eye(3), np.zeros(5), np.zeros(5)
+
+    def _settable(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        if name not in self.settable:
+            self.settable[name] = np.eye(3), self.frame_table(name)
+        return self.settable[name]
+
+    @staticmethod
+    def _frame_number(name: str) -> int:
+        number = int(name[1:])
+        return 0 if number == 500 else number - 53 if number < 60 else number - 500
+
+    def set_frames(self) -> None:
+        """Basic frame, settable frame, programmable frame, tilted plane: in this order."""
+        matrix, offset = self.basic
+        for inner, shift in (self._settable(self.chosen), (self.program_matrix, self.program_offset + self.fine)):
+            offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
+            matrix = matrix @ inner
+        self.fixed_axis = None
+        if self.swivelled is not None:
+            inner, origin, _ = self.swivelled
+            offset = np.concatenate([offset[:3] + matrix @ origin + self.to_part(), offset[3:]])
+            matrix = matrix @ inner
+            self.fixed_axis = matrix[:, arcs.PLANES[self.plane][2]].copy()
+        self.set_frame(matrix, offset)
+
+    def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
+        """CYCLE800: the plane from here on; the tool stands across it."""
+        self._swivel(matrix, origin)
+        self.note("CYCLE800: the tool stands across the plane at once; A and C turn with the next move")
+
+    def unswivel(self) -> None:
+        """CYCLE800(): back to the plane before."""
+        self._unswivel()
+
+    def _frame_words(self, word: Word | None, shift: int | None, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        """TRANS, ROT, SCALE, MIRROR and their additions; G58, G59."""
+        self._release()
+        values = {n: i.value for n, i in coordinates.items()}
+        for name in OTHER:
+            if values.pop(name, 0.0):
+                raise WordError(f"a shift of {name} cannot be set on this machine", 1)
+        name = word.name if word else ""
+        if word is not None and word.text is not None and word.text.strip():
+            raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
+        if word is not None and not name.startswith("A"):
+            self.program_matrix, self.program_offset, self.fine = np.eye(3), np.zeros(5), np.zeros(5)
+        shifted = np.zeros(5)
+        inner = np.eye(3)
+        if shift is not None:
+            target = self.program_offset if shift == 58 else self.fine
+            target = target.copy()
+            for axis, value in values.items():
+                target[INDEX[axis]] = self.si(axis, value)
+            if shift == 58:
+                self.program_offset = target
+            else:
+                self.fine = target
+        elif name.endswith("TRANS"):
+            for axis, value in values.items():
+                shifted[INDEX[axis]] = self.si(axis, value)
+        elif name in ("ROT", "AROT"):
+            if "RPL" in extra:
+                inner = rotation(arcs.PLANES[self.plane][2], extra.pop("RPL").value)
+            else:
+                inner = rotation(2, values.get("Z", 0.0)) @ rotation(1, values.get("Y", 0.0)) @ rotation(0, values.get("X", 0.0))
+        elif name.endswith("SCALE"):
+            if not all(values.values()):
+                raise WordError(f"{name} by 0 leaves nothing; give factors other than 0", 1)
+            inner = np.diag([values.get(n, 1.0) for n in LINEAR])
+        elif name.endswith("MIRROR"):
+            inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])
+        elif values:
+            raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z", 1)
+        if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
+            raise WordError(f"{name} of A or C is not supported; let the CAM system put out the final coordinates", 1)
+        self.program_offset = np.concatenate(
+            [self.program_offset[:3] + self.program_matrix @ shifted[:3], self.program_offset[3:] + shifted[3:]]
+        )
+        self.program_matrix = self.program_matrix @ inner
+        self.set_frames()

@@ -1,0 +1,211 @@
+"""The motion blocks of SINUMERIK programs: lines, arcs, tool axes, polar coordinates, fixed points, dwell."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.control import INDEX, LINEAR, ROTARY, Item, rotation
+from twin.program.expressions import WordError
+from twin.program.sinumerik_variables import SinumerikVariables
+
+_ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
+
+
+class SinumerikMotion(SinumerikVariables):
+    """Moves."""
+
+    def __init__(self, path: Path, machine: Machine):
+        super().__init__(path, machine)
+        self.pole = np.zeros(3)
+        self.angles_are_rpy: bool | None = None
+
+    def _orientation(self, extra: dict[str, Item]) -> tuple[float, float, float] | None:
+        """The tool axis of a block, by a vector or by angles."""
+        vector = [n for n in ("A3", "B3", "C3") if n in extra]
+        angles = [n for n in ("A2", "B2", "C2") if n in extra]
+        if not vector and not angles:
+            return None
+        if not self.out.modes.traori:
+            raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=", 1)
+        if vector:
+            return tuple(extra.pop(n).value if n in extra else 0.0 for n in ("A3", "B3", "C3"))  # type: ignore[return-value]
+        if self.angles_are_rpy is None:
+            raise WordError("A2= B2= C2= count as the control is set; write ORIRPY or ORIEULER before", 1)
+        a, b, c = (extra.pop(n).value if n in extra else 0.0 for n in ("A2", "B2", "C2"))
+        matrix = (
+            rotation(2, c) @ rotation(1, b) @ rotation(0, a) if self.angles_are_rpy else rotation(2, a) @ rotation(0, b) @ rotation(2, c)
+        )
+        return tuple(map(float, matrix[:, 2]))  # type: ignore[return-value]
+
+    def _motion(self, numbers, coordinates, centre, extra, vector, suppress, by_name, g) -> None:  # type: ignore[no-untyped-def]
+        """One motion block: target, tool axis, arc, corner."""
+        self._polar(coordinates, extra)
+        self._slanted(coordinates, extra)
+        if vector and ("A" in coordinates or "C" in coordinates):
+            raise WordError("the tool axis is given twice, by A3= B3= C3= and by A= C=; keep one", 1)
+        if "RNDM" in extra:
+            self.every_corner = max(0.0, extra.pop("RNDM").value) * self.unit
+        corner = next(((n, extra.pop(n).value * self.unit) for n in ("RND", "CHF", "CHR") if n in extra), None)
+        by_words = extra.keys() & _ARC_WORDS
+        programmed = any(n in (2, 3) for n, _ in g) or by_name
+        kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion if self.motion is not None else 1]
+        if numbers & {331, 332, 63}:
+            kind, coordinates = self._tap(numbers, coordinates, centre, extra)
+        if extra.pop("POS", None) is not None and len(coordinates) == 1 and not numbers:
+            kind = mv.RAPID
+        moves = bool(coordinates or vector or (centre and kind == mv.ARC) or (programmed and by_words))
+        if not moves:
+            if centre or by_words:
+                raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add the motion and its end point", 1)
+            if corner:
+                raise WordError(f"{corner[0]} stands in the block of a move; write it there", 1)
+            return
+        if kind != mv.ARC and (centre or by_words):
+            raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add it to the block", 1)
+        start = np.array(self.out.position[:3]) if suppress else self._from()
+        if self.held is not None and (suppress or any(n in coordinates for n in ROTARY) or vector):
+            self._release()
+        point, angles = self._target(coordinates, suppress)
+        arc, space = None, None
+        if kind == mv.ARC:
+            arc, space = self._arc(start, point, centre, extra, by_name)
+        self._queue(kind, point, angles, vector, arc, space, suppress, corner)
+
+    def _arc(self, start, point, centre, extra, by_name) -> tuple:  # type: ignore[no-untyped-def, type-arg]
+        """Centre, sense and turns of an arc in the plane, or an arc in space."""
+        turns = int(extra.pop("TURN").value) if "TURN" in extra else 0
+        if not 0 <= turns <= 10_000:
+            raise WordError(f"TURN={turns} is out of range; give 0 to 10000", 1)
+        if by_name == "CIP":
+            middle = start.copy()
+            for i, name in enumerate(("I1", "J1", "K1")):
+                if name in extra:
+                    item = extra.pop(name)
+                    relative = item.how == "IC" or (item.how == "" and not self.absolute)
+                    middle[i] = item.value * self.unit + (start[i] if relative else 0.0)
+            return None, arcs.through(start, middle, point)
+        if by_name == "CT":
+            if self.tangent is None:
+                raise WordError("CT goes on from the direction of the move before; there is none, use CIP or G2", 1)
+            return None, arcs.tangential(start, self.tangent, point, self.plane)
+        clockwise = self.motion == 2
+        if "AR" in extra:
+            item = extra.pop("AR")
+            if not 0.0 < item.value < 360.0:
+                raise WordError(f"AR={item.value:g}: the angle of an arc lies between 0 and 360 degrees", item.column)
+            a, b, _ = arcs.PLANES[self.plane]
+            angle = math.radians(item.value) * (-1.0 if clockwise else 1.0)
+            if centre:
+                middle = self.arc_centre(start, point, centre, None)
+                arm = start[[a, b]] - middle[[a, b]]
+                c, s = math.cos(angle), math.sin(angle)
+                point[[a, b]] = middle[[a, b]] + [c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]]
+            else:
+                middle = start.copy()
+                chord = point[[a, b]] - start[[a, b]]
+                side = 0.5 / math.tan(0.5 * angle)
+                middle[[a, b]] = start[[a, b]] + 0.5 * chord + side * np.array([-chord[1], chord[0]])
+            return (middle, clockwise, turns), None
+        radius = extra.pop("CR").value * self.unit if "CR" in extra else None
+        if radius is None and not centre:
+            raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
+        return (self.arc_centre(start, point, centre, radius), clockwise, turns), None
+
+    def _tap(self, numbers, coordinates, centre, extra) -> tuple:  # type: ignore[no-untyped-def, type-arg]
+        """G331, G332: along the thread; the feed is pitch times speed. G63 takes the feed in force."""
+        if 63 in numbers:
+            return mv.LINE, coordinates
+        across = "IJK"[arcs.PLANES[self.plane][2]]
+        if across not in centre:
+            raise WordError(f"G331 and G332 need the pitch {across}; add it", 1)
+        pitch = abs(centre.pop(across).value)
+        if not self.out.modes.spindle:
+            raise WordError("G331 and G332 need a spindle speed; give S before", 1)
+        self.set_feed_mode(94)
+        self.feed = pitch * self.out.modes.spindle * self.unit / self.out.modes.feed_unit
+        return mv.LINE, coordinates
+
+    def _polar(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        """AP= and RP=: angle and radius about the pole."""
+        if not extra.keys() & {"AP", "RP"}:
+            return
+        a, b, _ = arcs.PLANES[self.plane]
+        here = self._from()
+        arm = here[[a, b]] - self.pole[[a, b]]
+        angle, radius = math.degrees(math.atan2(arm[1], arm[0])), float(np.hypot(*arm))
+        if "AP" in extra:
+            item = extra.pop("AP")
+            angle = angle + item.value if item.how == "IC" else item.value
+        if "RP" in extra:
+            item = extra.pop("RP")
+            radius = radius + item.value * self.unit if item.how == "IC" else item.value * self.unit
+        for i, part in ((a, math.cos), (b, math.sin)):
+            if LINEAR[i] in coordinates:
+                raise WordError(f"{LINEAR[i]} stands beside AP= and RP=; keep one", coordinates[LINEAR[i]].column)
+            coordinates[LINEAR[i]] = Item((self.pole[i] + radius * part(math.radians(angle))) / self.unit, "AC", 1)
+
+    def _slanted(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        """ANG=: a line at an angle to the first axis of the plane; one coordinate is given."""
+        if "ANG" not in extra:
+            return
+        item = extra.pop("ANG")
+        a, b, _ = arcs.PLANES[self.plane]
+        first, second = LINEAR[a], LINEAR[b]
+        if (first in coordinates) == (second in coordinates):
+            raise WordError(f"ANG= needs one of {first} and {second} as the end of the line", item.column)
+        here, tangent = self._from(), math.tan(math.radians(item.value))
+        given, other, i, j = (first, second, a, b) if first in coordinates else (second, first, b, a)
+        value = coordinates[given]
+        end = value.value * self.unit + (here[i] if value.how == "IC" or (value.how == "" and not self.absolute) else 0.0)
+        slope = tangent if given == first else (1.0 / tangent if tangent else math.inf)
+        if not math.isfinite(slope) or abs(slope) > 1e9:
+            raise WordError("ANG= runs along the other axis; give that coordinate", item.column)
+        coordinates[other] = Item((here[j] + (end - here[i]) * slope) / self.unit, "AC", item.column)
+
+    def _set_pole(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        base = {110: self._from(), 111: np.zeros(3), 112: self.pole}[number].copy()
+        if extra.keys() & {"AP", "RP"}:
+            angle, radius = (extra.pop(n).value if n in extra else 0.0 for n in ("AP", "RP"))
+            a, b, _ = arcs.PLANES[self.plane]
+            base[a] += radius * self.unit * math.cos(math.radians(angle))
+            base[b] += radius * self.unit * math.sin(math.radians(angle))
+        for name, item in coordinates.items():
+            if name not in LINEAR:
+                raise WordError(f"{name} is no coordinate of a pole", item.column)
+            base[INDEX[name]] += item.value * self.unit
+        self.pole = base
+
+    def _fixed_point(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        """G74, G75: the axes named go to their zero, or to [frame.G75], at rapid."""
+        self._release()
+        extra.pop("FP", None)
+        home = self.frame_table(f"G{number}")
+        goal, angles = np.array(self.out.position[:3]), [math.nan, math.nan]
+        for name in coordinates:
+            if name in LINEAR:
+                goal[INDEX[name]] = home[INDEX[name]]
+            elif name in ROTARY:
+                angles[INDEX[name] - 3] = home[INDEX[name]]
+        self.note("G74, G75: the point is the zero of the axes, or [frame.G75] x_m .. of the machine file")
+        traori = self.out.modes.traori
+        self.transform(False)
+        goal = np.where([n in coordinates for n in LINEAR], goal, self.out.position[:3])
+        self.go(mv.RAPID, goal, angles, suppress=True)
+        self.transform(traori)
+
+    def _dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:
+        if more or numbers - {4} or extra.keys() not in ({"F"}, {"S"}):
+            raise WordError("G4 stands alone in its block with one time, e.g. G4 F<seconds>; give the rest a block of its own", 1)
+        self._release()
+        if "S" in extra:
+            if not self.out.modes.spindle:
+                raise WordError("G4 S<turns> needs a spindle speed before; give S or use G4 F<seconds>", 1)
+            self.dwell(extra["S"].value * 60.0 / self.out.modes.spindle)
+        else:
+            self.dwell(extra["F"].value)

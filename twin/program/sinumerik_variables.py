@@ -1,0 +1,287 @@
+"""The variables of SINUMERIK programs: R parameters, DEF, system variables, frames as values, expressions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+import re
+
+import numpy as np
+
+from twin.errors import nearest
+from twin.machine.machine import Machine
+from twin.program.control import INDEX, LINEAR, OTHER, Item, rotation
+from twin.program.expressions import SINUMERIK, Expression, Value, WordError
+from twin.program.flow import Flow, Frame, Statement
+from twin.program.sinumerik_frames import SinumerikFrames
+from twin.program.tables import SINUMERIK_NAMES
+from twin.program.words import Word, split_arguments
+
+_DEF = re.compile(
+    r"\s*(?:DEF|REDEF)\s+(?:(?:NCK|CHAN|SYNR|SYNRW|SYNW|INTERN)\s+)*(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.+)\Z", re.A
+)
+_WRAPPED = re.compile(r"\s*(AC|IC|DC|ACP|ACN)\s*\((.*)\)\s*\Z", re.S)
+_FRAME_PART = re.compile(r"\s*C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)\s*:?")
+AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
+MOST_ELEMENTS = 100_000
+
+
+class SinumerikVariables(SinumerikFrames):
+    """Values of variables, words and expressions."""
+
+    flow: Flow
+
+    def __init__(self, path: Path, machine: Machine):
+        super().__init__(path, machine)
+        self.parameters: dict[int, float] = {}
+        self.globals: dict[str, dict[tuple, Value]] = {}
+
+    def _define(self, s: Statement, frame: Frame) -> None:
+        match = _DEF.match(s.text)
+        if not match:
+            raise WordError("DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
+        start: Value = "" if match[1].startswith(("STRING", "CHAR", "AXIS")) else 0.0
+        for part, _ in split_arguments(match[2]):
+            name, _, value = part.partition("=")
+            shape = re.match(r"\s*([A-Z_$][A-Z0-9_$]*)\s*(?:\[(.*)\])?\s*\Z", name, re.A)
+            if not shape:
+                raise WordError(f"'{part[:30]}' is no definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
+            store: dict[tuple, Value] = {("default",): start}
+            if shape[2]:
+                sizes = [int(self.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
+                if math.prod(sizes) > MOST_ELEMENTS:
+                    raise WordError(f"an array of {math.prod(sizes)} elements is too large", s.column)
+                store[("size",)] = float(len(sizes))
+            if value.strip():
+                values = re.match(r"\s*(?:SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
+                for k, (item, _) in enumerate(split_arguments(values[1]) if values else [(value, 0)]):
+                    if item:
+                        store[(float(k),) if shape[2] else ()] = self._value_of(item, s.column)
+            frame.variables[shape[1]] = store
+
+    def _value_of(self, text: str, column: int) -> Value:
+        variable = self._variable if self.reads is None else self._noted_variable
+        value = Expression(text, SINUMERIK, variable, None, 0, column).whole()
+        return value
+
+    def _noted_variable(self, e: Expression, name: str, at: int) -> Value:
+        value = self._variable(e, name, at)
+        if self.reads is not None:
+            self.reads.append(value)
+        return value
+
+    def number_of(self, text: str, column: int) -> float:
+        """The value of an expression or condition (1 true, 0 false)."""
+        if not text.strip():
+            raise WordError("a condition or number is missing, e.g. IF R1<10", column)
+        value = self._value_of(text, column)
+        if isinstance(value, str):
+            raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
+        return value
+
+    def _store_of(self, name: str) -> dict[tuple, Value] | None:
+        return self.flow.frame.variables.get(name) or self.globals.get(name)
+
+    def _variable(self, e: Expression, name: str, at: int) -> Value:
+        index: tuple = ()
+        if e.peek() == "[":
+            index = tuple(e.arguments())
+        elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
+            raise e.fail(f"'{name}' is no function that is read here", at)
+        if match := re.fullmatch(r"R(\d{1,4})", name):
+            return self.parameters.get(int(match[1]), 0.0)
+        if name == "R" and len(index) == 1 and not isinstance(index[0], str):
+            return self.parameters.get(int(index[0]), 0.0)
+        if (store := self._store_of(name)) is not None:
+            if index in store:
+                return store[index]
+            if ("default",) in store:
+                return store[("default",)]
+        if (value := self._system(name, index)) is not None:
+            return value
+        given = self.machine.document.get("variables", {})
+        key = name + (f"[{','.join(str(i) if isinstance(i, str) else f'{i:g}' for i in index)}]" if index else "")
+        for k in (key, key.lower()):
+            if isinstance(given, dict) and k in given:
+                return given[k] if isinstance(given[k], str) else float(given[k])
+        if name in AXIS_NAMES and not index:
+            return name
+        raise e.fail(f"variable '{key}' has no value here; define it (DEF), or give it in the table [variables] of the machine file", at)
+
+    def _system(self, name: str, index: tuple) -> Value | None:
+        """System variables with a meaning here."""
+        if name in ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_SEARCHL", "$P_DRYRUN", "$AC_ALARM_STAT", "$P_SUBPAR"):
+            return 0.0
+        if name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM") and len(index) == 1 and index[0] in INDEX:
+            i = INDEX[index[0]]
+            machine = name == "$AA_IM"
+            if i >= 3:
+                angle = float(self.out.settle()[i - 3]) - (0.0 if machine else self.offset[i])
+                return math.degrees(angle)
+            return float((np.array(self.out.position[:3]) if machine else self.here())[i]) / self.unit
+        if name == "$P_F":
+            return 0.0 if math.isnan(self.feed) else self.feed
+        if name in ("$P_S", "$P_SDIR"):
+            return self.out.modes.spindle
+        if name == "$P_TOOLNO":
+            return float(self.tools.name) if self.tools.name.isdigit() else 0.0
+        if name == "$P_TOOL":
+            return 1.0 if self.tools.name not in ("", "0") else 0.0
+        if name == "$P_TOOLR":
+            return self.tools.radius(self.tools.name, 1) / self.unit
+        if name == "$P_UIFRNUM":
+            return float(self._frame_number(self.chosen))
+        if name == "$P_UIFR" and len(index) == 3 and index[1] in INDEX:
+            matrix, offset = self._settable(frame_name(index[0]))
+            if index[2] == "TR":
+                i = INDEX[index[1]]
+                return math.degrees(offset[i]) if i >= 3 else offset[i] / self.unit
+            if index[2] == "FI":
+                return 0.0
+        if name == "$P_GG" and len(index) == 1:
+            groups = {6.0: self.plane - 16, 14.0: 1 + (not self.absolute), 13.0: 1 if self.unit != 1e-3 else 2, 1.0: 1 + (self.motion or 0)}
+            return float(groups[index[0]]) if index[0] in groups else None
+        if name in ("$P_PROG", "$P_STACK", "$P_PROGPATH"):
+            return self.flow.frame.unit.name if name != "$P_STACK" else float(len(self.flow.frames) - 1)
+        return None
+
+    def assign(self, name: str, value: Value, column: int, index: tuple = ()) -> None:
+        """Give a variable a value."""
+        if "[" in name:
+            name, _, inner = name.partition("[")
+            index = tuple(self._value_of(t, column) for t, _ in split_arguments(inner.rstrip("]")))
+        if match := re.fullmatch(r"R(\d{1,4})", name):
+            self.parameters[int(match[1])] = as_number(value, column)
+            return
+        if name == "R" and len(index) == 1:
+            self.parameters[int(as_number(index[0], column))] = as_number(value, column)
+            return
+        store = self._store_of(name)
+        if store is None:
+            given = self.machine.document.get("variables", {})
+            if name[0] not in "_$" and not (isinstance(given, dict) and {name, name.lower()} & given.keys()):
+                hint = nearest(name, SINUMERIK_NAMES)
+                hint = f"; {hint}" if hint.startswith("did you") else ""
+                raise WordError(
+                    f"word '{name}' is not known and no variable of this name is defined{hint}; define it (DEF), or give it in the table "
+                    "[variables] of the machine file",
+                    column,
+                )
+            self.note(f"{name}: a variable of the control, kept for the program")
+            store = self.globals.setdefault(name, {})
+        if len(store) > MOST_ELEMENTS:
+            raise WordError(f"{name} has more than {MOST_ELEMENTS} elements", column)
+        store[index] = value
+
+    def _value(self, word: Word) -> float:
+        if word.assigned:
+            return self.number_of(word.text or "", word.text_column)
+        if word.value is None:
+            raise WordError(f"'{word.name}' needs a number", word.column)
+        return word.value
+
+    def _item(self, word: Word) -> Item:
+        """A coordinate and how it counts."""
+        if word.assigned and (match := _WRAPPED.match(word.text or "")):
+            return Item(self.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
+        if word.text is not None and not word.assigned:
+            raise WordError(f"'{word.name}({word.text})' is not a coordinate; write {word.name}=AC(..) or {word.name}=IC(..)", word.column)
+        return Item(self._value(word), "", word.column)
+
+    def _tool_value(self, word: Word) -> Value:
+        if word.assigned:
+            return self._value_of(word.text or "", word.text_column)
+        return self._value(word)
+
+    def _assignment(self, word: Word) -> None:
+        """A variable of any kind; frames are written whole or by component."""
+        name = word.name
+        index: tuple = ()
+        if word.index is not None:
+            index = tuple(self._value_of(t, word.column) for t, _ in split_arguments(word.index))
+        if name in ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME"):
+            self._write_frame(name, index, word)
+            return
+        value = self._value_of(word.text or "", word.text_column)
+        if name == "$TC_DP6" and len(index) == 2:
+            self.tools.radii[f"{index[0]:g}" if not isinstance(index[0], str) else index[0]] = as_number(value, word.column) * self.unit
+            return
+        if name.startswith("$TC_DP3"):
+            self.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
+        self.assign(name, value, word.column, index)
+
+    def _write_frame(self, name: str, index: tuple, word: Word) -> None:
+        """$P_UIFR and its kin: a whole frame CTRANS(..):CROT(..), or one component."""
+        text, column = word.text or "", word.text_column
+        target = "G500" if not index else frame_name(index[0])
+        if name in ("$P_UIFR", "$P_IFRAME"):
+            target = self.chosen if name == "$P_IFRAME" else target
+            old = self._settable(target)
+        elif name == "$P_PFRAME":
+            old = self.program_matrix, self.program_offset
+        else:
+            old = self.basic
+        parts = [str(i) for i in index if isinstance(i, str)]
+        if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
+            offset = old[1].copy()
+            value = self.si(parts[0], self.number_of(text, column))
+            if parts[1] == "TR":
+                offset[INDEX[parts[0]]] = value
+            elif value:
+                raise WordError("fine offsets of frames are not kept apart; add them to TR", word.column)
+            new = old[0], offset
+        elif len(parts) == 2 and parts[1] == "RT" and not self.number_of(text, column):
+            new = old
+        elif parts:
+            raise WordError(f"{name}[..,{','.join(parts)}] is not supported; write the frame as CTRANS(..):CROT(..)", word.column)
+        else:
+            new = self._frame_of(text, column)
+        if name in ("$P_UIFR", "$P_IFRAME"):
+            self.settable[target] = new
+        elif name == "$P_PFRAME":
+            self.program_matrix, self.program_offset = new
+        else:
+            self.basic = new
+        self._release()
+        self.set_frames()
+
+    def _frame_of(self, text: str, column: int) -> tuple[np.ndarray, np.ndarray]:
+        matrix, offset = np.eye(3), np.zeros(5)
+        at = 0
+        while at < len(text.rstrip()):
+            part = _FRAME_PART.match(text, at)
+            if not part:
+                raise WordError(f"'{text[at:].strip()[:20]}' is no frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
+            values = [t for t, _ in split_arguments(part[2])]
+            inner, shift = np.eye(3), np.zeros(5)
+            if part[1] == "MIRROR":
+                inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])
+                pairs: dict[str, float] = {}
+            else:
+                pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
+            for axis in pairs:
+                if axis not in INDEX and pairs[axis]:
+                    raise WordError(f"'{axis}' is no axis of this machine (X Y Z A C)", column)
+            if part[1] in ("TRANS", "FINE"):
+                for axis, value in pairs.items():
+                    if axis in INDEX:
+                        shift[INDEX[axis]] = self.si(axis, value)
+            elif part[1] == "ROT":
+                inner = rotation(2, pairs.get("Z", 0.0)) @ rotation(1, pairs.get("Y", 0.0)) @ rotation(0, pairs.get("X", 0.0))
+            elif part[1] == "SCALE":
+                inner = np.diag([pairs.get(n, 1.0) for n in LINEAR])
+            offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
+            matrix = matrix @ inner
+            at = part.end()
+        return matrix, offset
+
+
+def frame_name(number: Value) -> str:
+    n = int(as_number(number, 1))
+    return "G500" if n == 0 else f"G{53 + n}" if n <= 4 else f"G{500 + n}"
+
+
+def as_number(value: Value, column: int) -> float:
+    if isinstance(value, str):
+        raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
+    return float(value)
