@@ -9,44 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders.grooves import PART, groove_trace
 from twin.cli import cut
 from twin.errors import InputError
-from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.surface.mesh import read_mesh
 from twin.surface.part import part_from_document, read_part
 
-PART = """
-name = "groove"
-[tool]
-kind = "ball"
-diameter_mm = 10
-[stock]
-allowance_mm = 0.05
-[placement]
-origin_mm = [0, 0, {z}]
-[[surface]]
-name = "plane"
-kind = "plane"
-along_mm = [-10, 10]
-across_mm = [-1, 1]
-spacing_mm = 0.2
-zone_um = 50
-"""
-
 
 def groove(folder: Path, *, jump: float = 0.0, z: float = 300.0) -> list[str]:
-    """A trace of one slow and one fast pass along X, the fast one 20 um deeper, and a part file at its height."""
-    time = np.arange(2001) * 1e-3
-    x = np.where(time < 1.0, -12e-3 + 24e-3 * time, 12e-3 - 24e-3 * np.clip((time - 1.0) / 0.2, 0.0, 1.0))
-    depth = np.where(time < 1.0, 0.0, 20e-6)
-    x[1500:] += jump
-    machine = load_machine()
-    signals = {}
-    for name, values in (("X", x), ("Z", -depth)):
-        signals[name, "setpoint"] = values + 0.0 * time
-        signals[name, "position"] = values + 0.0 * time
-    write_trace(Trace(time, signals, machine.kinds), folder / "trace.parquet")
+    """Arguments that cut the groove: its trace and a part file at its height."""
+    write_trace(groove_trace(jump), folder / "trace.parquet")
     (folder / "part.toml").write_text(PART.format(z=z), encoding="utf-8")
     return [str(folder), "--part", str(folder / "part.toml"), "--out", str(folder / "out")]
 

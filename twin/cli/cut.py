@@ -86,7 +86,7 @@ def carry_out(args: argparse.Namespace) -> int:
         out / "cut.json",
         "cut",
     )
-    written = write_files(machining, out, files=not args.no_files)
+    written = write_files(machining, machine, out, files=not args.no_files)
     print(f"{part.name}: {part.tool.name}")
     for note in part.notes:
         print(f"note: {note}")
@@ -143,7 +143,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
     return levels_of_trace(trace, machine, part.tool, levels, str(file))
 
 
-def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[Path]:
+def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:
     """Pictures of every cut, all levels together, and meshes, height maps and a recording of the finest rays."""
     from twin.surface.export import write_height_map, write_mesh
     from twin.surface.picture import colour_end, draw_cut, draw_levels
@@ -169,36 +169,10 @@ def write_files(machining: Machining, out: Path, *, files: bool = True) -> list[
             draw_levels(machining, surface.name, out / f"{_name(surface.name)}_levels.png")
             written.append(out / f"{_name(surface.name)}_levels.png")
     if files:
-        written.append(write_recording(machining, out / "cut.rrd"))
+        from twin.replay.cut import write_cut
+
+        written.append(write_cut(out / "cut.rrd", machine, machining))
     return written
-
-
-def write_recording(machining: Machining, path: Path) -> Path:
-    """A recording with every cut surface as a coloured mesh in the part frame, and the paths that cut them."""
-    import rerun
-
-    from twin.surface.export import log_surface
-    from twin.surface.picture import colour_end
-
-    recording = rerun.RecordingStream("twin_cut")
-    recording.save(path)
-    for one in machining.cuts:
-        end = colour_end(one.finest.height * 1e6) * 1e-6
-        log_surface(recording, f"part/surface/{_name(one.surface.name)}/{_name(one.level.label)}", one.finest, end)
-    for level in {id(c.level): c.level for c in machining.cuts}.values():
-        tip = level.path.tip[:: max(1, len(level.path) // 20_000)]
-        recording.log(f"part/path/{_name(level.label)}", rerun.LineStrips3D([tip], radii=rerun.Radius.ui_points(1.0)), static=True)
-    # the viewer waits for a clock before it takes a picture
-    last = machining.cuts[-1].level.path
-    steps = slice(None, None, max(1, len(last) // 2000))
-    recording.send_columns(
-        "part/tip",
-        [rerun.TimeColumn("time", duration=last.time[steps])],
-        rerun.Points3D.columns(positions=last.tip[steps], radii=[0.0005] * len(last.time[steps])),
-    )
-    recording.flush()
-    recording.disconnect()
-    return path
 
 
 def _row(report: dict[str, Any]) -> list[str]:

@@ -21,6 +21,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.encodings import Plane3D
 
+from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import Curve
 from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, SUMMARY, TIMELINE, axis_entity
 
@@ -81,12 +82,7 @@ def layout(content: Content) -> rrb.Blueprint:
         views = [_path_view(path, content) for path in content.paths]
         tabs: rrb.View | rrb.Container = rrb.Tabs(*views, active_tab=content.first_path, name="Tool path")
         if content.legend:
-            colours = rrb.Spatial2DView(
-                origin=LEGEND,
-                name=content.legend_title,
-                background=(255, 255, 255),
-                visual_bounds=rrb.VisualBounds2D(x_range=[-25, 345], y_range=[-3, 34]),
-            )
+            colours = colour_bar_view(LEGEND, content.legend_title)
             tabs = rrb.Vertical(tabs, colours, row_shares=[6.0, 1.0])
         top.append(tabs)
         shares.append(4.0)
@@ -110,34 +106,43 @@ def layout(content: Content) -> rrb.Blueprint:
 
 
 def _machine_view(content: Content) -> rrb.View:
-    contents = [f"+ {content.scene_root}/**"]
-    overrides: dict[Any, Any] = {}
-    for i, path in enumerate(content.paths):
-        if i:
-            contents.append(f"- {path.root}/**")
-        else:
-            overrides = {entity: _until_now() for entity in path.growing}
-    floor = float(content.scene_bounds[0, 2])
-    return rrb.Spatial3DView(
-        origin=content.scene_root,
-        contents=contents,
-        name="Machine",
-        overrides=overrides,
-        background=LIGHT_GROUND,
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), floor), color=GRID_COLOUR),
-        eye_controls=_eye(content.scene_bounds, 0.93),
+    hidden = [f"- {path.root}/**" for path in content.paths[1:]]
+    growing = content.paths[0].growing if content.paths else ()
+    return scene_view(
+        "Machine", content.scene_root, [f"+ {content.scene_root}/**", *hidden], content.scene_bounds, growing=growing, floor=True
     )
 
 
 def _path_view(path: PathView, content: Content) -> rrb.View:
+    inside = [f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)]
+    return scene_view(path.title, content.part_frame, inside, path.bounds, growing=path.growing, distance=1.05, seen_from=PATH_FROM)
+
+
+def scene_view(
+    name: str,
+    origin: str,
+    contents: Sequence[str],
+    bounds: np.ndarray,
+    *,
+    growing: Sequence[str] = (),
+    distance: float = 0.93,
+    seen_from: np.ndarray = VIEW_FROM,
+    floor: bool = False,
+) -> rrb.View:
+    """A view in three dimensions that shows a whole box (2, 3) [m] of its origin's frame, from so many diagonals of it.
+
+    `growing` are entities that are drawn up to the time of the cursor; `floor` draws a grid at the bottom of the box.
+    """
+    overrides: dict[Any, Any] = {entity: _until_now() for entity in growing}
+    grid = rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), float(bounds[0, 2])), color=GRID_COLOUR)
     return rrb.Spatial3DView(
-        origin=content.part_frame,
-        contents=[f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)],
-        name=path.title,
-        overrides={entity: _until_now() for entity in path.growing},
+        origin=origin,
+        contents=contents,
+        name=name,
+        overrides=overrides,
         background=LIGHT_GROUND,
-        line_grid=False,
-        eye_controls=_eye(path.bounds, 1.05, PATH_FROM),
+        line_grid=grid if floor else False,
+        eye_controls=_eye(bounds, distance, seen_from),
     )
 
 

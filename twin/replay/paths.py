@@ -15,7 +15,8 @@ import rerun as rr
 
 from twin.geometry.body_poses import IDENTITY, Pose, body_poses, site_pose
 from twin.geometry.polyline import keep_shape
-from twin.replay.names import TIMELINE, entity
+from twin.replay.colour_bar import log_colour_bar
+from twin.replay.names import TIMELINE
 from twin.replay.scene import Scene
 from twin.report.colours import ERROR_BANDS, Colour
 
@@ -29,8 +30,6 @@ DRAW_STEPS = 3000
 POINTS_PER_MINUTE = 6000
 """Points that each path may keep; a busier one is drawn with a coarser tolerance."""
 LEAST_POINTS = 2000
-BAND_PIXELS = (40, 16)
-"""Width and height of a colour of the bar."""
 LEAST_SCALE = 8e-9
 """End of the scale of a path without error [m]."""
 
@@ -129,23 +128,5 @@ def kept_points(points: np.ndarray, tolerance: float, fixed: np.ndarray, duratio
 
 
 def log_legend(recording: rr.RecordingStream, path: str, scale: ErrorScale, of: str) -> None:
-    """Log the colour bar of the contour error: a picture of the bands, and the limits of the bands written below it."""
-    edges = scale.edges_um()
-    bar = np.repeat(np.repeat(np.array(ERROR_BANDS, np.uint8)[None], BAND_PIXELS[1], axis=0), BAND_PIXELS[0], axis=1)
-    digits = int(np.clip(np.ceil(-np.log10(edges[1])), 0, 4))
-    labels = [f"{edge:.{digits}f}" for edge in edges]
-    labels[-1] = f"> {edges[-1]:.{digits}f} um"
-    x = np.arange(len(edges)) * BAND_PIXELS[0]
-    recording.log(entity(path, "bands"), rr.Image(bar), static=True)
-    recording.log(
-        entity(path, "limits"),
-        rr.Points2D(
-            np.column_stack([x, np.full(len(x), BAND_PIXELS[1])]),
-            labels=labels,
-            colors=[(60, 64, 70)],
-            radii=rr.Radius.ui_points(1.5),
-            show_labels=True,
-        ),
-        rr.AnyValues(quantity=f"contour error of {of}", unit="um", limits=edges),
-        static=True,
-    )
+    """Log the colour bar of the contour error: the bands, and their limits below them."""
+    log_colour_bar(recording, path, np.array(ERROR_BANDS), scale.edges_um().tolist(), "um", f"contour error of {of}")

@@ -115,14 +115,11 @@ def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
 
     vertices (n, 3), faces (f, 3). Corners of a crease get a vertex of their own; large meshes keep their vertices.
     """
-    corners = vertices[faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
     if len(faces) > SMOOTH_FACES:
-        normals = np.zeros_like(vertices)
-        for corner in range(3):
-            np.add.at(normals, faces[:, corner], area)
-        return vertices, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300), faces
+        return vertices, smooth_normals(vertices, faces), faces
+    corners = vertices[faces]
+    area = _face_areas(vertices, faces)
+    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
     # vertices at one place count as one, then each corner takes the mean of the faces there that are nearly its own
     _, place = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
     at = place.ravel()[faces].ravel()
@@ -137,6 +134,20 @@ def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
     # corners that agree in place and normal are one vertex
     unique, index = np.unique(np.hstack([corners.reshape(-1, 3), np.round(normals, 6)]), axis=0, return_inverse=True)
     return unique[:, :3], unique[:, 3:], index.reshape(-1, 3)
+
+
+def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (vertex, 3) of a mesh that is smooth all over: the mean of the faces at each vertex, by area."""
+    area, normals = _face_areas(vertices, faces), np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], area)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals of the faces (face, 3), twice as long as their area [m2]."""
+    corners = vertices[faces]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _lower_end(shape: Shape) -> np.ndarray:

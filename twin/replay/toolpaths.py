@@ -122,7 +122,7 @@ def log_tool_paths(
             width = 2.5 if order == 0 else 1.0
             log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, palette, factor=factor, width=width, full=full)
             if order == 0:
-                _log_mark(recording, entity(root, "tool_point"), paths.times[label], drawn)
+                log_tool_point(recording, entity(root, "tool_point"), paths.times[label], drawn)
         if paths.programmed is not None:
             log_commanded(recording, entity(root, "commanded"), paths, factor, full)
         also = tuple(shapes_of_tool(scene, shapes)) if factor == 1 else ()
@@ -148,7 +148,7 @@ def log_tip_path(
     root = entity(scene.part_path, "path_x1")
     path = entity(root, "followed", "motion")
     log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), factor=1, width=2.5, full=full)
-    _log_mark(recording, entity(root, "tool_point"), time, points)
+    log_tool_point(recording, entity(root, "tool_point"), time, points)
     return (PathView("Path of the tip", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
 
 
@@ -174,7 +174,7 @@ def shapes_of_tool(scene: Scene, shapes: Sequence[str]) -> list[str]:
     return [path for shape, path in zip(scene.shapes, shapes) if shape.body == scene.tip_body and shape.name.startswith(("tool", "holder"))]
 
 
-def _log_mark(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
+def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
     """Log the tool point as a dot that moves."""
     stride = max(1, round((len(time) - 1) / max(1.0, (time[-1] - time[0]) * MARKS_PER_SECOND)))
     steps = np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])

@@ -19,6 +19,7 @@ import urllib.parse
 import warnings
 
 from twin.errors import InputError
+from twin.replay.names import TIMELINE
 
 LOCAL = "127.0.0.1"
 WEB_PORT = 9090
@@ -26,6 +27,8 @@ START_SECONDS = 30.0
 """A viewer that does not answer for so long will not come."""
 COMPLETE_SECONDS = 60.0
 """A picture that is not complete after so long is an error."""
+NO_TIMELINE_SECONDS = 5.0
+"""A recording that shows no time after so long has none."""
 SETTLE_SECONDS = 0.4
 """Between two pictures that must be equal to count as complete."""
 TOP_BAR = 37
@@ -148,17 +151,19 @@ def free_port() -> int:
 
 def _complete_picture(client: Any, at_s: float | None) -> bytes:
     deadline = time.monotonic() + COMPLETE_SECONDS
-    state = client.get_state()
-    while state.loading or not any(recording.timelines for recording in state.recordings):
+    state, without_time = client.get_state(), time.monotonic() + NO_TIMELINE_SECONDS
+    while state.loading or (not any(recording.timelines for recording in state.recordings) and time.monotonic() < without_time):
         _wait(deadline)
         state = client.get_state()
-    timeline = next(t for recording in state.recordings for t in recording.timelines if t.name == "time")
-    start, end = timeline.start * 1e-9, timeline.end * 1e-9
+    # a recording without a time in seconds is drawn as it opens
+    timeline = next((t for recording in state.recordings for t in recording.timelines if t.name == TIMELINE), None)
+    start, end = (timeline.start * 1e-9, timeline.end * 1e-9) if timeline is not None else (0.0, 0.0)
     if at_s is not None and not start <= at_s <= end:
         raise InputError(f"--at {at_s:g} lies outside the recording, which goes from {start:g} to {end:.6g} s")
     last = b""
     while True:
-        client.set_time("time", duration=end if at_s is None else at_s, play_state="paused")
+        if timeline is not None:
+            client.set_time(TIMELINE, duration=end if at_s is None else at_s, play_state="paused")
         picture = client.take_screenshot()
         if picture == last:
             return picture

@@ -1,6 +1,7 @@
 """Colours: one per axis, part of the torque and kind of path, the same in the viewer, the plots and the reports.
 
-Each is readable on a white page and on the viewer's dark ground. RGB, 0 to 255.
+Each is readable on a white page and on the viewer's dark ground, and can be separated by colour-blind eyes:
+`python -m devtools.colour_distances` prints how far they lie apart. RGB, 0 to 255.
 """
 
 from __future__ import annotations
@@ -8,41 +9,44 @@ from __future__ import annotations
 Colour = tuple[int, int, int]
 
 AXIS_COLOURS: dict[str, Colour] = {
-    "X": (226, 74, 51),
-    "Y": (46, 160, 67),
-    "Z": (56, 128, 240),
-    "A": (240, 150, 10),
-    "B": (0, 170, 170),
-    "C": (176, 92, 220),
+    "X": (185, 88, 14),
+    "Y": (2, 147, 145),
+    "Z": (20, 88, 180),
+    "A": (249, 140, 42),
+    "B": (88, 189, 255),
+    "C": (164, 76, 247),
 }
 _OTHER_AXES: tuple[Colour, ...] = ((200, 120, 90), (120, 160, 60), (90, 140, 190), (210, 110, 160), (150, 130, 110), (90, 170, 140))
 
 TORQUE_COLOURS: dict[str, Colour] = {
-    "inertia": (74, 144, 226),
-    "friction": (214, 96, 60),
-    "gravity": (60, 170, 110),
-    "feedforward": (190, 160, 20),
+    "inertia": (68, 238, 255),
+    "friction": (255, 221, 0),
+    "gravity": (204, 255, 187),
+    "feedforward": (170, 187, 170),
 }
-"""Parts of a motor torque; the whole has the colour of its axis."""
+"""Parts of a motor torque, for the viewer's dark ground; the whole has the colour of its axis."""
 
-SETPOINT_COLOUR: Colour = (140, 146, 156)
+RUN_COLOURS: tuple[Colour, ...] = ((255, 221, 0), (187, 255, 255))
+"""Second and third of several runs over each other in the viewer; the first has the colour of its axis. They are dashed, too."""
+
+SETPOINT_COLOUR: Colour = (166, 170, 178)
 """Set points, of any axis: what was asked for is grey, what happened has colour."""
-LIMIT_COLOUR: Colour = (200, 30, 45)
+LIMIT_COLOUR: Colour = (255, 40, 120)
 DIFFERENCE_COLOUR: Colour = (230, 60, 160)
 PROGRAM_COLOUR: Colour = (20, 20, 24)
 """The programmed path."""
 
 ERROR_BANDS: tuple[Colour, ...] = (
-    (38, 92, 205),
-    (20, 150, 200),
-    (25, 170, 120),
-    (130, 190, 40),
-    (235, 190, 20),
-    (245, 140, 20),
-    (230, 80, 30),
-    (190, 15, 45),
+    (234, 197, 3),
+    (224, 162, 8),
+    (210, 129, 6),
+    (194, 95, 2),
+    (179, 55, 2),
+    (156, 1, 28),
+    (116, 2, 44),
+    (79, 1, 44),
 )
-"""Contour error from nothing (blue) to the end of the scale (red), in equal bands."""
+"""Contour error from nothing (yellow) to the end of the scale (dark red), in equal bands; each is darker than the one before."""
 
 
 def axis_colour(axis: str, order: int = 0) -> Colour:
@@ -53,6 +57,11 @@ def axis_colour(axis: str, order: int = 0) -> Colour:
 def lighter(colour: Colour, part: float = 0.5) -> Colour:
     """The colour mixed with white: the second of two runs."""
     return tuple(round(c + (255 - c) * part) for c in colour)  # type: ignore[return-value]
+
+
+def run_colour(order: int, first: Colour) -> Colour:
+    """The colour of one of several runs over each other: the first has its own, the others one of RUN_COLOURS."""
+    return first if order == 0 else RUN_COLOURS[(order - 1) % len(RUN_COLOURS)]
 
 
 def hexadecimal(colour: Colour) -> str:

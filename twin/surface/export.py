@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.surface.height_rays import HeightRays
 
 if TYPE_CHECKING:
-    import rerun as rr
+    pass
 
 MOST_VERTICES = 400_000
 """A mesh for viewers keeps every n-th ray above this."""
@@ -84,17 +84,3 @@ def write_height_map(rays: HeightRays, path: Path) -> None:
     u, v = np.meshgrid(rays.u, rays.v) if rays.is_grid else (rays.point[:, 0], rays.point[:, 1])
     table = pa.table({"u [mm]": u.ravel() * 1e3, "v [mm]": v.ravel() * 1e3, "deviation [um]": rays.height * 1e6})
     pyarrow.csv.write_csv(table, path)
-
-
-def log_surface(recording: rr.RecordingStream, entity: str, rays: HeightRays, end: float, **more: Any) -> None:
-    """Log a cut surface as a coloured mesh in the part frame, for the replay; `end` [m] is the end of the colour scale."""
-    import rerun
-
-    rays = thinned(rays, 150_000)
-    mesh = rerun.Mesh3D(
-        vertex_positions=rays.surface.astype(np.float32),
-        triangle_indices=triangles(rays),
-        vertex_colors=deviation_colours(rays.height, end),
-        vertex_normals=rays.direction.astype(np.float32),
-    )
-    recording.log(entity, mesh, rerun.AnyValues(quantity="deviation", scale_end_um=end * 1e6, **more), static=True)

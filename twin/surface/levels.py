@@ -29,12 +29,16 @@ AS_FILED = "as filed"
 
 @dataclass(frozen=True)
 class Level:
-    """One path to cut: `level` of LEVELS, `feedforward` of the run (empty where it plays no part), path, and errors beside it."""
+    """One path to cut: `level` of LEVELS, `feedforward` of the run (empty where it plays no part), path, and errors beside it.
+
+    `trace` holds the motion of the axes that made it, None for the programmed path.
+    """
 
     level: str
     feedforward: str
     path: ToolPath
     errors: Mapping[str, float]
+    trace: Trace | None = None
 
     @property
     def label(self) -> str:
@@ -75,7 +79,8 @@ def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence
     }
     for name in there:
         if name in levels:
-            out.append(Level(name, "", paths[name], _errors(paths[name], paths.get(COMMANDED), machine) if name == FOLLOWED else {}))
+            errors = _errors(paths[name], paths.get(COMMANDED), machine) if name == FOLLOWED else {}
+            out.append(Level(name, "", paths[name], errors, trace))
     return out
 
 
@@ -110,13 +115,14 @@ def levels_of_program(
     setpoints = interpolate(program, machine, progress=report(0))
     commanded = axis_path(kinematics, axes_of_trace(setpoints, "setpoint", machine), setpoints.time, tool.reach)
     if COMMANDED in levels:
-        out.append(Level(COMMANDED, "", commanded, {}))
+        out.append(Level(COMMANDED, "", commanded, {}, setpoints))
     for i, word in enumerate(feedforward if FOLLOWED in levels else ()):
         run = simulate(
             machine.with_feedforward(None if word == AS_FILED else word), setpoints_of(setpoints, machine), progress=report(1 + i)
         )
         followed = axis_path(kinematics, axes_of_trace(run.trace, "position", machine), run.trace.time, tool.reach)
-        out.append(Level(FOLLOWED, word or AS_FILED, followed, {**_errors(followed, commanded, machine), **_rotary(run.trace)}))
+        errors = {**_errors(followed, commanded, machine), **_rotary(run.trace)}
+        out.append(Level(FOLLOWED, word or AS_FILED, followed, errors, run.trace))
     return out
 
 

@@ -1,0 +1,202 @@
+"""A cut in the viewer: the whole machine, the tool at the part with path and surface, and each level's surface magnified.
+
+    +-----------+-------------------------------------------------+
+    | machine   | programmed | commanded | followed ...    (tabs) |
+    |           | at the part: machine, path,  | relief, the      |
+    +-----------+ surface                      | surface magnified|
+    | numbers   +-------------------------------------------------+
+    |           | colours of the deviation [um]                   |
+    +-----------+-------------------------------------------------+
+
+All levels have one scale and one magnification, so that switching between them shows which of them made the mark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from twin.geometry.body_poses import local_poses
+from twin.machine.machine import Machine
+from twin.replay.blueprint import PATH_FROM, scene_view
+from twin.replay.colour_bar import colour_bar_view, log_colour_bar
+from twin.replay.names import LEGEND, SUMMARY, TIMELINE, entity
+from twin.replay.paths import log_whole_path
+from twin.replay.recording import pose_steps, recording_to
+from twin.replay.scene import scene_bounds, scene_of
+from twin.replay.shapes import log_motion, log_scene, smooth_normals
+from twin.replay.toolpaths import followed_joints, log_tool_point
+from twin.report.colours import PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour
+from twin.surface.export import deviation_colours, thinned, triangles
+from twin.surface.height_rays import HeightRays
+from twin.surface.levels import COMMANDED, PROGRAMMED
+from twin.surface.machining import CutSurface, Machining
+from twin.surface.picture import colour_end
+
+MESH_VERTICES = 60_000
+"""Vertices of a surface in the viewer; every n-th ray is left out above."""
+RELIEF_SHARE = 0.08
+"""The end of the scale of colours stands out of the relief by about this share of the surface's size."""
+MOST_POSES = 3000
+PATH_WIDTH = 0.6
+"""Thin, so that the passes leave the surface between them visible [points of the screen]."""
+NEAR = 1.8
+"""The view at the part shows this many times the size of the surface."""
+
+
+LEAN = np.array([0.25, -0.6, 0.0])
+"""How far the look along the normals of a surface leans to the front and the right."""
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """One surface cut by one level: title, entities of its surface, relief and path."""
+
+    title: str
+    surface: str
+    relief: str
+    path: str
+
+
+def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
+    """Write the recording of a cut: the machine moves along the last path that its axes made."""
+    part = machining.part
+    # the tool of the part file stands in the spindle
+    length = part.tool.length
+    if "tool_length_m" in machine.document.get("geometry", {}):
+        machine = machine.with_values({"geometry.tool_length_m": length})
+    scene = scene_of(machine)
+    with recording_to(path, f"{part.name}: {part.tool.name}") as recording:
+        log_scene(recording, scene)
+        level = next((one.level for one in reversed(machining.cuts) if one.level.trace is not None), machining.cuts[-1].level)
+        if level.trace is not None:
+            steps = pose_steps(level.trace.time, full=False)
+            steps = steps[:: max(1, len(steps) // MOST_POSES)]
+            log_motion(recording, scene, level.trace.time[steps], local_poses(scene.model, followed_joints(level.trace, steps)))
+        log_tool_point(recording, entity(scene.part_path, "tool_point"), level.path.time, level.path.tip)
+        end = max(colour_end(one.finest.height * 1e6) for one in machining.cuts) * 1e-6
+        log_colour_bar(
+            recording,
+            LEGEND,
+            deviation_colours(np.linspace(-end, end, 64), end)[:, :3],
+            (np.linspace(-end, end, 5) * 1e6).tolist(),
+            "um",
+            "deviation from the nominal surface",
+        )
+        shown, factors = [], []
+        for one in machining.cuts:
+            factors.append(_magnification(one.finest, end))
+            shown.append(_log_cut(recording, scene.part_path, one, end, factors[-1]))
+        recording.log(SUMMARY, rr.TextDocument(_numbers(machining, end, factors[0]), media_type="text/markdown"), static=True)
+        bounds = np.array(scene_bounds(scene))
+        recording.send_blueprint(_layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors))
+    return path
+
+
+def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float, factor: float) -> _Shown:
+    """Log the surface of a cut as it is and magnified, and the path that made it."""
+    name, label = one.surface.name, one.level.label
+    shown = _Shown(
+        f"{name}: {label}",
+        entity(part_frame, "surface", name, label),
+        entity(part_frame, "relief", name, label),
+        entity(part_frame, "cut_path", label),
+    )
+    _log_surface(recording, shown.surface, one.whole, end, 1.0)
+    _log_surface(recording, shown.relief, one.finest, end, factor)
+    colour = {PROGRAMMED: PROGRAM_COLOUR, COMMANDED: SETPOINT_COLOUR}.get(one.level.level, axis_colour("Z"))
+    tool_path = one.level.path
+    log_whole_path(recording, shown.path, tool_path.tip, colour, PATH_WIDTH, float(tool_path.time[-1] - tool_path.time[0]), full=False)
+    return shown
+
+
+def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end: float, factor: float) -> None:
+    """Log a surface as a mesh coloured by its deviation, which is magnified by `factor` along the rays."""
+    rays = thinned(rays, MESH_VERTICES)
+    vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
+    normals = smooth_normals(vertices, faces)
+    mesh = rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32),
+        triangle_indices=faces.astype(np.uint32),
+        vertex_colors=deviation_colours(rays.height, end),
+        vertex_normals=normals.astype(np.float32),
+    )
+    recording.log(path, mesh, rr.AnyValues(quantity="deviation", unit="um", scale_end_um=end * 1e6, magnified=factor), static=True)
+
+
+def _magnification(rays: HeightRays, end: float) -> float:
+    """A round factor (1, 2 or 5 times a power of ten) that lets the end of the scale stand out by RELIEF_SHARE of the surface."""
+    wanted = RELIEF_SHARE * float(np.linalg.norm(np.ptp(rays.point, axis=0))) / end
+    power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
+    return float(max(f * power for f in (1.0, 2.0, 5.0) if f * power <= max(wanted, 1.0)))
+
+
+def _layout(
+    root: str, part_frame: str, bounds: np.ndarray, machining: Machining, shown: Sequence[_Shown], factors: Sequence[float]
+) -> rrb.Blueprint:
+    worst = max(range(len(shown)), key=lambda i: float(np.abs(machining.cuts[i].finest.height).max()))
+    hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
+    arrows = f"- {entity(part_frame, 'axes')}"
+
+    def here(one: _Shown) -> list[str]:
+        """Entities of a view that shows the machine with one cut: what comes later in the list wins."""
+        return [f"+ {root}/**", *hidden, f"+ {one.surface}", f"+ {one.path}"]
+
+    tabs = []
+    for one, cut, factor in zip(shown, machining.cuts, factors):
+        whole, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
+        middle = whole.mean(axis=0)
+        near = middle + NEAR * (whole - middle)
+        # the magnified surface is seen along its rays, leaning to the front: from aside a flat one would be a line
+        above = cut.finest.direction.mean(axis=0) + LEAN
+        at_part = scene_view(
+            "At the part: machine, path, surface", part_frame, [*here(one), arrows], near, distance=1.0, seen_from=PATH_FROM
+        )
+        relief = scene_view(f"Surface, deviation x{factor:g}", part_frame, [f"+ {one.relief}"], zone, distance=1.1, seen_from=above)
+        views = (at_part, relief)
+        tabs.append(rrb.Horizontal(*views, name=one.title))
+    left = rrb.Vertical(
+        scene_view("Machine", root, here(shown[worst]), bounds, floor=True),
+        rrb.TextDocumentView(origin=SUMMARY, name="Numbers"),
+        row_shares=[1.0, 1.0],
+    )
+    right = rrb.Vertical(
+        rrb.Tabs(*tabs, active_tab=worst, name="Levels"),
+        colour_bar_view(LEGEND, "Deviation from the nominal surface [um]: below 0 too deep, above 0 left"),
+        row_shares=[6.0, 1.0],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[1.0, 2.6]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _numbers(machining: Machining, end: float, factor: float) -> str:
+    """Deviations of every cut as a table in markdown."""
+    rows = []
+    for one in machining.cuts:
+        height = one.finest.height * 1e6
+        rows.append(f"| {one.surface.name} | {one.level.label} | {height.min():.2f} | {height.max():.2f} | {height.std():.2f} |")
+    return "\n".join(
+        [
+            f"# {machining.part.name}",
+            machining.part.tool.name,
+            "",
+            "| surface | path | deepest, um | highest, um | RMS, um |",
+            "|---|---|---:|---:|---:|",
+            *rows,
+            "",
+            f"Colours end at {end * 1e6:g} um. The surface on the right is magnified {factor:g} times along its normals. "
+            "The tabs switch between the levels: what appears with *commanded* is the interpolator's, what appears with *followed* the drives'.",
+            *(f"\n{note}" for note in machining.part.notes),
+        ]
+    )
