@@ -12,6 +12,7 @@ from pathlib import Path
 import tomllib
 
 LONG_LINES, MANY_ARGUMENTS = 100, 12
+KERNEL_DECORATORS = ("compiled", "term", "intrinsic")
 
 
 def sources(root: Path) -> dict[str, ast.Module]:
@@ -77,6 +78,12 @@ def is_untyped(function: ast.FunctionDef) -> bool:
     return function.returns is None or any(a.annotation is None and a.arg not in ("self", "cls") for a in arguments)
 
 
+def is_kernel(function: ast.FunctionDef) -> bool:
+    """Is it compiled? Numba gives the arguments of a kernel their types at its first call."""
+    decorators = (d.func if isinstance(d, ast.Call) else d for d in function.decorator_list)
+    return any(isinstance(d, ast.Name) and d.id in KERNEL_DECORATORS for d in decorators)
+
+
 def numeric_constants(tree: ast.Module) -> int:
     """Names in capitals at the top of a module that stand for numbers."""
     count = 0
@@ -117,7 +124,8 @@ def counts(root: Path) -> dict[str, int]:
         "groups of files that import each other": len(found),
         "files in such groups": sum(map(len, found)),
         "functions": len(every),
-        "untyped functions": sum(map(is_untyped, every)),
+        "untyped functions": sum(is_untyped(f) for f in every if not is_kernel(f)),
+        "compiled kernels": sum(map(is_kernel, every)),
         f"functions above {LONG_LINES} lines": sum(n > LONG_LINES for n in lengths),
         f"functions above {MANY_ARGUMENTS} arguments": sum(n > MANY_ARGUMENTS for n in arguments),
         "numeric constants in diagnose/": sum(numeric_constants(t) for m, t in trees.items() if m.startswith("twin.diagnose")),

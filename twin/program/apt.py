@@ -43,7 +43,7 @@ def read_apt(path: Path, machine: Machine) -> mv.Program:
 class AptReader:
     """The state of the tool while statements are read."""
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         self.source = Source(path)
         self.out = Collector(path, machine)
         self.out.change_frame(replace(self.out.modes, traori=True))

@@ -56,7 +56,7 @@ class Modes:
 class Collector:
     """Rows of a program while it is read; `position` holds x y z A C as far as known (A, C NaN after a tool axis)."""
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         self.path = path
         self.machine = machine
         self.kinematics = kinematics_of(machine)

@@ -31,12 +31,32 @@ INCH = 0.0254
 LONGEST_DWELL = 3600.0
 
 
+Vector = tuple[float, float, float]
+Arc = tuple[np.ndarray, bool, int]
+"""Centre (3,), whether clockwise, full turns more."""
+SpaceArc = tuple[np.ndarray, np.ndarray, float]
+"""Centre (3,), normal (3,), angle [rad]."""
+
+
 class Item(NamedTuple):
     """A word of a block: its number, how it counts ('', AC, IC, DC, ACP, ACN) and its column."""
 
     value: float
     how: str = ""
     column: int = 1
+
+
+class Programmed(NamedTuple):
+    """What a block says of its move besides the way in X Y Z; `mode` is the number of the modes in force."""
+
+    kind: int
+    angles: list[float]
+    vector: Vector | None
+    feed: float
+    line: int
+    block: int
+    mode: int
+    tolerance: Callable[[float], float]
 
 
 def rotation(axis: int, degrees: float) -> np.ndarray:
@@ -58,7 +78,7 @@ class Control:
 
     iso = False
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         self.path, self.machine = path, machine
         self.out = Collector(path, machine)
         self.motion: int | None = 1
@@ -140,14 +160,18 @@ class Control:
 
     # ------------------------------------------------------------------ moves
 
-    def target(self, words: dict[str, Item], suppress: bool) -> tuple[np.ndarray, list[float]]:
-        """Where a block goes: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN where not programmed."""
+    def target(self, words: dict[str, Item], suppress: bool, start: np.ndarray | None = None) -> tuple[np.ndarray, list[float]]:
+        """Where a block goes: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN where not programmed.
+
+        `start` (3,) is where the way begins; without one that is where the tool is.
+        """
         out = self.out
         if any(n in words and (words[n].how not in ("", "AC") or not self.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
         if suppress and self.comp is not None:
             raise WordError("a block in machine coordinates stands inside G41 or G42; write G40 and a move before", 1)
-        start = np.array(out.position[:3]) if suppress else self.here()
+        if start is None:
+            start = np.array(out.position[:3]) if suppress else self.here()
         point = start.copy()
         angles = [math.nan, math.nan]
         for name, (value, how, column) in words.items():
@@ -188,11 +212,11 @@ class Control:
         kind: int,
         point: np.ndarray,
         angles: list[float],
-        vector: tuple[float, float, float] | None = None,
-        arc: tuple[np.ndarray, bool, int] | None = None,
+        vector: Vector | None = None,
+        arc: Arc | None = None,
         *,
         suppress: bool = False,
-        space_arc: tuple[np.ndarray, np.ndarray, float] | None = None,
+        space_arc: SpaceArc | None = None,
         tolerance: Callable[[float], float] = lambda radius: arcs.CLOSING_TOLERANCE,
     ) -> None:
         """One move to a point in program coordinates (machine coordinates if `suppress`); `arc`: centre, clockwise, turns more."""
@@ -202,11 +226,11 @@ class Control:
                 raise WordError("the move behind G40 must be straight, not an arc; add a straight move", 1)
             self.after_compensation = False
             self.settle_plain()
-        row = (kind, angles, vector, self.feed, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
+        said = Programmed(kind, angles, vector, self.feed, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
         if self.comp is not None and not suppress:
-            self._beside(row, self.here(), point, arc, space_arc)
+            self._beside(said, self.here(), point, arc, space_arc)
             return
-        self._put(row, self.here() if not suppress else np.array(self.out.position[:3]), point, arc, suppress, space_arc)
+        self._put(said, self.here() if not suppress else np.array(self.out.position[:3]), point, arc, suppress, space_arc)
 
     def _feed_given(self, kind: int) -> None:
         if kind != mv.RAPID and math.isnan(self.feed):
@@ -214,8 +238,17 @@ class Control:
                 self.line, self.block, "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block"
             )
 
-    def _put(self, row, start, point, arc, suppress=False, space_arc=None) -> None:  # type: ignore[no-untyped-def]
-        kind, angles, vector, feed, line, block, mode, tolerance = row
+    def _put(
+        self,
+        said: Programmed,
+        start: np.ndarray,
+        point: np.ndarray,
+        arc: Arc | None,
+        suppress: bool = False,
+        space_arc: SpaceArc | None = None,
+    ) -> None:
+        """Hand a move to the collector, in machine coordinates."""
+        kind, angles, vector, feed, line, block, mode, tolerance = said
         out = self.out
         goal = point if suppress else self.to_machine(point)
         circle = space_arc
@@ -226,9 +259,9 @@ class Control:
         if circle is not None:
             out.arcs[len(out.kinds)] = circle if suppress else self._turned(circle)
         if self.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
-            vector = tuple(map(float, self.fixed_axis))
+            vector = _vector(self.fixed_axis)
         elif vector is not None and self.matrix is not None:
-            vector = tuple(map(float, self.matrix @ np.array(vector)))
+            vector = _vector(self.matrix @ np.array(vector))
         out.add(kind, (*map(float, goal), *angles), vector, math.inf if kind == mv.RAPID else feed, line, block)
         out.mode_of[-1] = mode
         out.position[:3] = [float(v) for v in goal]
@@ -238,7 +271,7 @@ class Control:
         if vector is not None:
             out.position[3:] = [math.nan, math.nan]
 
-    def _turned(self, circle: tuple[np.ndarray, np.ndarray, float]) -> tuple[np.ndarray, np.ndarray, float]:
+    def _turned(self, circle: SpaceArc) -> SpaceArc:
         """An arc in machine coordinates; a mirror turns its sense round."""
         centre, normal, angle = circle
         if self.matrix is not None:
@@ -329,27 +362,29 @@ class Control:
 
     after_compensation = False  # the next move leads from the compensated path and must be straight
 
-    def _beside(self, row, start, point, arc, space_arc) -> None:  # type: ignore[no-untyped-def]
+    def _beside(self, said: Programmed, start: np.ndarray, point: np.ndarray, arc: Arc | None, space_arc: SpaceArc | None) -> None:
         """Queue a move beside the contour."""
-        if space_arc is not None or row[2] is not None or not all(math.isnan(v) for v in row[1]):
+        assert self.comp is not None
+        if space_arc is not None or said.vector is not None or not all(math.isnan(v) for v in said.angles):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
         a, b, c = arcs.PLANES[self.plane]
-        mode = self.out.all_modes[row[6]]
+        mode = self.out.all_modes[said.mode]
         centre, sense, turns, length = None, 0, 0, float(np.linalg.norm(point - start))
         if arc is not None:
-            circle = arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2], row[7](float(np.linalg.norm(start - arc[0]))))
+            circle = arcs.from_centre(
+                start, point, arc[0], self.plane, arc[1], arc[2], said.tolerance(float(np.linalg.norm(start - arc[0])))
+            )
             centre, sense, turns = circle[0][[a, b]], (-1 if arc[1] else 1), arc[2]
             length = math.hypot(circle[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
         if mode.feed_mode == 93:  # the time is that of the contour: the same speed beside it
             self.out.set_modes(replace(self.out.modes, feed_mode=94))
-            changed = len(self.out.all_modes) - 1
+            said = said._replace(feed=said.feed * length / mode.feed_unit, mode=len(self.out.all_modes) - 1)
             self.out.set_modes(mode)
-            row = (*row[:3], row[3] * length / mode.feed_unit, *row[4:6], changed, row[7])
-        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, row)
+        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, said)
         element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
         self.programmed = point.copy()
         try:
-            self.comp.add(element)  # type: ignore[union-attr]
+            self.comp.add(element)
         except CompensationError as error:
             raise WordError(str(error), 1) from None
 
@@ -360,7 +395,7 @@ class Control:
         after, self.after_compensation = self.after_compensation, False
         start, point = self.here(), np.zeros(3)
         point[[a, b]], point[c] = e.b, e.across[1]
-        kind, *rest = e.move
+        said: Programmed = e.move
         arc, whole = None, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
         if whole:  # a corner that rounding made must not turn it into an arc of no length
             point[[a, b]] = start[[a, b]]
@@ -368,11 +403,11 @@ class Control:
             centre = start.copy()
             centre[[a, b]] = e.centre
             arc = centre, e.sense < 0, e.turns
-            kind = mv.ARC
-        elif kind == mv.ARC:
-            kind = mv.LINE
+            said = said._replace(kind=mv.ARC)
+        elif said.kind == mv.ARC:
+            said = said._replace(kind=mv.LINE)
         if np.linalg.norm(point - start) > 1e-12 or e.turns or whole:
-            self._put((kind, *rest), start, point, arc)
+            self._put(said, start, point, arc)
         self.comp, self.after_compensation = comp, after
 
     # ------------------------------------------------------------------ modes
@@ -445,3 +480,7 @@ class Control:
     def note(self, text: str) -> None:
         """Say once that a word was understood and what it means here."""
         self.out.notes[text] = None
+
+
+def _vector(v: np.ndarray) -> Vector:
+    return float(v[0]), float(v[1]), float(v[2])

@@ -22,7 +22,7 @@ DEEPEST = 60
 class WordError(Exception):
     """A fault in a block: what, and at which column (from 1)."""
 
-    def __init__(self, message: str, column: int):
+    def __init__(self, message: str, column: int) -> None:
         super().__init__(message)
         self.column = column
 
@@ -176,7 +176,9 @@ class Expression:
     `hash_sign(expression, column)` reads what stands behind a `#`.
     """
 
-    def __init__(self, text: str, grammar: Grammar, variable: Callable, hash_sign: Callable | None = None, at: int = 0, column: int = 1):
+    def __init__(
+        self, text: str, grammar: Grammar, variable: Callable, hash_sign: Callable | None = None, at: int = 0, column: int = 1
+    ) -> None:
         self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, at, column
         self.depth = 0
 

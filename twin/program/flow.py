@@ -79,7 +79,7 @@ class FrontEnd(Protocol):
 class Flow:
     """Runs the blocks of a program in their order."""
 
-    def __init__(self, unit: Unit, front: FrontEnd):
+    def __init__(self, unit: Unit, front: FrontEnd) -> None:
         self.front = front
         self.frames = [Frame(unit, unit.first)]
         self.ran = self.jumps = self.same_jumps = 0

@@ -80,7 +80,7 @@ def interpolate(
 class _Piece:
     """Set points of a stretch or a wait: axes (sample, 5), row of the moves (sample,), path speed (sample,), tip speed (sample,)."""
 
-    def __init__(self, axes: np.ndarray, row: np.ndarray, path_speed: np.ndarray, tip_speed: np.ndarray):
+    def __init__(self, axes: np.ndarray, row: np.ndarray, path_speed: np.ndarray, tip_speed: np.ndarray) -> None:
         self.axes, self.row, self.path_speed, self.tip_speed = axes, row, path_speed, tip_speed
 
 

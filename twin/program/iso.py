@@ -37,7 +37,7 @@ _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 class Iso(IsoCalls):
     """Reads the blocks of one ISO program."""
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, unit, linuxcnc=linuxcnc)
         self.flow = Flow(self.unit_read, self)
         self.with_m19 = False

@@ -22,7 +22,7 @@ MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17
 class IsoCalls(IsoMotion, ABC):
     """Calls and returns."""
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
         self.unit_read = between_percents(unit)
         self.folder = Folder(path)

@@ -21,7 +21,7 @@ MOST_REPEATS = 10_000
 class IsoDrilling(IsoVariables):
     """Drilling cycles and the words that they keep."""
 
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
         self.cycle: dict[str, Any] | None = None
         self.sticky: dict[str, float] = {}

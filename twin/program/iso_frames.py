@@ -17,7 +17,7 @@ from twin.program.iso_lines import IsoLines
 class IsoFrames(IsoLines):
     """Frames and what changes them."""
 
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine)
         self.linuxcnc = linuxcnc
         self.systems = {n: self.frame_table(_system_name(n)) for n in range(1, 10)}

@@ -11,6 +11,7 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
+from twin.program.collect import DEFAULT_TOLERANCE
 from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
 from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling
@@ -20,7 +21,7 @@ from twin.program.source import Unit
 class IsoMotion(IsoDrilling):
     """Moves."""
 
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
         self.motion = None if linuxcnc else 1
         self.polar = False
@@ -31,10 +32,10 @@ class IsoMotion(IsoDrilling):
         if codes & {28, 30}:
             self._reference(28 if 28 in codes else 30, coordinates, w)
             return
-        if 43.5 in codes or (self.out.modes.traori and self.motion in (0, 1) and w.keys() & set("IJK") and not codes & {2, 3}):
-            vector = tuple(w.pop(n).value if n in w else 0.0 for n in "IJK") if w.keys() & set("IJK") else None
-        else:
-            vector = None
+        vector, given = None, w.keys() & set("IJK")
+        if 43.5 in codes or (self.out.modes.traori and self.motion in (0, 1) and given and not codes & {2, 3}):
+            i, j, k = (w.pop(n).value if n in w else 0.0 for n in "IJK")
+            vector = (i, j, k) if given else None
         if self.cycle is not None:
             self._drill(codes, coordinates, w)
             return
@@ -73,7 +74,7 @@ class IsoMotion(IsoDrilling):
                 raise WordError("under G90.1 a circle needs both words of its centre; add the other", 1)
             arc = self.arc_centre(start, point, in_plane, radius), self.motion == 2, turns
         self._corner_words(w)
-        self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))  # type: ignore[arg-type]
+        self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))
         if self.modal_macro is not None:
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
@@ -144,7 +145,7 @@ class IsoMotion(IsoDrilling):
             self.note("G64 R: a setting of the planner of LinuxCNC, without effect on the path")
         if number == 64:
             p = w.pop("P").value if "P" in w else 0.0
-            self.tolerance = p * self.unit if p > 0.0 else type(self)._default_tolerance()
+            self.tolerance = p * self.unit if p > 0.0 else DEFAULT_TOLERANCE
             if "Q" in w:
                 w.pop("Q")
                 self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
@@ -153,12 +154,6 @@ class IsoMotion(IsoDrilling):
             self.tolerance = 1e-6
             self.note("G61: exact path, a rounding of 1 um")
         self.round_corners()
-
-    @staticmethod
-    def _default_tolerance() -> float:
-        from twin.program.collect import DEFAULT_TOLERANCE
-
-        return DEFAULT_TOLERANCE
 
     def _compensation(self, number: float, w: dict[str, Item], column: int) -> None:
         if number == 40:

@@ -19,7 +19,7 @@ class IsoVariables(IsoFrames):
 
     flow: Flow
 
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool):
+    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
         self.numbers: dict[int, float] = {}
         self.names: dict[str, float] = {}

@@ -9,6 +9,7 @@ way that their invented stop and start can be felt, and are joined in the middle
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
+from twin.program.axis_path import Frames
+from twin.program.blend import Spline
+from twin.program.elements import Elements
 
 DIVIDE = 0.06
 BEND = 0.1  # change of direction [rad] within an interval
@@ -227,11 +231,21 @@ def node_values(h, c):
     return a, slope
 
 
-def _window(s, e, f, limits: Limits, feeds: Feeds, nodes, piece, ease, gap: float):
+class Way(NamedTuple):
+    """What a law is planned along: the spline of the path, the elements it was made of, the frames of the axes along it."""
+
+    spline: Spline
+    elements: Elements
+    frames: Frames
+
+
+def _window(
+    along: Way, limits: Limits, feeds: Feeds, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray, gap: float
+) -> tuple[np.ndarray, int]:
     """Coefficients of one window, from rest to rest."""
     n = len(piece)
     q1, q2, q3, top = np.empty((n + 1, 5)), np.empty((n + 1, 5)), np.empty((n, 2, 5)), np.empty(n + 1)
-    limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top)
+    limit_rows(*along, limits, feeds, nodes, piece, q1, q2, q3, top)
     moving = np.flatnonzero(np.any(np.abs(q1) > 1e-12, axis=0) | np.any(np.abs(q2) > 1e-12, axis=0))
     q1, q2, q3 = (np.ascontiguousarray(q[..., moving]) for q in (q1, q2, q3))
     limit_a, limit_j = ACCELERATION_MARGIN * limits.acceleration[moving], JERK_MARGIN * limits.jerk[moving]
@@ -243,7 +257,14 @@ def _window(s, e, f, limits: Limits, feeds: Feeds, nodes, piece, ease, gap: floa
 
 
 def plan(
-    s, e, f, limits: Limits, feeds: Feeds, gap: float = timelaw.GAP, progress=None, eased: tuple[Law, np.ndarray] | None = None
+    s: Spline,
+    e: Elements,
+    f: Frames,
+    limits: Limits,
+    feeds: Feeds,
+    gap: float = timelaw.GAP,
+    progress: Callable[[float], None] | None = None,
+    eased: tuple[Law, np.ndarray] | None = None,
 ) -> Law:
     """The time law of a stretch; `progress` is called with the share done.
 
@@ -255,14 +276,24 @@ def plan(
     else:
         nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
     if len(piece) <= WINDOW:
-        c, _ = _window(s, e, f, limits, feeds, nodes, piece, ease, gap)
+        c, _ = _window(Way(s, e, f), limits, feeds, nodes, piece, ease, gap)
     else:
         way = run_ups(s, e, f, limits, feeds)
-        c = _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress)
+        c = _plan_long(Way(s, e, f), limits, feeds, nodes, piece, ease, way, gap, progress)
     return Law(nodes, piece, *node_values(np.diff(nodes), c))
 
 
-def _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress) -> np.ndarray:
+def _plan_long(
+    along: Way,
+    limits: Limits,
+    feeds: Feeds,
+    nodes: np.ndarray,
+    piece: np.ndarray,
+    ease: np.ndarray,
+    way: np.ndarray,
+    gap: float,
+    progress: Callable[[float], None] | None,
+) -> np.ndarray:
     """Windows one after the other, joined where both keep clear of their invented stops."""
     total = len(piece)
     c = np.zeros(total + 2)
@@ -270,7 +301,7 @@ def _plan_long(s, e, f, limits, feeds, nodes, piece, ease, way, gap, progress) -
     window = WINDOW
     while True:
         end = min(begin + window, total)
-        new, _ = _window(s, e, f, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[begin:end], gap)
+        new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[begin:end], gap)
         if begin == 0:
             c[: end + 2] = new
         else:

@@ -28,7 +28,7 @@ ALONG_ARC = 16
 class OutsideTravel(InputError):
     """A program that leaves the travel of the machine; `program` is what was understood of it."""
 
-    def __init__(self, message: str, program: Program):
+    def __init__(self, message: str, program: Program) -> None:
         super().__init__(message)
         self.program = program
 

@@ -14,9 +14,10 @@ from twin.program import sinumerik_cycles as cycles
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
 from twin.program.control import INCH, INDEX, LINEAR, OTHER, Item
 from twin.program.cycles import CycleError
-from twin.program.expressions import Value, WordError
+from twin.program.expressions import WordError
 from twin.program.flow import Flow
 from twin.program.sinumerik_calls import SinumerikCalls
+from twin.program.sinumerik_motion import Block
 from twin.program.source import Unit, plain_name
 from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 from twin.program.words import NUMBER, Word, split_arguments, split_words
@@ -36,7 +37,7 @@ _VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1")} - {SINUMERIK_
 class Sinumerik(SinumerikCalls):
     """Reads the blocks of one SINUMERIK program."""
 
-    def __init__(self, path: Path, machine: Machine, units: list[Unit]):
+    def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
         super().__init__(path, machine, units)
         self.flow = Flow(units[0], self)
         self.corners_meet = False
@@ -52,7 +53,7 @@ class Sinumerik(SinumerikCalls):
 
     def fast(self, text: str, line: int) -> bool:
         """Take a plain block of coordinates; False if it must be read word by word."""
-        if not self.plain or self.mcall is not None or self.corner is not None or self.held is not None or self.every_corner:
+        if not self.plain or self.mcall is not None or self.held is not None or self.every_corner:
             return False
         match = _PLAIN.match(text)
         if not match:
@@ -106,14 +107,7 @@ class Sinumerik(SinumerikCalls):
 
     def _block(self, words: list[Word]) -> None:
         """Everything that stands in one block: first the modes, then the move."""
-        coordinates: dict[str, Item] = {}
-        centre: dict[str, Item] = {}
-        extra: dict[str, Item] = {}
-        tool: dict[str, tuple[Value, int]] = {}
-        g: list[tuple[float, Word]] = []
-        m: list[int] = []
-        calls: list[Word] = []
-        names: list[Word] = []
+        block = Block()
         for word in words:
             name = word.name
             if word.assigned and (
@@ -121,29 +115,29 @@ class Sinumerik(SinumerikCalls):
             ):
                 self._assignment(word)
             elif name == "G" and (word.value is not None or word.assigned):
-                g.append((self._value(word), word))
+                block.g.append((self._value(word), word))
             elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in ("POS", "POSA") and word.index):
                 axis = name[0] if not name.startswith("POS") else (word.index or "").strip().removesuffix("1")
                 if axis not in INDEX and axis not in OTHER:
                     raise WordError(f"{name}[{axis}]: this machine has X Y Z A C", word.column)
-                if axis in coordinates:
+                if axis in block.coordinates:
                     raise WordError(f"{axis} stands twice in the block; keep one", word.column)
-                coordinates[axis] = self._item(word)
+                block.coordinates[axis] = self._item(word)
                 if name.startswith("POS"):
                     self.note("POS, POSA: the axis moves with the others of the block, at rapid where it stands alone")
-                    extra["POS"] = Item(1.0, "", word.column)
+                    block.extra["POS"] = Item(1.0, "", word.column)
             elif name in ("I", "J", "K"):
-                centre[name] = self._item(word)
+                block.centre[name] = self._item(word)
             elif name in ("F", "S", "P") or (name in SINUMERIK_NAMES and SINUMERIK_NAMES[name][1] in _VALUE_WORDS):
-                if name in extra:
+                if name in block.extra:
                     raise WordError(f"{name} stands twice in the block; keep one", word.column)
-                extra[name] = self._item(word)
+                block.extra[name] = self._item(word)
             elif name == "M" and (word.value is not None or word.assigned):
-                m.append(int(self._value(word)))
+                block.m.append(int(self._value(word)))
             elif name in ("T", "D", "H") and (word.value is not None or word.assigned):
-                tool[name] = self._tool_value(word), word.column
+                block.tool[name] = self._tool_value(word), word.column
             elif name == "L" and word.value is not None:
-                calls.append(word)
+                block.calls.append(word)
             elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
                 self.note(f"{name}=: a word of another spindle or tool, understood, without effect on the motion")
             elif name == "R":
@@ -153,16 +147,17 @@ class Sinumerik(SinumerikCalls):
                     f"word '{name}' is not known; remove it or replace it by moves (docs/programs.md lists what is read)", word.column
                 )
             elif name in SINUMERIK_NAMES and not self._own_program(name):
-                names.append(word)
+                block.names.append(word)
             elif word.assigned:
                 self._assignment(word)
             else:
-                calls.append(word)
-        self._carry_out(g, m, names, coordinates, centre, extra, tool, calls)
+                block.calls.append(word)
+        self._carry_out(block)
 
-    def _carry_out(self, g, m, names, coordinates, centre, extra, tool, calls) -> None:  # type: ignore[no-untyped-def]
-        numbers = {n for n, _ in g}
-        for number, word in g:
+    def _carry_out(self, block: Block) -> None:
+        """What the words of a block do, in the order in which the control takes them."""
+        numbers, extra, names, calls = block.numbers, block.extra, block.names, block.calls
+        for number, word in block.g:
             entry = SINUMERIK_G.get(number)
             if entry is None:
                 raise WordError(
@@ -172,12 +167,12 @@ class Sinumerik(SinumerikCalls):
                 raise WordError(f"G{number:g} is not supported: {entry[1]}", word.column)
             if entry[0] == NOTE:
                 self.note(f"G{number:g}: {entry[1]}")
-        if tool or 6 in m:
-            if 6 in m:
-                tool["M6"] = 6.0, 1
-            self.tools.block(tool)
+        if block.tool or 6 in block.m:
+            if 6 in block.m:
+                block.tool["M6"] = 6.0, 1
+            self.tools.block(block.tool)
         if 4 in numbers:
-            self._dwell(numbers, extra, bool(coordinates or centre or names or calls))
+            self._dwell(numbers, extra, bool(block.coordinates or block.centre or names or calls))
             return
         frame_word = next((w for w in names if w.name in _SWITCH_WORDS), None)
         shift = next((n for n in (58, 59) if n in numbers), None)
@@ -186,7 +181,7 @@ class Sinumerik(SinumerikCalls):
         self._settings(extra, numbers)
         modal_before = self.mcall
         moved_by_name = None
-        for number, word in g:
+        for number, word in block.g:
             self._g(number, word)
         cycle = next((w for w in names if w.name.startswith("CYCLE8") and SINUMERIK_NAMES[w.name][0] == ACTS), None)
         if cycle is not None and any(w.name == "MCALL" for w in names):
@@ -197,16 +192,16 @@ class Sinumerik(SinumerikCalls):
                 self.motion = 2
             elif word.name not in _SWITCH_WORDS and word.name != "SUPA":
                 self._name(word, calls, cycle)
-        pause = self._m(m)
+        pause = self._m(block.m)
         if frame_word is not None or shift is not None:
-            self._frame_words(frame_word, shift, coordinates, extra)
+            self._frame_words(frame_word, shift, block.coordinates, extra)
         elif numbers & {74, 75}:
-            self._fixed_point(75 if 75 in numbers else 74, coordinates, extra)
+            self._fixed_point(75 if 75 in numbers else 74, block.coordinates, extra)
         elif numbers & {110, 111, 112}:
-            self._set_pole(next(n for n in (110, 111, 112) if n in numbers), coordinates, extra)
+            self._set_pole(next(n for n in (110, 111, 112) if n in numbers), block.coordinates, extra)
         else:
-            self._motion(numbers, coordinates, centre, extra, vector, suppress, moved_by_name, g)
-            if coordinates and self.mcall is not None and self.mcall is modal_before:
+            self._motion(block, vector, suppress, moved_by_name)
+            if block.coordinates and self.mcall is not None and self.mcall is modal_before:
                 self.mcall()
         if 9 in numbers:
             self._release()
@@ -222,9 +217,9 @@ class Sinumerik(SinumerikCalls):
             raise WordError(f"'{calls[1].name}' is a second call in the block; write it in the next one", calls[1].column)
         for word in calls:
             self._call(word, times)
-        if 17 in m or any(w.name == "RET" for w in names):
+        if 17 in block.m or any(w.name == "RET" for w in names):
             self.flow.back("return")
-        elif 2 in m or 30 in m:
+        elif 2 in block.m or 30 in block.m:
             self.flow.ended = True
 
     def _settings(self, extra: dict[str, Item], numbers: set[float]) -> None:
@@ -343,3 +338,23 @@ class Sinumerik(SinumerikCalls):
             cycles.carry_out(self, word)
         else:
             raise WordError(f"{name} needs a value, e.g. {name}=1", word.column)
+
+    def _modal(self, calls: list[Word], cycle: Word | None) -> None:
+        """MCALL: a cycle or subprogram behind each block that moves; alone it ends."""
+        if cycle is not None:
+            self.mcall = cycles.drilling(self, cycle.name, cycles.values_of(self, cycle), cycle)
+            return
+        if not calls:
+            self.mcall = None
+            return
+        word = calls.pop(0)
+        unit = self._find(word.name if word.name != "L" else f"L{word.value:g}")
+        if unit is None:
+            raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
+        variables, first = self._arguments(unit, [(t, c + word.text_column) for t, c in split_arguments(word.text or "")], word)
+
+        def call() -> None:
+            if frame := self.flow.call(unit, first, name=unit.name, column=word.column):
+                frame.variables = {k: dict(v) for k, v in variables.items()}
+
+        self.mcall = call

@@ -1,4 +1,4 @@
-"""Subprograms of SINUMERIK programs: calls with values, MCALL, CASE, declarations."""
+"""Subprograms of SINUMERIK programs: calls with values, CASE, declarations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import re
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program import sinumerik_cycles as cycles
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame, Statement
 from twin.program.sinumerik_motion import SinumerikMotion
@@ -24,7 +23,7 @@ _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 class SinumerikCalls(SinumerikMotion):
     """Calls, and statements that move nothing."""
 
-    def __init__(self, path: Path, machine: Machine, units: list[Unit]):
+    def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
         super().__init__(path, machine)
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.folder = Folder(path)
@@ -115,26 +114,6 @@ class SinumerikCalls(SinumerikMotion):
         if any(t for t, _ in arguments):
             raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
         return {}, 0
-
-    def _modal(self, calls: list[Word], cycle: Word | None) -> None:
-        """MCALL: a cycle or subprogram behind each block that moves; alone it ends."""
-        if cycle is not None:
-            self.mcall = cycles.drilling(self, cycle.name, cycles.values_of(self, cycle), cycle)
-            return
-        if not calls:
-            self.mcall = None
-            return
-        word = calls.pop(0)
-        unit = self._find(word.name if word.name != "L" else f"L{word.value:g}")
-        if unit is None:
-            raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
-        variables, first = self._arguments(unit, [(t, c + word.text_column) for t, c in split_arguments(word.text or "")], word)
-
-        def call() -> None:
-            if frame := self.flow.call(unit, first, name=unit.name, column=word.column):
-                frame.variables = {k: dict(v) for k, v in variables.items()}
-
-        self.mcall = call
 
     def returned(self, frame: Frame) -> None:
         """The end of a subprogram; a last corner or compensation goes on in the caller."""

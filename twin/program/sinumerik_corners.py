@@ -4,58 +4,74 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import Item
+from twin.program.control import Arc, SpaceArc, Vector
 from twin.program.expressions import WordError
 from twin.program.sinumerik_lines import SinumerikLines
+
+
+class Move(NamedTuple):
+    """One move with what `Control.go` takes, and the feed and place that it was programmed with."""
+
+    kind: int
+    point: np.ndarray
+    angles: list[float]
+    vector: Vector | None
+    arc: Arc | None
+    space: SpaceArc | None
+    suppress: bool
+    feed: float
+    line: int
+    block: int
+
+    @property
+    def is_straight(self) -> bool:
+        """Is it no arc?"""
+        return self.arc is None and self.space is None
+
+
+class Held(NamedTuple):
+    """A move from `start` (3,) that waits for the next one: the word of its corner and its size [m]."""
+
+    word: str
+    size: float
+    move: Move
+    start: np.ndarray
 
 
 class SinumerikCorners(SinumerikLines):
     """Moves that go out at once, or wait for their corner."""
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
         self.tangent: np.ndarray | None = None
-        self.corner: tuple[str, float] | None = None  # RND, CHF or CHR that waits for the next move
         self.every_corner = 0.0  # RNDM [m]
-        self.held: tuple | None = None
+        self.held: Held | None = None  # RND, CHF or CHR that waits for the next move
 
     def _from(self) -> np.ndarray:
-        return self.held[1].copy() if self.held is not None else self.here()
+        """Where the next move begins (3,): where the tool will be when the held move is out."""
+        return self.held.move.point.copy() if self.held is not None else self.here()
 
-    def _target(self, coordinates: dict[str, Item], suppress: bool) -> tuple[np.ndarray, list[float]]:
-        if self.held is None:
-            return self.target(coordinates, suppress)
-        kept, self.comp_hold = self.here, None
-        held = self.held[1].copy()
-        self.here = lambda: held.copy()  # type: ignore[method-assign]
-        try:
-            return self.target(coordinates, suppress)
-        finally:
-            self.here = kept  # type: ignore[method-assign]
-
-    def _queue(self, kind, point, angles, vector, arc, space, suppress, corner) -> None:  # type: ignore[no-untyped-def]
-        """Put a move out, or hold it back until its corner with the next one is known."""
-        if self.every_corner and corner is None and kind == mv.LINE:
+    def _queue(self, move: Move, corner: tuple[str, float] | None) -> None:
+        """Put a move out, or hold it back until its corner with the next one is known; `corner` is its word and size [m]."""
+        if self.every_corner and corner is None and move.kind == mv.LINE:
             corner = "RNDM", self.every_corner
-        row = (kind, point, angles, vector, arc, space, suppress, self.feed, self.line, self.block)
         if self.held is not None:
-            row = self._cut_corner(row)
+            self._cut_corner(self.held, move)
         if corner is not None and corner[1] > 0.0:
-            self.held = (corner, point.copy(), row, self._start_of(row))
+            self.held = Held(*corner, move._replace(point=move.point.copy()), self.here())
             return
-        self._go(row)
+        self._go(move)
 
-    def _start_of(self, row) -> np.ndarray:  # type: ignore[no-untyped-def]
-        return self.here()
-
-    def _go(self, row) -> None:  # type: ignore[no-untyped-def]
-        kind, point, angles, vector, arc, space, suppress, feed, line, block = row
+    def _go(self, move: Move) -> None:
+        """Put a move out with its own feed and place; the direction at its end is kept for CT."""
+        kind, point, angles, vector, arc, space, suppress, feed, line, block = move
         now = self.feed, self.line, self.block
         self.feed, self.line, self.block = feed, line, block
         start = self.here() if not suppress else None
@@ -72,31 +88,30 @@ class SinumerikCorners(SinumerikLines):
     def _release(self) -> None:
         """A move that was held back for its corner goes out in full."""
         if self.held is not None:
-            corner, _, row, _ = self.held
+            what, _, move, _ = self.held
             self.held = None
-            if corner[0] != "RNDM":
-                raise WordError(f"behind {corner[0]} a move in the plane must follow; add it or remove {corner[0]}", 1)
-            self._go(row)
+            if what != "RNDM":
+                raise WordError(f"behind {what} a move in the plane must follow; add it or remove {what}", 1)
+            self._go(move)
 
-    def _cut_corner(self, row) -> tuple:  # type: ignore[no-untyped-def, type-arg]
-        """The held move, then the chamfer or rounding between it and the next."""
-        assert self.held is not None
-        (what, size), corner, before, start = self.held
+    def _cut_corner(self, held: Held, following: Move) -> None:
+        """The held move, then the chamfer or rounding between it and the following one."""
+        what, size, before, start = held
         self.held = None
-        after = row[1]
-        u, v = corner - start, after - corner
+        corner = before.point
+        u, v = corner - start, following.point - corner
         lengths = float(np.linalg.norm(u)), float(np.linalg.norm(v))
-        straight = before[4] is None and row[4] is None and before[5] is None and row[5] is None and row[0] != mv.RAPID
+        straight = before.is_straight and following.is_straight and following.kind != mv.RAPID
         if not straight or min(lengths) < 1e-9:
             if what == "RNDM":
                 self._go(before)
-                return row
+                return
             raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
         u, v = u / lengths[0], v / lengths[1]
         angle = math.acos(max(-1.0, min(1.0, float(u @ v))))
         if angle < 1e-6:
             self._go(before)
-            return row
+            return
         cut = (
             size
             if what == "CHR"
@@ -107,10 +122,10 @@ class SinumerikCorners(SinumerikLines):
         if angle > math.pi - 1e-6 or cut > min(lengths) + 1e-9:
             raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
         first, last = corner - cut * u, corner + cut * v
-        self._go((before[0], first, *before[2:]))
-        none = [math.nan, math.nan]
+        self._go(before._replace(point=first))
+        cut_off = before._replace(point=last, angles=[math.nan, math.nan], vector=None, suppress=False)
         if what in ("CHF", "CHR"):
-            self._go((before[0], last, none, None, None, None, False, *before[7:]))
+            self._go(cut_off)
         else:
             normal = np.cross(u, v)
             normal = normal / np.linalg.norm(normal)
@@ -118,5 +133,4 @@ class SinumerikCorners(SinumerikLines):
             axis = arcs.PLANES[self.plane][2]
             if abs(abs(normal[axis]) - 1.0) > 1e-9:
                 raise WordError(f"{what} does not lie in the plane G{self.plane}; select the plane", 1)
-            self._go((mv.ARC, last, none, None, (centre, bool(normal[axis] < 0), 0), None, False, *before[7:]))
-        return row
+            self._go(cut_off._replace(kind=mv.ARC, arc=(centre, bool(normal[axis] < 0), 0)))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
-from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,9 @@ from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
 from twin.program.control import rotation
 from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling
 from twin.program.expressions import WordError
+from twin.program.sinumerik_calls import SinumerikCalls
 from twin.program.words import Word, split_arguments
 from twin.units import rad_from_deg
-
-Sinumerik = Any  # the reader, whose file imports this one
 
 PITCHES = {
     1: 0.25, 1.2: 0.25, 1.6: 0.35, 2: 0.4, 2.5: 0.45, 3: 0.5, 4: 0.7, 5: 0.8, 6: 1.0, 8: 1.25, 10: 1.5, 12: 1.75, 14: 2.0, 16: 2.0, 18: 2.5, 20: 2.5,
@@ -27,7 +26,7 @@ MOST_HOLES = 10_000
 _ORDERS = {1: 0, 2: 1, 3: 2}
 
 
-def values_of(control: Sinumerik, word: Word) -> list[float | str | None]:
+def values_of(control: SinumerikCalls, word: Word) -> list[float | str | None]:
     """The arguments of a cycle; None where one is left out."""
     out: list[float | str | None] = []
     for text, at in split_arguments(word.text or ""):
@@ -40,7 +39,7 @@ def values_of(control: Sinumerik, word: Word) -> list[float | str | None]:
     return out
 
 
-def carry_out(control: Sinumerik, word: Word) -> None:
+def carry_out(control: SinumerikCalls, word: Word) -> None:
     """One cycle call, at once or as what MCALL repeats."""
     name = word.name
     arguments = values_of(control, word)
@@ -65,7 +64,7 @@ def _number(arguments: list, k: int, default: float | None = None) -> float:
     return float(value)
 
 
-def drilling(control: Sinumerik, name: str, a: list, word: Word):  # type: ignore[no-untyped-def]
+def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callable[[], None]:
     """A drilling cycle as a function that carries it out where the tool stands."""
     rtp, rfp, sdis = _number(a, 0), _number(a, 1, 0.0), abs(_number(a, 2, 0.0))
     given = len(a) > 3 and a[3] is not None
@@ -138,8 +137,10 @@ def drilling(control: Sinumerik, name: str, a: list, word: Word):  # type: ignor
     raise WordError(f"{name} is not read here", word.column)
 
 
-def _deep(control: Sinumerik, a: list, rfp: float, safe: float, depth: float, rtp: float, down: float, time) -> Drilling:  # type: ignore[no-untyped-def]
-    """CYCLE83: the first depth, then steps that shrink by DAM."""
+def _deep(
+    control: SinumerikCalls, a: list, rfp: float, safe: float, depth: float, rtp: float, down: float, time: Callable[[int], float]
+) -> Drilling:
+    """CYCLE83: the first depth, then steps that shrink by DAM; `time` gives the dwell [s] of an argument."""
     first = _number(a, 5, 0.0) if len(a) > 5 and a[5] is not None else rfp + down * abs(_number(a, 6, 0.0))
     if (a[6:7] and a[6] is not None and a[5:6] and a[5] is None) or first == rfp:
         first = rfp + down * abs(_number(a, 6, 0.0))
@@ -172,7 +173,7 @@ def _deep(control: Sinumerik, a: list, rfp: float, safe: float, depth: float, rt
     )  # fmt: skip
 
 
-def height(control: Sinumerik, value: float) -> None:
+def height(control: SinumerikCalls, value: float) -> None:
     """Rapid to a height along the normal of the plane."""
     across = arcs.PLANES[control.plane][2]
     point = control.here()
@@ -182,7 +183,7 @@ def height(control: Sinumerik, value: float) -> None:
     control.go(mv.RAPID, point, [math.nan, math.nan])
 
 
-def holes(control: Sinumerik, name: str, a: list, word: Word) -> None:
+def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
     """The cycle of MCALL at each place of a pattern."""
     if control.mcall is None:
         raise WordError(f"{name} needs a cycle by MCALL before; add MCALL CYCLE81(..)", word.column)
@@ -226,7 +227,7 @@ def _count(value: float) -> int:
     return int(value)
 
 
-def swivel(control: Sinumerik, a: list, word: Word) -> None:
+def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
     """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its turns; without arguments it ends."""
     numbers = [_number(a, k, 0.0) for k in range(4, min(13, len(a)))]
     numbers += [0.0] * (9 - len(numbers))
@@ -258,7 +259,7 @@ def swivel(control: Sinumerik, a: list, word: Word) -> None:
     control.swivel(matrix, before + matrix @ behind)
 
 
-def smooth(control: Sinumerik, a: list, word: Word) -> None:
+def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
     """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off."""
     tolerance = a[0] if a and a[0] is not None else 0.0
     if isinstance(tolerance, str) or tolerance < 0.0:

@@ -17,7 +17,7 @@ from twin.program.words import Word
 class SinumerikFrames(SinumerikCorners):
     """Frames and what changes them."""
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
         self.settable: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.chosen = "G500"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 import math
 from pathlib import Path
 
@@ -10,22 +11,43 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import INDEX, LINEAR, ROTARY, Item, rotation
-from twin.program.expressions import WordError
+from twin.program.control import INDEX, LINEAR, ROTARY, Arc, Item, SpaceArc, Vector, rotation
+from twin.program.expressions import Value, WordError
+from twin.program.sinumerik_corners import Move
 from twin.program.sinumerik_variables import SinumerikVariables
+from twin.program.words import Word
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
+
+
+@dataclass
+class Block:
+    """The words of one block by their use; each step takes out what it used, so that what stays is an error."""
+
+    coordinates: dict[str, Item] = field(default_factory=dict)
+    centre: dict[str, Item] = field(default_factory=dict)  # I J K
+    extra: dict[str, Item] = field(default_factory=dict)  # other words with a number
+    tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H M6: value and column
+    g: list[tuple[float, Word]] = field(default_factory=list)
+    m: list[int] = field(default_factory=list)
+    names: list[Word] = field(default_factory=list)  # words without a number
+    calls: list[Word] = field(default_factory=list)  # subprograms
+
+    @property
+    def numbers(self) -> set[float]:
+        """The G codes."""
+        return {number for number, _ in self.g}
 
 
 class SinumerikMotion(SinumerikVariables):
     """Moves."""
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
         self.pole = np.zeros(3)
         self.angles_are_rpy: bool | None = None
 
-    def _orientation(self, extra: dict[str, Item]) -> tuple[float, float, float] | None:
+    def _orientation(self, extra: dict[str, Item]) -> Vector | None:
         """The tool axis of a block, by a vector or by angles."""
         vector = [n for n in ("A3", "B3", "C3") if n in extra]
         angles = [n for n in ("A2", "B2", "C2") if n in extra]
@@ -34,17 +56,19 @@ class SinumerikMotion(SinumerikVariables):
         if not self.out.modes.traori:
             raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=", 1)
         if vector:
-            return tuple(extra.pop(n).value if n in extra else 0.0 for n in ("A3", "B3", "C3"))  # type: ignore[return-value]
+            x, y, z = (extra.pop(n).value if n in extra else 0.0 for n in ("A3", "B3", "C3"))
+            return x, y, z
         if self.angles_are_rpy is None:
             raise WordError("A2= B2= C2= count as the control is set; write ORIRPY or ORIEULER before", 1)
         a, b, c = (extra.pop(n).value if n in extra else 0.0 for n in ("A2", "B2", "C2"))
         matrix = (
             rotation(2, c) @ rotation(1, b) @ rotation(0, a) if self.angles_are_rpy else rotation(2, a) @ rotation(0, b) @ rotation(2, c)
         )
-        return tuple(map(float, matrix[:, 2]))  # type: ignore[return-value]
+        return float(matrix[0, 2]), float(matrix[1, 2]), float(matrix[2, 2])
 
-    def _motion(self, numbers, coordinates, centre, extra, vector, suppress, by_name, g) -> None:  # type: ignore[no-untyped-def]
-        """One motion block: target, tool axis, arc, corner."""
+    def _motion(self, block: Block, vector: Vector | None, suppress: bool, by_name: str | None) -> None:
+        """One motion block: target, tool axis, arc, corner; `by_name` is CIP or CT."""
+        numbers, coordinates, centre, extra = block.numbers, block.coordinates, block.centre, block.extra
         self._polar(coordinates, extra)
         self._slanted(coordinates, extra)
         if vector and ("A" in coordinates or "C" in coordinates):
@@ -53,10 +77,11 @@ class SinumerikMotion(SinumerikVariables):
             self.every_corner = max(0.0, extra.pop("RNDM").value) * self.unit
         corner = next(((n, extra.pop(n).value * self.unit) for n in ("RND", "CHF", "CHR") if n in extra), None)
         by_words = extra.keys() & _ARC_WORDS
-        programmed = any(n in (2, 3) for n, _ in g) or by_name
+        programmed = bool(numbers & {2, 3}) or by_name
         kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion if self.motion is not None else 1]
         if numbers & {331, 332, 63}:
-            kind, coordinates = self._tap(numbers, coordinates, centre, extra)
+            kind = mv.LINE
+            self._tap(numbers, centre)
         if extra.pop("POS", None) is not None and len(coordinates) == 1 and not numbers:
             kind = mv.RAPID
         moves = bool(coordinates or vector or (centre and kind == mv.ARC) or (programmed and by_words))
@@ -71,14 +96,16 @@ class SinumerikMotion(SinumerikVariables):
         start = np.array(self.out.position[:3]) if suppress else self._from()
         if self.held is not None and (suppress or any(n in coordinates for n in ROTARY) or vector):
             self._release()
-        point, angles = self._target(coordinates, suppress)
+        point, angles = self.target(coordinates, suppress, start)
         arc, space = None, None
         if kind == mv.ARC:
             arc, space = self._arc(start, point, centre, extra, by_name)
-        self._queue(kind, point, angles, vector, arc, space, suppress, corner)
+        self._queue(Move(kind, point, angles, vector, arc, space, suppress, self.feed, self.line, self.block), corner)
 
-    def _arc(self, start, point, centre, extra, by_name) -> tuple:  # type: ignore[no-untyped-def, type-arg]
-        """Centre, sense and turns of an arc in the plane, or an arc in space."""
+    def _arc(
+        self, start: np.ndarray, point: np.ndarray, centre: dict[str, Item], extra: dict[str, Item], by_name: str | None
+    ) -> tuple[Arc | None, SpaceArc | None]:
+        """Centre, sense and turns of an arc in the plane, or an arc in space; AR= sets the end `point` (3,)."""
         turns = int(extra.pop("TURN").value) if "TURN" in extra else 0
         if not 0 <= turns <= 10_000:
             raise WordError(f"TURN={turns} is out of range; give 0 to 10000", 1)
@@ -117,10 +144,10 @@ class SinumerikMotion(SinumerikVariables):
             raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
         return (self.arc_centre(start, point, centre, radius), clockwise, turns), None
 
-    def _tap(self, numbers, coordinates, centre, extra) -> tuple:  # type: ignore[no-untyped-def, type-arg]
+    def _tap(self, numbers: set[float], centre: dict[str, Item]) -> None:
         """G331, G332: along the thread; the feed is pitch times speed. G63 takes the feed in force."""
         if 63 in numbers:
-            return mv.LINE, coordinates
+            return
         across = "IJK"[arcs.PLANES[self.plane][2]]
         if across not in centre:
             raise WordError(f"G331 and G332 need the pitch {across}; add it", 1)
@@ -129,7 +156,6 @@ class SinumerikMotion(SinumerikVariables):
             raise WordError("G331 and G332 need a spindle speed; give S before", 1)
         self.set_feed_mode(94)
         self.feed = pitch * self.out.modes.spindle * self.unit / self.out.modes.feed_unit
-        return mv.LINE, coordinates
 
     def _polar(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
         """AP= and RP=: angle and radius about the pole."""

@@ -31,7 +31,7 @@ class SinumerikVariables(SinumerikFrames):
 
     flow: Flow
 
-    def __init__(self, path: Path, machine: Machine):
+    def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}

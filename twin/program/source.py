@@ -6,6 +6,7 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
+from typing import BinaryIO
 
 from twin.errors import InputError
 
@@ -18,7 +19,7 @@ _PREFIX = re.compile(r"_N_|_MPF$|_SPF$", re.A)
 class Source:
     """The lines of a program file, checked to be text."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path = path
         if not path.is_file():
             raise InputError(f"{path}: no such file; give a program (.mpf .spf .nc .ngc .apt .cls)")
@@ -29,7 +30,7 @@ class Source:
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
 
-    def _read(self, file) -> None:  # type: ignore[no-untyped-def]
+    def _read(self, file: BinaryIO) -> None:
         lines, number = self.lines, 0
         while True:
             raw = file.readline(LONGEST_LINE + 2)
@@ -111,7 +112,7 @@ class Folder:
     BESIDE = ("subs", "sub", "subroutines", "macros", "SUBS", "SPF", "spf")
     ENDINGS = ("", ".spf", ".mpf", ".ngc", ".nc", ".sub", ".min", ".cnc", ".tap", ".prg", ".txt", ".h")
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.files: dict[str, Path] | None = None
         self.units: dict[str, Unit | None] = {}

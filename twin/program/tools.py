@@ -18,7 +18,7 @@ class Tools:
     D1 with a tool and no length with D0; the ISO dialect takes a length with G43 and none with G49.
     """
 
-    def __init__(self, out: Collector, machine: Machine, iso: bool):
+    def __init__(self, out: Collector, machine: Machine, iso: bool) -> None:
         self.out = out
         self.table: Mapping[str, Mapping[str, float]] = machine.document.get("tool", {})
         self.iso = iso
