@@ -20,7 +20,7 @@ class SimulationError(TwinError):
     `trace` holds what was recorded up to there (None if nothing was).
     """
 
-    def __init__(self, message: str, trace: object | None = None):
+    def __init__(self, message: str, trace: object | None = None) -> None:
         super().__init__(message)
         self.trace = trace
 

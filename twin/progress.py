@@ -11,7 +11,7 @@ class Progress:
     Call it with the done fraction, or with None for one more of `total` steps; `say` shows what is being tried.
     """
 
-    def __init__(self, text: str, total: int | None = None):
+    def __init__(self, text: str, total: int | None = None) -> None:
         if total is None:
             layout = "{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
             self.bar = tqdm(total=1.0, desc=text, delay=1.0, disable=None, bar_format=layout, leave=False)
@@ -36,7 +36,7 @@ class Progress:
 class Steps:
     """A bar on a terminal that goes one step with each report, with its name."""
 
-    def __init__(self, text: str, total: int):
+    def __init__(self, text: str, total: int) -> None:
         from tqdm import tqdm
 
         self.bar = tqdm(total=total, desc=text, delay=1.0, disable=None, leave=False, bar_format="{desc} |{bar}| {elapsed}")

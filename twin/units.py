@@ -56,7 +56,7 @@ def deg_from_rad(angle_rad: float) -> float:
 class AxisUnits:
     """The units in which people read one kind of axis: (name, factor from SI) of each quantity."""
 
-    def __init__(self, position: str, speed: str, error: str, error_per_si: float):
+    def __init__(self, position: str, speed: str, error: str, error_per_si: float) -> None:
         self.position = (position, 1.0 / UNITS[position][1])
         self.speed = (speed, 1.0 / UNITS[speed][1])
         self.acceleration = (f"{speed}2", 1.0 / UNITS[f"{speed}2"][1])

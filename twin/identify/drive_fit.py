@@ -151,7 +151,7 @@ class _Work:
         rows: Mapping[str, Sequence[np.ndarray]],
         known: Collection[tuple[str, str]],
         skipped: Collection[str],
-    ):
+    ) -> None:
         self.machine, self.runs = machine, runs
         self.names = [a.name for a in machine.axes if is_driven_ideally(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}

@@ -17,7 +17,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import Job as PredictJob
-from twin.simulation.gap import Prediction, gap_of, is_moving, predict_each
+from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
 from twin.simulation.setpoints import AT_REST
 
 LEFT_OUT_SHARE = 0.3
@@ -131,7 +131,7 @@ def gap_left_out(machine: Machine, division: Division) -> Table:
     }
 
 
-def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: str, rows: np.ndarray):  # type: ignore[no-untyped-def]
+def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: str, rows: np.ndarray) -> dict[str, SignalGap]:
     """Gap of one axis on some rows of a run."""
     if rows.all():
         return gap_of(machine, run, prediction).get(axis, {})

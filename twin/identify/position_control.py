@@ -114,7 +114,7 @@ def seen_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
 class _Law:
     """The rows of all runs for one way of reading set points between samples."""
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str):
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
         self.axis, self.runs, self.way = axis, runs, way
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(

@@ -22,6 +22,7 @@ Friction is viscous here, inertia that of the home pose, limits are not met; a s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
@@ -299,5 +300,5 @@ def _changes(values: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
 
 
-def _refined(function, low: float, high: float) -> float:  # type: ignore[no-untyped-def]
+def _refined(function: Callable[[float], float], low: float, high: float) -> float:
     return float(brentq(function, low, high, xtol=1e-12, rtol=1e-12))

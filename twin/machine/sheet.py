@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 
 from twin.machine.check import AxisCheck, Finding
@@ -20,7 +21,7 @@ def sheet(machine: Machine) -> str:
         if any(v != "-" for v in values):
             rows.append([name, unit, *values])
 
-    def each(value) -> list[str]:  # type: ignore[no-untyped-def]
+    def each(value: Callable[[Axis], str]) -> list[str]:
         return [value(axis) for axis in machine.axes]
 
     row("kind", "", each(lambda a: a.kind + (", direct" if a.drive == "direct" else "")))

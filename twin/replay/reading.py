@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,5 +64,5 @@ def _chunks(path: str | Path, blueprint: bool) -> list:
     return [chunk for store in stores for chunk in reader.stream(store=store).to_chunks()]
 
 
-def _is_timeline(chunk, name: str) -> bool:  # type: ignore[no-untyped-def]
+def _is_timeline(chunk: Any, name: str) -> bool:
     return not chunk.is_static and ":" not in name and not name.startswith("rerun.")

@@ -20,13 +20,14 @@ the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order lag. The
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import MOST_MEAN_CYCLES
 
 WHOLE_CYCLE = 1e-9
@@ -82,10 +83,10 @@ def drives_of(machine: Machine) -> Drives:
     """Constants of the cascade, computed from the machine's data sheet."""
     h = machine.base_tick
 
-    def column(value) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def column(value: Callable[[Axis], float]) -> np.ndarray:
         return np.array([value(axis) for axis in machine.axes], float)
 
-    def flag(value) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def flag(value: Callable[[Axis], bool]) -> np.ndarray:
         return np.array([value(axis) for axis in machine.axes], bool)
 
     ts = machine.speed_cycle

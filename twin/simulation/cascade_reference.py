@@ -163,7 +163,7 @@ def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.nd
 class ReferenceSimulation:
     """A machine without effects and noise, one Python call a tick; state of the engine in `plant.data`."""
 
-    def __init__(self, machine: Machine, setpoints: Setpoints, ticks: int):
+    def __init__(self, machine: Machine, setpoints: Setpoints, ticks: int) -> None:
         self.machine = machine
         self.plant = build_plant(machine)
         self.h = machine.base_tick

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 import functools
 import threading
+from typing import Any
 
 import mujoco
 from numba import carray, types
@@ -84,7 +85,7 @@ class _Loads:
 class DecoupledPlant:
     """Axes by themselves along a known motion; the same face to the loop as `twin.simulation.plant_spec.Plant`."""
 
-    def __init__(self, change: Change, motion: Motion, carried_by: Machine | None = None):
+    def __init__(self, change: Change, motion: Motion, carried_by: Machine | None = None) -> None:
         """`motion` is that of the change's axes, or of `carried_by`: the machine with all the axes that carry them."""
         axes = change.machine.axes
         loads = loads_along(change, motion, carried_by)
@@ -269,7 +270,7 @@ def _is_constant(plant: Plant, motion: Motion) -> bool:
 _Pointer = types.CPointer(types.float64)
 
 
-def decoupled_step(constants_pointer, state_pointer):  # type: ignore[no-untyped-def]
+def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
     """One tick of all degrees of freedom; the law stands at the top of the module."""
     header = carray(constants_pointer, (_HEADER,))
     h = header[_H]

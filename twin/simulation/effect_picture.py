@@ -147,7 +147,7 @@ def smoothed(values: np.ndarray, width: float, period: float) -> np.ndarray:
     return np.convolve(padded, np.full(count, 1.0 / count), "valid")
 
 
-def floor(place, smallest: float) -> None:  # type: ignore[no-untyped-def]
+def floor(place: Any, smallest: float) -> None:
     """Values that are nothing are drawn as nothing: no scale below `smallest`."""
     low, high = place.get_ylim()
     if high - low < smallest:

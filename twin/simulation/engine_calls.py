@@ -39,7 +39,7 @@ def call_address_4(typing_context, address, a, b, c, d):  # type: ignore[no-unty
 def _call(count: int) -> tuple[typing.Any, typing.Any]:
     signature = types.void(*[types.int64] * (count + 1))
 
-    def generate(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context: typing.Any, builder: typing.Any, _signature: typing.Any, arguments: typing.Any) -> typing.Any:
         word = ir.IntType(64)
         function_type = ir.FunctionType(ir.VoidType(), [word] * count)
         function = builder.inttoptr(arguments[0], function_type.as_pointer())

@@ -65,7 +65,7 @@ def arrays(parameters, state, signals):  # type: ignore[no-untyped-def]
     return carray(parameters, PARAMETER_COUNT), carray(state, STATE_COUNT), carray(signals, (MAX_AXES, SIGNAL_COUNT))
 
 
-def term(law: Callable[..., None]):  # type: ignore[no-untyped-def]
+def term(law: Callable[..., None]) -> Any:
     """Compile a law to a C function whose address the loop can call; compiled on first use and cached on disk."""
     return _LazyTerm(law)
 
@@ -73,7 +73,7 @@ def term(law: Callable[..., None]):  # type: ignore[no-untyped-def]
 class _LazyTerm:
     """A law that is compiled when its address is first asked for."""
 
-    def __init__(self, law: Callable[..., None]):
+    def __init__(self, law: Callable[..., None]) -> None:
         self.law = law
         self._compiled: Any = None
         self.__doc__ = law.__doc__

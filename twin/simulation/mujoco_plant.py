@@ -14,7 +14,7 @@ from twin.simulation.plant_spec import build_plant
 class MujocoPlant:
     """The whole machine in MuJoCo, with the effects' model edits and rotor joints."""
 
-    def __init__(self, change: Change):
+    def __init__(self, change: Change) -> None:
         plant = build_plant(change.machine, change.model_edits, change.split_axes)
         self.plant = plant
         data, model = plant.data, plant.model

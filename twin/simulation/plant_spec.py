@@ -65,7 +65,7 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
     joints = [model.joint(axis.name) for axis in machine.axes]
     rotors = [model.joint(f"{axis.name}.rotor") if axis.name in split_axes else joint for axis, joint in zip(machine.axes, joints)]
 
-    def index(values) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def index(values: Sequence[int]) -> np.ndarray:
         return np.array(values, np.int64).reshape(len(machine.axes))
 
     return Plant(

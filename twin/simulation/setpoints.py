@@ -64,7 +64,7 @@ class Setpoints:
     adds to the drive's command, as torque at the motor [Nm]; nothing is added outside the samples.
     """
 
-    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None, injected: np.ndarray | None = None):
+    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None, injected: np.ndarray | None = None) -> None:
         self.injected = injected
         self.position = np.ascontiguousarray(position, float)
         self.period = period

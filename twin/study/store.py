@@ -21,7 +21,7 @@ Row = tuple[int, list[float], dict[str, float], str | None]
 class Store:
     """The results in one folder; held by one study at a time."""
 
-    def __init__(self, folder: Path, fingerprint: str, resume: bool):
+    def __init__(self, folder: Path, fingerprint: str, resume: bool) -> None:
         self.path = folder / FILE
         output_folder(folder)
         with self._said():

@@ -358,7 +358,7 @@ def _why(path: Path, dialect: Dialect, error: Exception, bad: list[tuple[int | N
 class _Squeezed(io.RawIOBase):
     """The text with runs of spaces made one: files whose columns are aligned by spaces."""
 
-    def __init__(self, path: Path, encoding: str):
+    def __init__(self, path: Path, encoding: str) -> None:
         self.file = open(path, encoding=encoding)  # noqa: SIM115
         self.rest = b""
 
