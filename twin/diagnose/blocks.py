@@ -1,12 +1,12 @@
-"""Where the gap lies: each block of an axis by itself, fed with its measured inputs.
+"""Residual of each block of an axis by itself, fed with its measured inputs: it shows which block is at fault.
 
     position controller   set point and position in, speed set point out (channel `controller`)
     speed controller      speed set point and speed in, current out: the compiled PI law run over the record
     mechanics             current in, motion out: force balance Kt i / r - M a - Fc sign v - D v - bias, below 40 Hz
     transmission          motor position against scale (channel `motor_minus_scale`), with `measurement` behind it
 
-The score of a block is the mean square of its residual over that of the nominal twin with noise: about 1 where the
-block does what the machine file says.
+The score of a block is the mean square of its residual, divided by that of the nominal twin with noise. It is about 1 if the block
+works as the machine file says.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from twin.simulation.run import commissioned_inertia
 from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")
-"""Signals any of which shows how an axis moves."""
+"""Signals of the motion of an axis; one of them is enough."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 
@@ -57,7 +57,7 @@ class BlockResidual:
 
 
 def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapper: Callable = map) -> list[BlockResidual]:  # type: ignore[type-arg]
-    """All blocks of all axes of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
+    """Residuals of all blocks of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
 
     `mapper` maps over the runs, on threads or not.
     """
@@ -77,7 +77,7 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
 
 
 def _level_of(channel: Channel) -> float:
-    """Noise level of a channel: its usual noise, and the model error of a healthy twin."""
+    """Noise level of a channel: its median noise and the model error of a healthy twin."""
     return float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
 
 
@@ -106,7 +106,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
 
 
 def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Current that the recorded speed set point and speed ask for, against the recorded current; drift taken out."""
+    """Recorded current minus the current that the controller would command for the recorded speeds, without drift; and where it moves."""
     machine = view.machine.with_axes([axis.name])
     a = view.machine.axis_names.index(axis.name)
     ticks = max(1, round(trace.period / machine.base_tick))
@@ -160,7 +160,7 @@ def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, sp
 
 
 def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Force that the motion leaves unexplained [N or Nm], where the axis slides."""
+    """Drive force minus the force that the motion needs [N or Nm], where the axis slides; and those samples."""
     from scipy.signal import savgol_filter
 
     count = len(trace.time)
@@ -183,10 +183,10 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
 
 
 def _inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia with rotor and bias of an axis along the nominal motion (sample,)."""
+    """Inertia with the rotor, and bias force, of an axis along the nominal motion (sample,)."""
     group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
     index = [view.machine.axis_names.index(name) for name in group]
-    # normal imperfections, also those of axes that are not here, carry nothing
+    # springs carry no mass: without effects inertia and bias are the same
     change = apply_effects(with_effects(view.machine.with_axes(group), []))
     loads = loads_along(change, view.motion.part(tuple(index)))
     column = group.index(axis.name)
@@ -199,7 +199,7 @@ def _inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray
 
 
 def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
-    """Reversal, acceleration, constant speed and rest of an axis, by its set point (sample,)."""
+    """Masks (sample,) of reversal, acceleration, constant speed and rest of an axis, from its set point."""
     period = view.trace.period
     s = view.trace.get(name, "setpoint")
     window = max(5, round(0.01 / period) | 1)
@@ -224,7 +224,7 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
 
 
 def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) -> dict[str, np.ndarray]:
-    """What a residual may scale with: named regressors on some samples."""
+    """Regressors that a residual may scale with, by name, on the samples `index`."""
     a = view.machine.axis_names.index(name)
     axis = view.machine.axis(name)
     q, v, acceleration = (m[index, a] for m in (view.motion.position, view.motion.speed, view.motion.acceleration))

@@ -1,7 +1,7 @@
-"""How much a drive train gives, and its damping, where that is normal: found by simulating it, for its answer is not in proportion.
+"""Normal elasticity and damping of a drive train, found by simulation at several sizes.
 
-Where its first mode meets the cycle at which set points come, every step of them rings: a twentieth of the frequency, or half the damping,
-decides how much. A size scaled from another one says nothing there.
+The response is not proportional to the elasticity. Where the first mode lies near the rate of the set points, each set point excites it,
+and 5 % of the frequency or half the damping decides how strongly. A response scaled from another size would be wrong there.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 AROUND = (0.72, 0.8, 0.87, 0.94, 1.0, 1.06, 1.12, 1.19, 1.27, 1.38)
-"""Frequencies tried, as multiples of what a linear answer says; the neighbours are within the width of a mode."""
+"""Frequencies tried, as multiples of the linear estimate; neighbours lie within the width of a mode."""
 
 MEETING = (0.82, 0.88, 0.94, 1.0, 1.06)
-"""Frequencies tried as multiples of that at which set points come."""
+"""Frequencies tried, as multiples of the rate of the set points."""
 
 DAMPED = (-0.9, -0.45, 0.45, 0.9)
-"""Damping tried beside what is assumed, as shares of what is normal (`NORMAL_DAMPING` to that power)."""
+"""Exponents of `normal_damping` tried beside the assumed damping."""
 
 
 class _Tried:
-    """Losses of a drive train on the runs of a group in which it shows most, each simulated once."""
+    """Losses of trial drive trains on the runs in which one shows most; each trial is simulated once."""
 
-    def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float):
-        runs = _telling(group, axis, shows)
+    def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float) -> None:
+        runs = _runs_that_show(group, axis, shows)
         channels = [c for c in group.channels if c.axis == axis and c.run in runs]
         rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
         self.group = replace(group, channels=channels)
@@ -40,7 +40,7 @@ class _Tried:
         self.losses: dict[tuple[float, float], float] = {}
 
     def loss(self, at: tuple[float, float]) -> float:
-        """Half the squares that re-tuning leaves beside a drive train of this share of the normal elasticity, damped so."""
+        """Half the squares that re-tuning leaves beside a drive train `at` (share of the normal elasticity, damping exponent)."""
         if at not in self.losses:
             try:
                 answer = answer_of(self.group, self.axis, at, self.tolerance)
@@ -50,8 +50,8 @@ class _Tried:
         return self.losses[at]
 
 
-def _telling(group: Group, axis: str, shows: np.ndarray) -> set[int]:
-    """The runs that hold `train_shown` of the squares that a drive train makes, `shows` (row,)."""
+def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
+    """The fewest runs that hold the share `train_shown` of the squares of `shows` (row,), the response to a drive train."""
     squares: dict[int, float] = {}
     for c in group.channels:
         if c.axis == axis:
@@ -62,7 +62,7 @@ def _telling(group: Group, axis: str, shows: np.ndarray) -> set[int]:
 
 
 def answer_of(group: Group, axis: str, at: tuple[float, float], tolerance: float) -> np.ndarray:
-    """What a drive train of this share of the normal elasticity, damped so, changes (row,)."""
+    """Response (row,) to a drive train `at` (share of the normal elasticity, damping exponent)."""
     elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
     return group.response(lambda m: damping.apply(elasticity.apply(m, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance), axes=(axis,))
 
@@ -76,9 +76,9 @@ def with_drive_train(
     residual: np.ndarray,
     mapper: Mapper,
 ) -> Tuning:
-    """The tuning with elasticity of an axis' drive train, and its damping where that earns its place, each in proportion about its size.
+    """The tuning with the elasticity of an axis' drive train added, and its damping if that explains enough; each linear about its size.
 
-    `linear` is where an answer in proportion puts it. As it is where nothing about that explains `residual` (row,).
+    `linear` is the estimate under a proportional response. The tuning comes back unchanged if no size near it explains `residual` (row,).
     """
     tolerance, t = machine.parameter_tolerance, group.thresholds
     tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
@@ -100,7 +100,7 @@ def with_drive_train(
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
     share, damped = found
-    if share >= 1.0:  # softer than what is normal: an effect
+    if share >= 1.0:  # softer than normal: that is an effect
         return tuning
     worth = tried.loss((share, 0.0)) - tried.loss(found)
     try:

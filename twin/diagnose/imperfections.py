@@ -1,4 +1,4 @@
-"""Normal imperfections of a group of axes: a drive train that gives, a contact that gives before it slides. Found, and put into its machine."""
+"""Normal imperfections of a group of axes: an elastic drive train, and slip before break-away. They are found and added to its machine."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 SHARES = (0.05, 0.2, 0.8)
-"""Sizes at which a normal imperfection is tried, as shares of the largest that is normal: its answer is not in proportion."""
+"""Sizes at which a normal imperfection is tried, as shares of the largest normal one: the response is not proportional."""
 
 KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
-"""What normal imperfections belong to: those of one kind on an axis are left out together."""
+"""Group of each normal imperfection: those of one group on an axis are left out together."""
 
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
-    """The tuning with those normal imperfections that `residual` (row,) shows, each linear about its size there.
+    """The tuning with the normal imperfections that `residual` (row,) shows, each linear about its size.
 
-    Only where a channel asks for it: elasticity where motor and scale part (or, where only one of them was recorded, where that or the
-    current shows more than noise), slip where the position does not follow.
+    An imperfection is tried only where a channel shows more than noise: elasticity in motor minus scale (in position or current if one
+    of the two encoders was not recorded), slip in the position.
     """
     if not tuning.nuisances:
         return tuning
@@ -54,7 +54,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
 
 
 def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[float], Trial | None], t: Thresholds) -> Tuning:
-    """The tuning with slip as it answers at its own size."""
+    """The tuning with slip, linear about its size; unchanged if that size is not normal or explains too little."""
     for _ in range(2):
         better = trial(best.size)
         if better is None or better.gain < best.gain:
@@ -69,10 +69,10 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[flo
 
 
 def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
-    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows: an effect acts on that one.
+    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows, because effects act on that machine.
 
-    A force on a drive train that gives also winds it up; nothing of that is in a sum of both. Two stiff springs may ring together in the
-    twin as no machine does, or not be simulated at all: then one of them is left out, one kind or all, whichever leaves least.
+    A force on an elastic drive train also winds it up, which the sum of the two responses lacks. Two stiff springs may ring together in
+    the twin as on no real machine, or cannot be simulated. Then one imperfection, one kind or all are left out, whichever leaves least.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
     theta, explained = tuning.solve(residual), group.residual - residual
@@ -97,7 +97,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
 
 
 def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
-    """Group and tuning about the machine whose normal imperfections are a tuning (nuisance,) further, from the one without any."""
+    """Group and tuning about the machine whose normal imperfections are increased by `theta` (nuisance,); `rigid` is the group without any."""
     normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
     if not normal.any():
         return rigid, tuning
@@ -108,7 +108,7 @@ def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) ->
 def _at_share(
     tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, share: float
 ) -> Trial | None:
-    """A nuisance simulated at this share of what is normal; None where it cannot be simulated."""
+    """A nuisance simulated at this share of the largest normal size; None if it cannot be simulated."""
     try:
         answer = group.response(
             lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),

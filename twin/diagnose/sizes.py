@@ -1,9 +1,9 @@
-"""How large the effects found are, beside what the twin does not follow.
+"""The sizes of the effects found, fitted once more with less weight where the twin is wrong.
 
-A search explains as much as it can. Where an axis breaks away some milliseconds sooner than the twin says, a few samples are far
-off and depend steeply on everything: to follow them a fit bends all sizes. So the effects are fitted once more where what the fit
-leaves around a sample counts as doubt of the twin there, a fault that is the same in many samples (`Channel.weight`); and beside
-re-tuning as it acts on the machine that has the effects: a filter in the current and the damping of a drive train answer each other.
+If an axis breaks away a few milliseconds earlier than the twin predicts, a few samples are far off and depend steeply on every
+parameter. A fit that follows them distorts all sizes. The final fit therefore takes the residual around a sample as doubt of the twin
+there, a fault that many samples share (`Channel.weight`). It also re-tunes the machine with the effects in place: a current filter, for
+example, can be traded for the damping of a drive train.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from twin.machine.machine import Machine
 
 
 def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with its effects fitted where the twin is right; itself where there is none."""
+    """The state with its effects fitted with these doubts; unchanged if it has none."""
     if not found.fit.settings:
         return found
     found, t = replace(found, memory={}), found.thresholds
-    with contextlib.suppress(TwinError):  # next to unstable: the tuning as it acts without the effects
+    with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning of the machine without effects
         found = replace(found, tuning=tuning_beside(found.group, found.fit, machine, mapper))
     change = found.fit.response / found.group.weights
     for _ in range(t.size_rounds):
@@ -41,7 +41,7 @@ def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
 
 
 def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state without effects that, seen better than when they were accepted, have a size that no machine has, or no certain size."""
+    """The state without the effects whose final size no machine has, or is too uncertain."""
     rest = [s for s in found.fit.settings if is_plausible(s, machine) and _has_size(found, s)]
     if len(rest) == len(found.fit.settings):
         return found
@@ -53,7 +53,7 @@ def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found
 
 
 def _has_size(found: Found, setting: Setting) -> bool:
-    """Is the size of an effect certain enough, with its shape taken as known?"""
+    """Is the size of an effect known well enough, given its shape?"""
     fit, size = found.fit, setting.effect.size
     precision = np.diag(fit.information()) / (fit.about.prior_weight * found.inflation)
     for free, known in zip(fit.free, precision):

@@ -1,4 +1,4 @@
-"""Start values that the residual itself shows: spectral lines along the motor's turn, the travel and time, swings, clipped currents."""
+"""Start values read from the residual: spectral lines along the motor angle, the travel or time, resonances, levels of a clipped current."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from twin.effects.scan import AlongTravel, AlongTurn, InTime, LargestCurrent, Re
 from twin.machine.machine import Axis, Machine
 
 PEAKS = 2
-"""Spectral lines that are tried for an effect that repeats along position or time."""
+"""Number of spectral lines tried for an effect that is periodic in position or time."""
 
 LARGEST_ORDER_HZ = 60.0
-"""Above this frequency the current no longer shows a disturbance as it is."""
+"""Above this frequency the current no longer follows a disturbance."""
 
 SLOW_ENOUGH = 0.1
-"""Share of the motion that must be slow enough for a wave along the travel to be looked for: a short lead turns fast."""
+"""Share of the motion that must be slower than that for a wavelength to be tried."""
 
 
 class StartValues:
-    """Reads start values of one axis from a residual (row,), weighted, of its group."""
+    """Start values of one axis from the weighted residual (row,) of its group."""
 
-    def __init__(self, group: Group, machine: Machine, axis: Axis, residual: np.ndarray):
+    def __init__(self, group: Group, machine: Machine, axis: Axis, residual: np.ndarray) -> None:
         self.group, self.axis = group, axis
         self.values = residual / group.weights
         self.channels = {}
@@ -36,7 +36,7 @@ class StartValues:
         self.machine = machine
 
     def of(self, parameter: Parameter) -> list[float]:
-        """Start values of a parameter with a scan: the strongest lines, or the levels, of what that looks through."""
+        """Start values of a parameter with a scan: the strongest spectral lines, or the levels of a limit."""
         match parameter.scan:
             case AlongTurn(low=low, high=high):
                 return _strongest(*self._along(signed=False, low=low, high=high, per=2.0 * math.pi * self.axis.ratio, inverse=False))
@@ -52,9 +52,9 @@ class StartValues:
         raise ValueError(f"parameter {parameter.name} has no scan")
 
     def _current_levels(self, scan: LargestCurrent) -> list[float]:
-        """Levels at which a clipped current would show: about the largest that was measured.
+        """Levels of a current limit to try: about the largest measured current.
 
-        A record samples the saw-tooth that the current is between two cycles at one place of it: the limit may lie above.
+        The current is a saw-tooth between two cycles, and a record samples it at one phase. The limit may therefore lie above.
         """
         level = 0.0
         for (run, name), _ in self.channels.items():
@@ -65,7 +65,7 @@ class StartValues:
         return [share * level for share in scan.shares]
 
     def _pieces(self, name: str) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Per run: residual, position, speed and time at the channel's samples."""
+        """Residual, position, speed and time at the samples of a channel, run by run."""
         for (run, channel_name), channel in self.channels.items():
             if channel_name != name:
                 continue
@@ -80,7 +80,7 @@ class StartValues:
             yield values, q, v, t
 
     def _along(self, signed: bool, low: float, high: float, per: float, inverse: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Spectrum of the current's residual over position: bins of an eighth of the shortest wave, then a Fourier transform."""
+        """Waves and power of the current's residual over position: averaged in bins of an eighth of the shortest wave, then Fourier transformed."""
         parts = list(self._pieces("current"))
         if not parts:
             return np.array([1.0]), np.array([0.0])
@@ -126,9 +126,9 @@ class StartValues:
         return frequencies, power
 
     def _resonance(self, scan: Resonance) -> tuple[np.ndarray, np.ndarray]:
-        """Square of motor minus scale (or, without it, of the position) that a mass swinging with each frequency explains.
+        """Frequencies, and the squares of motor minus scale (else of the position) that a mass swinging at each of them explains.
 
-        Frequencies that a run's sampling cannot show (from half its rate on) get nothing from it.
+        A run adds nothing at frequencies above half its sampling rate.
         """
         frequencies = np.geomspace(scan.low_hz, scan.high_hz, 40)
         power = np.zeros(len(frequencies))
@@ -147,7 +147,7 @@ class StartValues:
 
 
 def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration, exact for one held over a sample.
+    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration; exact if that is held over a sample.
 
     With r = exp(-z w T), c = r cos(w_d T), s = r sin(w_d T), q = z / sqrt(1 - z^2), w_d = w sqrt(1 - z^2):
     b = (0, 1 - c - q s, r^2 - c + q s) / w^2,   a = (1, -2 c, r^2). Stable at every sampling period.
@@ -160,7 +160,7 @@ def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tu
 
 
 def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:
-    """Local maxima, strongest first, at most PEAKS."""
+    """Values at the strongest local maxima of the power, at most PEAKS, strongest first."""
     if len(power) < 3 or not np.any(power > 0):
         return [float(values[len(values) // 2])]
     inner = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1

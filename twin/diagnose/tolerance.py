@@ -1,7 +1,7 @@
-"""What differs from machine to machine and is no fault: parameters within `parameter_tolerance`, and imperfections that are normal.
+"""Differences between machines that are no fault: parameters within `parameter_tolerance`, and normal imperfections.
 
-Both are nuisances: re-tuned, never reported as an effect. Normal is a drive train that gives a little, and a contact that gives
-a little before it slides; softer than the limits below they are effects.
+Both are nuisances: they are re-tuned and never reported as effects. Normal are a slightly elastic drive train and a small slip before
+break-away. If they are softer than the limits of the thresholds, they are effects.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ UNIFORM = 1.0 / np.sqrt(3.0)
 
 NORMAL: dict[str, str] = {effect.normal: effect.name for effect in EFFECTS.values() if effect.normal}
 NORMAL["damping"] = NORMAL["elasticity"]
-"""Normal imperfections, and the effects they are when they are large: springs, measured by 1 / stiffness, and the damping of the first."""
+"""Normal imperfection -> the effect that it is when it is large. Springs are measured by 1 / stiffness; damping is that of the drive train."""
 
 SPRINGS = ("elasticity", "slip")
-"""Normal imperfections with a stiffness: they give nothing or something, never less than nothing."""
+"""Normal imperfections with a stiffness: their compliance is never negative."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One parameter of an axis, a body whose mass and inertia scale together, or a normal imperfection of an axis.
+    """A parameter of an axis, a body whose mass and inertia scale together, or a normal imperfection of an axis.
 
-    An imperfection deviates from none: at the edge of the tolerance it is as large as still is normal.
+    The deviation of an imperfection counts from none: at the edge of the tolerance it has the largest normal size.
     """
 
     owner: str
@@ -60,11 +60,11 @@ class Nuisance:
         return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
 
     def axes(self, group: Sequence[str]) -> tuple[str, ...]:
-        """The axes of a group whose motion it changes: its own, or all that carry the body."""
+        """The axes of a group whose motion it changes: its owner, or all axes for a body."""
         return tuple(group) if self.quantity == "body" else (self.owner,)
 
     def paths(self, machine: Machine) -> list[str]:
-        """Paths of the machine file that carry it."""
+        """Paths of its numbers in the machine file; none for an imperfection."""
         if self.quantity == "body":
             return [f"body.{self.owner}.mass_kg", f"body.{self.owner}.inertia_kg_m2"]
         if self.quantity in NORMAL:
@@ -73,7 +73,7 @@ class Nuisance:
 
 
 def _damped(machine: Machine, owner: str, factor: float) -> Machine:
-    """The machine whose drive train, where it gives, has its damping multiplied."""
+    """The machine with the damping of an elastic drive train multiplied; unchanged if that is rigid."""
     changed = []
     for own in settings_of(machine):
         if own.axis == owner and own.effect.name == NORMAL["damping"]:
@@ -85,24 +85,24 @@ def _damped(machine: Machine, owner: str, factor: float) -> Machine:
 
 
 def normal_slip(axis: Axis, thresholds: Thresholds) -> float:
-    """Travel before break-away up to which a contact counts as one that sticks [m, rad]."""
+    """Largest normal travel before break-away [m, rad]."""
     return thresholds.normal_slip_linear_m if axis.kind == "linear" else math.radians(thresholds.normal_slip_rotary_arcsec / 3600.0)
 
 
 def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds) -> float:
-    """Stiffness at the edge of what is normal."""
+    """Smallest normal stiffness [N/m, Nm/rad]."""
     if quantity == "elasticity":
         return float((2.0 * math.pi * thresholds.normal_mode_hz) ** 2 * load_inertia(machine, axis))
     return axis.coulomb_friction / normal_slip(axis, thresholds)
 
 
 def _stiffest(machine: Machine, axis: Axis) -> float:
-    """Stiffness that a tick of the loop still follows."""
+    """Largest stiffness that the simulation step can follow [N/m, Nm/rad]."""
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)
 
 
 def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
-    """All toleranced parameters of a group of axes; bodies belong to the rotary axes that carry them."""
+    """All toleranced parameters of a group of axes, and the bodies if it holds a rotary axis."""
     found = []
     for name in axes:
         found += [Nuisance(name, quantity, thresholds) for quantity in toleranced(machine.axis(name))]
@@ -112,7 +112,7 @@ def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds =
 
 
 def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
-    """The machine with its own effects and these. Where an effect describes what is normal already, springs add up in series."""
+    """The machine with its own effects and `settings`. Two springs of the same effect act in series."""
     added = {s.key: s for s in settings}
     kept = []
     for own in settings_of(machine):
@@ -126,7 +126,7 @@ def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
 
 
 def tuned(nuisances: Sequence[Nuisance], deviations: np.ndarray) -> Callable[[Machine], Machine]:
-    """Turns a machine into the one whose parameters deviate by these fractions (nuisance,)."""
+    """A function that turns a machine into the one whose nuisances deviate by these fractions (nuisance,)."""
 
     def machine_of(machine: Machine) -> Machine:
         for nuisance, deviation in zip(nuisances, deviations):

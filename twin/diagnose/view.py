@@ -1,4 +1,4 @@
-"""One measured run as the diagnosis sees it: its trace, this run's machine, and the nominal motion beside it."""
+"""One measured run as the diagnosis sees it: trace, machine in this run, and nominal motion."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoin
 
 @dataclass(frozen=True)
 class RunView:
-    """One run as the diagnosis sees it."""
+    """A measured run with the machine of this run and its nominal motion."""
 
     name: str
     trace: Trace
@@ -33,7 +33,7 @@ class RunView:
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Velocity feedforward, delayed set point, and where the set point moves, at the sample times; remembered."""
+        """Velocity feedforward, delayed set point, and whether the set point moves, each (sample,); cached."""
         if name not in self.references:
             axis = self.machine.axis(name)
             self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
@@ -41,14 +41,14 @@ class RunView:
 
     @functools.cached_property
     def on_cycles(self) -> bool:
-        """Is it recorded at whole ticks, some samples at each position cycle? Only then are the controllers' own samples in it."""
+        """Is the sample period a whole part or multiple of the position cycle? Only then does the record hold the samples of the controllers."""
         period, cycle = self.trace.period, self.machine.position_cycle
         cycles = max(period / cycle, cycle / period)
         return simulated_period(self.machine, period) == period and abs(cycles / round(cycles) - 1.0) < SAME_PERIOD
 
     @property
     def on_each_cycle(self) -> bool:
-        """Is a sample at each position cycle in it? A slower record lacks the speed set points between its samples."""
+        """Does the record hold a sample of each position cycle? A slower one lacks the speed set points between its samples."""
         return self.on_cycles and self.trace.period < self.machine.position_cycle * (1.0 + SAME_PERIOD)
 
     def moves(self, name: str) -> bool:
@@ -57,16 +57,17 @@ class RunView:
 
 
 def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
-    """A run with the nominal twin's own motion, along which the decoupled plant is taken.
+    """A run with the nominal motion along which the decoupled plant is linearised.
 
-    Inertia and gravity depend on where rotary axes are: theirs is what the decoupled plant itself makes along a first guess of it.
+    The position of a linear axis is its delayed set point. Inertia and gravity depend on the rotary axes, so their motion is simulated:
+    in the decoupled plant along the delayed set points.
     """
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     times = np.arange(len(setpoints.position)) * setpoints.period
     position = setpoints.position.copy()
     for a, axis in enumerate(actual.axes):
-        # a linear axis follows its set point by the delays and, without feedforward, by 1 / Kv more
+        # an axis lags behind its set point by the delays and, without feedforward, by 1 / Kv
         lag = (
             axis.loops.position_delay_s
             + axis.loops.dsc_delay_s
@@ -103,7 +104,7 @@ def _delayed(view: RunView, axis: Axis) -> np.ndarray:
 
 
 def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
-    """Set point that long before the sample times (sample,), delayed as this control does it."""
+    """Set point (sample,) a `delay` [s] earlier, interpolated as this control does."""
     times = view.trace.time - view.trace.time[0]
     a = view.machine.axis_names.index(axis.name)
     linear = view.machine.setpoint_interpolation == "linear"
@@ -112,7 +113,7 @@ def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
 
 
 def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
-    """True where an axis is at rest or has broken away less than `after_s` ago (sample,)."""
+    """True (sample,) where an axis is at rest or broke away less than `after_s` ago."""
     moving = view.reference(name)[2]
     started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     resting = ~moving

@@ -1,4 +1,4 @@
-"""The places of the gap: axis, block, regime, runs, stretch, band, and what the residual scales with."""
+"""Where the gap lies: axis, block, regime, runs, stretch, frequency band, and what the residual scales with."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from twin.effects import Setting
 from twin.machine.machine import Machine
 
 NOT_SEEN = 1e-3
-"""Share of a block with an effect that its own residual does not show."""
+"""Share given to the block of a found effect when its own residual shows nothing."""
 
 
 def places(
     found: Sequence[Found], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
 ) -> list[dict[str, Any]]:
-    """Places of the gap, largest share first; blocks in which an effect was found lead their axis.
+    """Places of the gap, largest share first. Blocks in which an effect was found lead their axis.
 
-    Each group's machine is re-tuned within its tolerance first: that is no fault of a block. `weights` is the squared gap above noise
-    of each axis; a group with nothing found and next to none of that is no place.
+    Each group's machine is first re-tuned within its tolerance, because that is no fault of a block. `weights` is the squared gap above
+    noise of each axis. A group is skipped if nothing was found in it and its gap is negligible.
 
-    A fault in one block also moves the inputs of the others, but not their laws: a block whose law still holds is no place. Nor is one
-    whose law is off by next to nothing of what is seen: it must make a share of the gap in position or current (`share_of_gap`).
+    A fault in one block changes the inputs of the other blocks, but not their laws. A block is listed if its law fails and if that failure
+    makes a noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
     least = max((f.thresholds.next_to_none for f in found), default=0.0) * max(weights.values(), default=0.0)
@@ -50,7 +50,7 @@ def places(
     for setting in settings:
         _lead(listed, setting, machine)
     _gather(listed, found[0].thresholds.echo if found else 0.0)
-    # an axis weighs what its gap weighs; its blocks share that by what they make of it
+    # each axis gets the weight of its gap; its blocks divide it by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         total = sum(p["_share"] for p in mine) or 1.0
@@ -63,13 +63,13 @@ def places(
 
 
 def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
-    """Give the block of a found effect the place that its neighbours in the measured chain hold for it.
+    """Assign a listed place to the block of a found effect.
 
-    Current loop and mechanics share the force balance, transmission and measurement motor minus scale, and what the recorded
-    signals cannot cut is seen in the next block: the block of the effect found decides.
+    The recorded signals do not separate every block: current loop and mechanics share the force balance, transmission and measurement
+    share motor minus scale. Among such neighbours the block of the found effect is the right one. A block without a place gets one.
     """
     block, axis = setting.effect.block, setting.axis
-    # of two P controllers one law is recorded
+    # two P controllers in series are recorded as one law
     both_controllers = () if machine.axis(axis).has_speed_integral else ("position controller",)
     same = {
         "current loop": ("mechanics", "speed controller"),
@@ -101,7 +101,10 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
 
 
 def _gather(listed: list[dict[str, Any]], echo: float) -> None:
-    """What the other blocks of an axis show beside those with an effect is mostly its echo there: it goes to the largest of these."""
+    """Move most of the share of the other blocks of an axis to its largest block with an effect: what they show is mostly its echo.
+
+    `echo` is the share that they keep.
+    """
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
@@ -137,7 +140,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
 
 
 def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regime in which the excess per sample is largest and which holds most of it, or 'all'."""
+    """The regime that holds most of the excess, also per sample; 'all' if none stands out."""
     energy, count = dict.fromkeys(REGIMES, 0.0), dict.fromkeys(REGIMES, 0)
     for part in parts:
         masks = regime_masks(group.views[part.run], axis)
@@ -165,7 +168,7 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
         view = group.views[part.run]
-        # a constant is a finding of a force alone: encoders have zeros of their own
+        # only a force can have a constant residual: encoders have arbitrary zeros
         force = part.block in ("mechanics", "current loop")
         residual = part.residual if force else part.residual - part.residual.mean()
         for name, regressor in scaling(view, axis, part.index, names).items():
@@ -183,11 +186,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 
 
 def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int, int]:
-    """Samples of the most telling stretch: the 0.5 s (at most a third of the run) with the most excess."""
+    """First and last sample of the stretch with the most excess: `stretch_s` long, at most a third of the run."""
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
     width = max(10, min(n // 3, round(stretch_s / step)))
-    # what changes says more than a constant
+    # a changing residual counts more than a constant one
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
     at = int(np.argmax(energy)) if len(energy) else 0
