@@ -23,6 +23,7 @@ from twin.replay import write_recording
 from twin.replay.motion import motion_from_trace, read_scene, sweep, with_mimics
 from twin.replay.reading import read_recording
 from twin.replay.shapes import with_normals
+from twin.replay.source import source_of
 from twin.replay.viewer import check_recording, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -194,6 +195,35 @@ def test_bad_options_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.
     assert "cannot be written" in refused(capsys, run / "trace.parquet", "--out", run / "trace.parquet" / "a.rrd")
     shutil.copy(run / "run.rrd", tmp_path / "alone.rrd")
     assert "without its trace" in refused(capsys, run, tmp_path / "alone.rrd", "--out", tmp_path / "x.rrd")
+
+
+def test_the_folder_of_every_command_is_accepted_or_says_what_to_open(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # one recording each: a diagnosis, a cut, a comparison, the best variant of a study
+    for name in ("diagnosis.rrd", "cut.rrd", "compare.rrd", "best_corner.rrd"):
+        folder = tmp_path / name.removesuffix(".rrd")
+        folder.mkdir()
+        shutil.copy(run / "run.rrd", folder / name)
+        assert source_of(folder).recording == folder / name
+    # cases with a folder each: a regression, an examination
+    below = tmp_path / "evidence" / "case_1"
+    below.mkdir(parents=True)
+    shutil.copy(run / "run.rrd", below / "overlay.rrd")
+    assert source_of(tmp_path / "evidence").recording == below / "overlay.rrd"
+    assert "1 recordings" in source_of(tmp_path / "evidence").note
+    # a campaign, and the folder of a machine
+    campaign = ROOT / "examples" / "campaign"
+    assert main(["replay", str(campaign), "--out", str(tmp_path / "campaign.rrd")]) == 0
+    assert "of 3 runs of the campaign is shown" in capsys.readouterr().err
+    assert main(["replay", str(ROOT / "examples" / "gantry"), "--out", str(tmp_path / "gantry.rrd")]) == 0
+    # programs and reports have no motion yet
+    for name, words in (("x.mpf", "simulate one: twin run"), ("report.html", "open .*report.html in a browser")):
+        folder = tmp_path / name.replace(".", "_")
+        folder.mkdir()
+        (folder / name).write_text("x")
+        with pytest.raises(InputError, match=words):
+            source_of(folder)
 
 
 def test_no_display_is_said(run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

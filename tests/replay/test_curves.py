@@ -1,6 +1,7 @@
 """Contour error, decimation and events against what they must be by construction."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import contour_of
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace
-from twin.replay.curves import axis_curves, not_recorded, torque_parts
+from twin.replay.clock import on_clock_of
+from twin.replay.curves import SET_POINT, axis_curves, not_recorded, torque_parts
+from twin.replay.dashes import dashes
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
-from twin.replay.paths import error_scale, kept_points
+from twin.replay.paths import error_scale, kept_points, magnifications
 from twin.replay.scene import scene_of
 from twin.replay.toolpaths import tool_paths_of
 
@@ -102,7 +105,7 @@ def test_decimated_curve_keeps_ends_extremes_and_shape(shape: str) -> None:
     assert kept[-1] == 20_000
     assert values[kept].min() == values.min()
     assert values[kept].max() == values.max()
-    if shape in ("sine", "constant"):
+    if shape in ("sine", "constant", "steps", "spike"):
         assert len(kept) < 300
         assert np.abs(np.interp(time, time[kept], values[kept]) - values).max() <= (SAME_LINE + 1e-4) * (np.ptp(values) + 1e-12)
 
@@ -176,6 +179,30 @@ def test_torque_splits_without_a_rest() -> None:
     assert np.allclose(measured["motor"], 1.4 * given["torque"])
 
 
+def test_a_current_far_from_its_limit_is_not_squeezed_by_it() -> None:
+    time = np.arange(100) * 1e-3
+    limit = MACHINE.axis("X").motor.peak_current_a
+    for share, lines in ((0.1, 0), (0.9, 2)):
+        curves = axis_curves(MACHINE, {"run": trace_of(time, position=time, current=share * limit * np.cos(time))})
+        drawn = [curve.values for curve in curves if "limit" in curve.path]
+        assert len(drawn) == lines
+        assert all(np.all(np.abs(values) == limit) for values in drawn)
+
+
+def test_runs_differ_by_colour_and_dash() -> None:
+    time = np.arange(100) * 1e-3
+    trace = trace_of(time, setpoint=time, position=time, current=time)
+    curves = axis_curves(MACHINE, {"measured": trace, "nominal": trace, "corrected": trace})
+    positions = [c for c in curves if c.path.startswith("/axes/X/position/") and c.key != SET_POINT]
+    assert [c.key for c in positions] == ["measured", "nominal", "corrected"]
+    assert len({c.colour for c in positions}) == 3
+    assert [c.run for c in positions] == [0, 1, 2]
+    times, values = dashes(time, np.sin(time), 1)
+    shown = ~np.isnan(values)
+    assert 0.4 < np.mean([np.interp(t, times, shown) > 0.5 for t in time]) < 0.8
+    assert np.allclose(values[shown], np.sin(times[shown]), atol=1e-6)
+
+
 def test_what_a_measured_trace_lacks_is_named() -> None:
     time = np.arange(10) * 1e-3
     trace = trace_of(time, setpoint=time, position=time, current=time)
@@ -194,6 +221,44 @@ def test_every_curve_has_a_name_with_a_unit_and_an_entity_of_its_own() -> None:
     difference = next(c for c in curves if "difference_position" in c.path)
     assert difference.name == "X position, after - before [um]"
     assert np.allclose(difference.values, 1.0)
+
+
+def test_only_what_can_be_seen_is_magnified() -> None:
+    assert magnifications(6e-9, 0.1) == (1,)  # 0.006 um: rounding
+    assert magnifications(10e-6, 0.1) == (1, 100, 1000)
+    assert magnifications(10e-6, 0.01) == (1, 10, 100)
+    assert magnifications(1e-3, 0.1) == (1, 10)
+
+
+def test_a_machine_without_named_tool_has_a_path() -> None:
+    """The gantry's model names neither tool nor workpiece."""
+    machine = load_machine(Path(__file__).resolve().parents[2] / "examples" / "gantry" / "gantry.toml")
+    time = np.arange(200) * 1e-3
+    asked = {(axis, s): 0.05 * np.sin(k * time) for k, axis in ((5, "x"), (7, "y")) for s in ("setpoint", "position")}
+    paths = tool_paths_of(scene_of(machine), machine, {"run": Trace(time, asked, machine.kinds)}, None)
+    assert paths is not None
+    assert np.allclose(np.ptp(paths.followed["run"][:, :2], axis=0), [np.ptp(asked["x", "position"]), np.ptp(asked["y", "position"])])
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.35, -0.2513])
+def test_a_second_run_is_laid_onto_the_set_points_of_the_first(shift: float) -> None:
+    time = np.arange(2000) * 1e-3
+
+    def asked(t: np.ndarray) -> np.ndarray:
+        return 0.01 * np.sin(4.0 * np.clip(t - 0.6, 0.0, 1.0)) ** 2
+
+    first = trace_of(time, setpoint=asked(time), position=asked(time - 0.002))
+    second = trace_of(time, setpoint=asked(time + shift), position=asked(time + shift - 0.003))
+    shifted, found = on_clock_of(first, second)
+    assert found == pytest.approx(shift, abs=2e-6)
+    assert np.allclose(shifted.get("X", "setpoint"), asked(shifted.time), atol=1e-7)
+
+
+def test_other_motions_and_runs_without_set_points_stay_where_they_are() -> None:
+    time = np.arange(2000) * 1e-3
+    first = trace_of(time, setpoint=np.sin(5.0 * time), position=time)
+    for other in (trace_of(time, setpoint=np.sin(9.0 * time) ** 3, position=time), trace_of(time, position=time)):
+        assert on_clock_of(first, other) == (other, 0.0)
 
 
 def test_a_run_with_its_own_set_points_is_held_against_these() -> None:

@@ -66,7 +66,7 @@ def test_machine_path_and_surface_share_a_view_and_levels_are_tabs(file: Path) -
     layout = read_layout(file)
     queries = ["\n".join(c["ViewContents:query"].values[0]) for c in layout.values() if "ViewContents:query" in c]
     assert any(
-        "+ /machine/**" in query and "/cut_path/followed" in query and f"+ {PART_FRAME}/surface/plane/followed" in query
+        "+ /machine/cradle/**" in query and "/cut_path/followed" in query and f"+ {PART_FRAME}/surface/plane/followed" in query
         for query in queries
     )
     names = [c["ContainerBlueprint:display_name"].values[0][0] for c in layout.values() if "ContainerBlueprint:display_name" in c]

@@ -103,12 +103,6 @@ def test_names_carry_units_and_axes_their_colours(machine: Machine, held: dict[s
             assert "SeriesPoints:names" in components or names.values[0][0].endswith("]"), path
 
 
-def test_current_limits_are_those_of_the_machine(machine: Machine, held: dict[str, dict[str, Rows]]) -> None:
-    for axis in machine.axes:
-        for word, sign in (("upper", 1.0), ("lower", -1.0)):
-            assert np.all(curve(held, f"/axes/{axis.name}/current/{word}_limit").array == sign * axis.motor.peak_current_a)
-
-
 def logged_pose(held: dict[str, dict[str, Rows]], path: str, at: float) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and rotation (3, 3) of an entity in the root, from the latest transforms at a time."""
     position, turn, entity = np.zeros(3), np.eye(3), ""

@@ -40,7 +40,7 @@ def carry_out(args: argparse.Namespace) -> int:
     document = {RUN: _runs, CAMPAIGN: _campaigns, MACHINE: _machines}[kinds[0]](args, first, second, out)
     write_json({"kind": f"{kinds[0]}s", **document}, out / "compare.json", "compare")
     page = out / "report.html"
-    print(f"written to {out}: compare.json{', report.html' if page.is_file() else ''}")
+    print(f"written to {out}: compare.json{', report.html, compare.rrd' if page.is_file() else ''}")
     if page.is_file():
         open_report(args, page)
     return 0
@@ -59,7 +59,16 @@ def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out:
     print(comparison.verdict)
     print(comparison.table())
     write_comparison_page(comparison, out / "report.html", inputs)
+    _record(a, b, machine, names, out)
     return comparison.document()
+
+
+def _record(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path) -> None:
+    """Write compare.rrd, both runs over each other for `twin replay`."""
+    from twin.replay import write_recording
+    from twin.replay.clock import on_clock_of
+
+    write_recording(out / "compare.rrd", machine, {names[0]: a, names[1]: on_clock_of(a, b)[0]})
 
 
 def _campaigns(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
@@ -78,6 +87,7 @@ def _campaigns(args: argparse.Namespace, first: Path, second: Path, out: Path) -
         print(f"{name}: {comparison.verdict}")
     worst = max(found, key=lambda name: max((d.max for d in found[name].differences if d.signal == "position"), default=0.0))
     print(f"\n{worst}\n{found[worst].table()}")
+    _record(a[worst], b[worst], machine, names, out)
     write_comparison_page(found[worst], out / "report.html", f"run {worst} of {first} and {second}")
     return {
         "first": names[0],

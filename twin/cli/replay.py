@@ -3,28 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 import sys
 import tempfile
 
-from twin.errors import InputError, nearest
+from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, read_trace
-
-TRACE_ENDINGS = (".parquet", ".csv")
-MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
-_WHAT = "give the folder of a run, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
-
-
-@dataclass(frozen=True)
-class Source:
-    """What a path stands for: a recording, a trace, or both (the folder of a run); a label for plots."""
-
-    path: Path
-    label: str
-    recording: Path | None
-    trace: Path | None
+from twin.replay.source import MODEL_ENDINGS, machine_file_in, source_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "paths",
         metavar="PATH",
         nargs="+",
-        help="folder of a run, recording (.rrd), trace, or model (.xml, .urdf) with an optional trace; two runs are overlaid",
+        help="folder of any command, recording (.rrd), trace, or model (.xml, .urdf) with an optional trace; two runs are overlaid",
     )
     parser.add_argument(
         "--machine", metavar="FILE", help="machine file that a trace belongs to (default: the Mikron UCP 710 that ships with twin)"
@@ -81,9 +67,11 @@ def carry_out(args: argparse.Namespace) -> int:
 
 def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     """The recordings to show; what is made on the way goes to `out`."""
+    from twin.replay.clock import on_clock_of
     from twin.replay.recording import write_motion, write_recording
 
     first = Path(args.paths[0])
+    first = machine_file_in(first) or first
     if first.suffix.lower() in (*MODEL_ENDINGS, ".toml"):
         from twin.replay import motion
         from twin.replay.scene import scene_of
@@ -100,6 +88,9 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     lacking = next((source for source in sources if source.trace is None), None)
     rebuild = args.full or args.machine or args.out or len(sources) > 1
     if len(recordings) == len(sources) and not rebuild:
+        for source in sources:
+            if source.note:
+                print(f"twin: {source.note}", file=sys.stderr)
         return recordings
     if lacking is not None:
         if args.out or args.full or args.machine or len(recordings) < len(sources):
@@ -110,53 +101,20 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
         return recordings
     machine = load_machine(args.machine)
     runs: dict[str, Trace] = {}
+    notes: list[str] = []
     for source in sources:
         label = source.label if source.label not in runs else f"{source.label} (2)"
         assert source.trace is not None  # seen to above
-        runs[label] = read_trace(source.trace, axes=machine.kinds)
-    write_recording(out, machine, runs, full=args.full)
+        trace, shift = read_trace(source.trace, axes=machine.kinds), 0.0
+        if runs:
+            trace, shift = on_clock_of(next(iter(runs.values())), trace)
+        runs[label] = trace
+        notes += [source.note] if source.note else []
+        notes += [f"{label} is shifted by {shift * 1e3:.4g} ms onto the set points of {next(iter(runs))}"] if shift else []
+    for note in notes:
+        print(f"twin: {note}", file=sys.stderr)
+    write_recording(out, machine, runs, summary="\n".join(notes), full=args.full)
     return [out]
-
-
-def source_of(path: Path) -> Source:
-    """What lies at a path, checked."""
-    from twin.replay.viewer import check_recording
-
-    if path.is_dir():
-        recording, trace = (
-            _recording_in(path),
-            next((path / f"trace{end}" for end in TRACE_ENDINGS if (path / f"trace{end}").is_file()), None),
-        )
-        if not recording.is_file() and trace is None:
-            raise InputError(f"{path}: no run: neither a recording (.rrd) nor trace.parquet lies in this folder; {_WHAT}")
-        return Source(path, path.resolve().name, check_recording(recording) if recording.is_file() else None, trace)
-    ending = path.suffix.lower()
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder; {_WHAT}")
-    if ending == ".rrd":
-        trace = next(
-            (path.parent / f"trace{end}" for end in TRACE_ENDINGS if path.name == "run.rrd" and (path.parent / f"trace{end}").is_file()),
-            None,
-        )
-        return Source(path, _label(path), check_recording(path), trace)
-    if ending in TRACE_ENDINGS:
-        return Source(path, _label(path), None, path)
-    if ending in MODEL_ENDINGS:
-        raise InputError(f"{path}: a model stands first; give the trace that moves it behind it")
-    raise InputError(
-        f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
-    )
-
-
-def _recording_in(folder: Path) -> Path:
-    """The recording that a command wrote to a folder: that of the run, else that of a diagnosis, a cut, a study or the demo."""
-    names = ("run.rrd", "diagnosis.rrd", "cut.rrd")
-    return next((file for file in (*(folder / name for name in names), *sorted(folder.glob("*.rrd"))) if file.is_file()), folder / names[0])
-
-
-def _label(path: Path) -> str:
-    """The file's name, or its folder's for the files of a run."""
-    return path.resolve().parent.name if path.stem in ("trace", "run") else path.stem
 
 
 def _kept(path: Path, folder: Path) -> Path:

@@ -104,7 +104,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if not args.no_recording:
         from twin.replay import write_recording
 
-        write_recording(out / "run.rrd", machine, {"simulated": followed}, summary=summary_table(summary))
+        write_recording(out / "run.rrd", machine, {"simulated": followed})
         written.append("run.rrd")
     print(f"written to {out}: {', '.join(written)}")
     return 0

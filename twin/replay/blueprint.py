@@ -1,10 +1,12 @@
-"""The first look: machine large, tool path and contour error beside and below it, the axes in tabs, summary and events at hand.
+"""The first look: the machine, the tool at the part with its path, the deviation magnified, the axes in tabs, summary and events at hand.
 
     +--------------------------+-----------------------+---------------+
-    | machine                  | tool path x1 x100 ... | summary,      |
-    |                          | colours of the error  | events        |
+    | machine                  | at the part           | summary,      |
+    |                          | deviation x100 ...    | events        |
+    |                          | colours of the error  |               |
     +------------------+-------+-----------------------+---------------+
     | contour error    | X | Y | Z | A | C : following error, speed ... |
+    |                  | key of the lines                              |
     +------------------+-----------------------------------------------+
 
 It refers only to what the recording holds; `layout` is given exactly that.
@@ -12,18 +14,18 @@ It refers only to what the recording holds; `layout` is given exactly that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 from rerun.encodings import Plane3D
 
 from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import Curve
-from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, SUMMARY, TIMELINE, axis_entity
+from twin.replay.key import GROUND as KEY_GROUND
+from twin.replay.names import CONTOUR_ERROR, EVENTS, SUMMARY, TIMELINE, axis_entity
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -31,6 +33,8 @@ VIEW_FROM = np.array([0.42, -0.80, 0.42])
 """From where the machine is seen: front right, above."""
 PATH_FROM = np.array([0.35, -0.75, 0.75])
 """From where a path is seen: steeper, most paths are flat."""
+NEAR = 1.3
+"""The view at the part shows this many times the size of the path."""
 GROUP_TITLES = {
     "following_error": "following error",
     "position": "position",
@@ -65,8 +69,8 @@ class Content:
     scene_bounds: np.ndarray
     curves: Sequence[Curve]
     axes: tuple[str, ...]
+    keys: Mapping[str, str] = field(default_factory=dict)
     paths: Sequence[PathView] = ()
-    first_path: int = 0
     first_axis: str = ""
     legend: str = ""
     legend_title: str = ""
@@ -80,11 +84,14 @@ def layout(content: Content) -> rrb.Blueprint:
     shares = [5.0]
     if content.paths:
         views = [_path_view(path, content) for path in content.paths]
-        tabs: rrb.View | rrb.Container = rrb.Tabs(*views, active_tab=content.first_path, name="Tool path")
+        column: list[rrb.View | rrb.Container] = [views[0]]
+        if len(views) > 1:
+            column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
+        heights = [3.0, 3.0][: len(column)]
         if content.legend:
-            colours = colour_bar_view(LEGEND, content.legend_title)
-            tabs = rrb.Vertical(tabs, colours, row_shares=[6.0, 1.0])
-        top.append(tabs)
+            column.append(colour_bar_view(content.legend, content.legend_title))
+            heights.append(0.9)
+        top.append(rrb.Vertical(*column, row_shares=heights) if len(column) > 1 else column[0])
         shares.append(4.0)
     texts: list[rrb.View] = [rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
     if content.has_events:
@@ -96,7 +103,7 @@ def layout(content: Content) -> rrb.Blueprint:
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
     return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=[3.0, 2.0][: len(rows)]),
+        rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
@@ -114,8 +121,22 @@ def _machine_view(content: Content) -> rrb.View:
 
 
 def _path_view(path: PathView, content: Content) -> rrb.View:
+    if path is content.paths[0]:
+        hidden = [f"- {other.root}/**" for other in content.paths[1:]]
+        inside = [*around_the_part(content.scene_root, content.part_frame, path.also), *hidden]
+        middle = path.bounds.mean(axis=0)
+        near = middle + NEAR * (path.bounds - middle)
+        return scene_view(path.title, content.part_frame, inside, near, growing=path.growing, distance=1.0, seen_from=PATH_FROM)
     inside = [f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)]
     return scene_view(path.title, content.part_frame, inside, path.bounds, growing=path.growing, distance=1.05, seen_from=PATH_FROM)
+
+
+def around_the_part(scene_root: str, part_frame: str, tool: Sequence[str]) -> list[str]:
+    """Contents of a view at the part: the bodies that carry it, and the tool. All else would stand between the eye and the path."""
+    carrier = "/".join(part_frame.split("/")[:3])
+    if carrier in (scene_root, part_frame):  # nothing carries the part: it lies in the world
+        return [f"+ {scene_root}/**", f"- {part_frame}/axes"]
+    return [f"+ {carrier}/**", *(f"+ {entity}" for entity in tool), f"- {part_frame}/axes"]
 
 
 def scene_view(
@@ -125,7 +146,7 @@ def scene_view(
     bounds: np.ndarray,
     *,
     growing: Sequence[str] = (),
-    distance: float = 0.93,
+    distance: float = 1.0,
     seen_from: np.ndarray = VIEW_FROM,
     floor: bool = False,
 ) -> rrb.View:
@@ -160,9 +181,9 @@ def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM)
 
 
 def _contour_view(content: Content) -> rrb.View | rrb.Container | None:
-    views: list[rrb.View] = []
+    views: list[rrb.View | rrb.Container] = []
     if any(curve.path.startswith(CONTOUR_ERROR) for curve in content.curves):
-        views.append(_plot(CONTOUR_ERROR, "Contour error [um]"))
+        views.append(_with_key(_plot(CONTOUR_ERROR, "Contour error [um]"), content.keys.get(""), "Contour error"))
     if content.states:
         views.append(rrb.StateTimelineView(origin="/states", name="Limits and sticking"))
     return rrb.Tabs(*views, active_tab=0) if views else None
@@ -179,7 +200,7 @@ def _axis_tabs(content: Content) -> rrb.Container | None:
             views = [_plot(axis_entity(axis, group), f"{axis} {groups[group]}") for group in column]
             plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
         if plots:
-            tabs.append(rrb.Horizontal(*plots, name=f"Axis {axis}"))
+            tabs.append(_with_key(rrb.Horizontal(*plots), content.keys.get(axis), f"Axis {axis}"))
     if not tabs:
         return None
     first = content.axes.index(content.first_axis) if content.first_axis in content.axes else 0
@@ -187,8 +208,16 @@ def _axis_tabs(content: Content) -> rrb.Container | None:
 
 
 def _plot(origin: str, name: str) -> rrb.View:
-    """A plot that shows peaks when zoomed out; the viewer's own choice is the mean of what falls on a pixel."""
-    return rrb.TimeSeriesView(origin=origin, name=name, defaults=[rr.SeriesLines.from_fields(aggregation_policy="MinMax")])
+    """A plot without a legend, which would cover its curves."""
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:
+    """Plots with the key of their lines below them."""
+    if key is None:
+        return above if name is None else rrb.Vertical(above, name=name)
+    strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=KEY_GROUND)
+    return rrb.Vertical(above, strip, row_shares=[11.0, 1.0], name=name)
 
 
 def _unit_title(curves: Sequence[Curve], axis: str, group: str) -> str:

@@ -9,7 +9,7 @@ and feedforward is the part of it that the control asked for in advance. Every c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,22 +18,31 @@ from scipy.interpolate import CubicSpline
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.names import CONTOUR_ERROR, axis_entity, entity
-from twin.report.colours import DIFFERENCE_COLOUR, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, lighter
+from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
 from twin.units import AXIS_UNITS
 
+CONTOUR_COLOUR = AXIS_COLOURS["A"]
+SET_POINT = "set point"
+NEAR_LIMIT = 0.5
+"""Limits are drawn where a run reaches this share of them."""
 SAME_TIME = 1e-9
 """Samples of two runs that lie closer are at the same time [s]."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot: where it lies among the entities, its name with unit, and its samples in that unit."""
+    """One line of a plot: where it lies among the entities, its name with unit, and its samples in that unit.
+
+    `key` is its word in the key below the plots; `run` is the number of its run: the first is drawn solid, later ones dashed.
+    """
 
     path: str
     name: str
     colour: Colour
     time: np.ndarray
     values: np.ndarray
+    key: str = ""
+    run: int = 0
 
 
 def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
@@ -43,18 +52,17 @@ def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
     for order, axis in enumerate(machine.axes):
         for i, label in enumerate(labels):
             if axis.name in runs[label].axes:
-                curves += _run_curves(axis, order, runs[label], label, first=i == 0, alone=len(labels) == 1)
-        if any(axis.name in trace.axes for trace in runs.values()):
-            curves += _limits(axis, runs[labels[0]].time)
-        for label in labels[1:]:
-            curves += _differences(axis, runs[labels[0]], runs[label], f"{label} - {labels[0]}", label)
+                curves += _run_curves(axis, order, runs[label], label, i, alone=len(labels) == 1)
+        curves += _limits(axis, list(runs.values()))
+        for i, label in enumerate(labels[1:], 1):
+            curves += _differences(axis, runs[labels[0]], runs[label], f"{label} - {labels[0]}", label, i)
     return curves
 
 
 def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, alone: bool) -> Curve:
     """The contour error of one run [um]."""
-    colour = (235, 140, 20) if order == 0 else lighter((235, 140, 20), 0.6)
-    return Curve(entity(CONTOUR_ERROR, label), "contour error" + ("" if alone else f", {label}") + " [um]", colour, time, error * 1e6)
+    name = "contour error" + ("" if alone else f", {label}") + " [um]"
+    return Curve(entity(CONTOUR_ERROR, label), name, run_colour(order, CONTOUR_COLOUR), time, error * 1e6, label, order)
 
 
 def following_error(trace: Trace, axis: str) -> np.ndarray | None:
@@ -95,55 +103,53 @@ def not_recorded(trace: Trace, machine: Machine) -> list[str]:
     return lines
 
 
-def _run_curves(axis: Axis, order: int, trace: Trace, label: str, first: bool, alone: bool) -> Iterator[Curve]:
+def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alone: bool) -> Iterator[Curve]:
     units = AXIS_UNITS[axis.kind]
-    colour = axis_colour(axis.name, order)
-    mine = colour if first else lighter(colour, 0.55)
+    first = run == 0
+    mine = run_colour(run, axis_colour(axis.name, order))
     behind = "" if alone else f", {label}"
 
-    def curve(group: str, what: str, unit: str, values: np.ndarray, colour: Colour, leaf: str = label) -> Curve:
-        return Curve(axis_entity(axis.name, group, leaf), f"{axis.name} {what}{behind} [{unit}]", colour, trace.time, values)
+    def curve(group: str, what: str, unit: str, values: np.ndarray, colour: Colour, leaf: str = label, key: str = label) -> Curve:
+        name = f"{axis.name} {what}{behind} [{unit}]"
+        return Curve(axis_entity(axis.name, group, leaf), name, colour, trace.time, values, key, run)
 
-    def recorded(group: str, signal: str, what: str, unit: tuple[str, float], colour: Colour, leaf: str = label) -> Iterator[Curve]:
+    def recorded(group: str, signal: str, what: str, unit: tuple[str, float], colour: Colour, **words: str) -> Iterator[Curve]:
         if trace.has(axis.name, signal):
-            yield curve(group, what, unit[0], trace.get(axis.name, signal) * unit[1], colour, leaf)
+            yield curve(group, what, unit[0], trace.get(axis.name, signal) * unit[1], colour, **words)
 
     # set points lie behind what followed; of a second run only what differs is drawn again
     if first:
-        yield from recorded("position", "setpoint", "set point", units.position, SETPOINT_COLOUR, "set_point")
+        yield from recorded("position", "setpoint", "set point", units.position, SETPOINT_COLOUR, leaf="set_point", key=SET_POINT)
     yield from recorded("position", "position", "position", units.position, mine)
     error = following_error(trace, axis.name)
     if error is not None:
         yield curve("following_error", "following error", units.error[0], error * units.error[1], mine)
-    yield from recorded(
-        "speed",
-        "velocity_setpoint",
-        "speed set point",
-        units.speed,
-        SETPOINT_COLOUR if first else lighter(SETPOINT_COLOUR),
-        f"set_point_{label}",
-    )
+    if first:
+        leaf = f"set_point_{label}"
+        yield from recorded("speed", "velocity_setpoint", "speed set point", units.speed, SETPOINT_COLOUR, leaf=leaf, key=SET_POINT)
     yield from recorded("speed", "velocity", "speed", units.speed, mine)
     yield from recorded("current", "current", "current", ("A", 1.0), mine)
     for part, values in torque_parts(trace, axis).items():
-        if not first and part != "motor":
-            continue
-        own = mine if part == "motor" else TORQUE_COLOURS[part]
-        name = "motor torque" if part == "motor" else f"torque, {part}"
-        yield curve("torque", name, "Nm", values, own, f"{part}_{label}")
+        # of several runs the torques are drawn whole: their parts would have to share the colours
+        if part == "motor":
+            yield curve("torque", "motor torque", "Nm", values, mine, f"motor_{label}")
+        elif alone:
+            yield curve("torque", f"torque, {part}", "Nm", values, TORQUE_COLOURS[part], f"{part}_{label}", part)
 
 
-def _limits(axis: Axis, time: np.ndarray) -> Iterator[Curve]:
-    """Current limits as two straight lines."""
-    if axis.effort != "current":
+def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:
+    """Current limits as two straight lines, where a run comes near them: else they would squeeze the current to a line."""
+    limit = axis.motor.peak_current_a
+    reached = max((float(np.abs(t.get(axis.name, "current")).max()) for t in runs if t.has(axis.name, "current")), default=0.0)
+    if axis.effort != "current" or reached < NEAR_LIMIT * limit:
         return
-    ends = time[[0, -1]]
+    ends = runs[0].time[[0, -1]]
     for sign, word in ((1.0, "upper"), (-1.0, "lower")):
-        limit = np.full(2, sign * axis.motor.peak_current_a)
-        yield Curve(axis_entity(axis.name, "current", f"{word}_limit"), f"{axis.name} current limit [A]", LIMIT_COLOUR, ends, limit)
+        path = axis_entity(axis.name, "current", f"{word}_limit")
+        yield Curve(path, f"{axis.name} current limit [A]", LIMIT_COLOUR, ends, np.full(2, sign * limit), "limit")
 
 
-def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str) -> Iterator[Curve]:
+def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str, run: int) -> Iterator[Curve]:
     """The second run less the first, on the first one's samples where both have data."""
     units = AXIS_UNITS[axis.kind]
     inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
@@ -153,9 +159,9 @@ def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str)
         if first.has(axis.name, signal) and second.has(axis.name, signal) and len(time) > 1:
             other = sampled(second, axis.name, signal, time)
             values = (other - first.get(axis.name, signal)[inside]) * factor
-            group = f"difference_{'speed' if signal == 'velocity' else signal}"
             word = "speed" if signal == "velocity" else signal
-            yield Curve(axis_entity(axis.name, group, label), f"{axis.name} {word}, {what} [{unit}]", DIFFERENCE_COLOUR, time, values)
+            path = axis_entity(axis.name, f"difference_{word}", label)
+            yield Curve(path, f"{axis.name} {word}, {what} [{unit}]", run_colour(run, SETPOINT_COLOUR), time, values, label, run)
 
 
 def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarray:

@@ -23,14 +23,14 @@ import rerun.blueprint as rrb
 
 from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
-from twin.replay.blueprint import PATH_FROM, scene_view
+from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view
 from twin.replay.colour_bar import colour_bar_view, log_colour_bar
 from twin.replay.names import LEGEND, SUMMARY, TIMELINE, entity
 from twin.replay.paths import log_whole_path
 from twin.replay.recording import pose_steps, recording_to
 from twin.replay.scene import scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene, smooth_normals
-from twin.replay.toolpaths import followed_joints, log_tool_point
+from twin.replay.toolpaths import followed_joints, log_tool_point, shapes_of_tool
 from twin.report.colours import PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour
 from twin.surface.export import deviation_colours, thinned, triangles
 from twin.surface.height_rays import HeightRays
@@ -72,7 +72,7 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
         machine = machine.with_values({"geometry.tool_length_m": length})
     scene = scene_of(machine)
     with recording_to(path, f"{part.name}: {part.tool.name}") as recording:
-        log_scene(recording, scene)
+        shapes = log_scene(recording, scene)
         level = next((one.level for one in reversed(machining.cuts) if one.level.trace is not None), machining.cuts[-1].level)
         if level.trace is not None:
             steps = pose_steps(level.trace.time, full=False)
@@ -94,7 +94,9 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
             shown.append(_log_cut(recording, scene.part_path, one, end, factors[-1]))
         recording.log(SUMMARY, rr.TextDocument(_numbers(machining, end, factors[0]), media_type="text/markdown"), static=True)
         bounds = np.array(scene_bounds(scene))
-        recording.send_blueprint(_layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors))
+        recording.send_blueprint(
+            _layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors, shapes_of_tool(scene, shapes))
+        )
     return path
 
 
@@ -137,15 +139,20 @@ def _magnification(rays: HeightRays, end: float) -> float:
 
 
 def _layout(
-    root: str, part_frame: str, bounds: np.ndarray, machining: Machining, shown: Sequence[_Shown], factors: Sequence[float]
+    root: str,
+    part_frame: str,
+    bounds: np.ndarray,
+    machining: Machining,
+    shown: Sequence[_Shown],
+    factors: Sequence[float],
+    tool: Sequence[str],
 ) -> rrb.Blueprint:
     worst = max(range(len(shown)), key=lambda i: float(np.abs(machining.cuts[i].finest.height).max()))
     hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
-    arrows = f"- {entity(part_frame, 'axes')}"
 
     def here(one: _Shown) -> list[str]:
         """Entities of a view that shows the machine with one cut: what comes later in the list wins."""
-        return [f"+ {root}/**", *hidden, f"+ {one.surface}", f"+ {one.path}"]
+        return [*hidden, f"+ {one.surface}", f"+ {one.path}"]
 
     tabs = []
     for one, cut, factor in zip(shown, machining.cuts, factors):
@@ -155,13 +162,18 @@ def _layout(
         # the magnified surface is seen along its rays, leaning to the front: from aside a flat one would be a line
         above = cut.finest.direction.mean(axis=0) + LEAN
         at_part = scene_view(
-            "At the part: machine, path, surface", part_frame, [*here(one), arrows], near, distance=1.0, seen_from=PATH_FROM
+            "At the part: machine, path, surface",
+            part_frame,
+            [*around_the_part(root, part_frame, tool), *here(one)],
+            near,
+            distance=1.0,
+            seen_from=PATH_FROM,
         )
         relief = scene_view(f"Surface, deviation x{factor:g}", part_frame, [f"+ {one.relief}"], zone, distance=1.1, seen_from=above)
         views = (at_part, relief)
         tabs.append(rrb.Horizontal(*views, name=one.title))
     left = rrb.Vertical(
-        scene_view("Machine", root, here(shown[worst]), bounds, floor=True),
+        scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True),
         rrb.TextDocumentView(origin=SUMMARY, name="Numbers"),
         row_shares=[1.0, 1.0],
     )

@@ -1,7 +1,7 @@
 """Fewer points, the same picture: curves by the smallest and largest value of each bin, less what lies on a straight line.
 
-A bin keeps the samples of its minimum and maximum at their own times, so no peak is lost and none moves. Of these, points on
-a line between their neighbours go too, within SAME_LINE of the curve's range. Where all curves together are still above
+A bin keeps the samples of its minimum and maximum at their own times, so no peak is lost and none moves. Both samples of a jump are kept, so
+that a step stays one. Of the others, points on a line between their neighbours go too, within SAME_LINE of the curve's range. Where all curves together are still above
 their budget, the fullest ones get longer bins.
 """
 
@@ -16,6 +16,8 @@ from twin.compiled_functions import compiled
 
 FINEST_BIN = 4
 """Samples of the shortest bin."""
+JUMP = 0.02
+"""A change from one sample to the next by more than this share of a curve's range is a jump, where these are few."""
 SAME_LINE = 5e-4
 """Share of a curve's range within which a point counts as on the line."""
 
@@ -48,7 +50,12 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
     if len(values) < 3:
         return np.arange(len(values))
     extremes = bin_extremes(values, bin_samples)
-    keep = np.zeros(len(extremes), bool)
+    jumps = np.flatnonzero(np.abs(np.diff(values)) > JUMP * float(np.ptp(values)))
+    if 4 * len(jumps) > len(extremes):
+        jumps = jumps[:0]  # noise
+    sides = np.concatenate([jumps, jumps + 1])
+    extremes = np.union1d(extremes, sides)
+    keep = np.isin(extremes, sides)
     # the smallest and largest value of all stay, whatever the tolerance
     keep[[0, -1, int(np.argmin(values[extremes])), int(np.argmax(values[extremes]))]] = True
     mark_corners(time[extremes], values[extremes], SAME_LINE * float(np.ptp(values)), keep)

@@ -17,6 +17,8 @@ from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_enti
 from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
 from twin.units import AXIS_UNITS
 
+MOST_MARKS = 60
+"""More marks of one kind would hide their curve; the list of events has them all."""
 _MARKS: dict[str, Any] = {
     **{f"{effort} limit": "cross" for effort in EFFORTS},
     "speed limit": "plus",
@@ -75,6 +77,8 @@ def _log_marks(
 ) -> None:
     """Log one series of marks for each kind of event, on a curve (sample,)."""
     for kind in dict.fromkeys(e.kind for e in events):
+        if sum(e.kind == kind for e in events) > MOST_MARKS:
+            continue
         times = np.unique([e.start for e in events if e.kind == kind])
         path = entity(root, f"event_{kind.replace(' ', '_')}")
         own = LIMIT_COLOUR if "limit" in kind or kind == WORST else colour

@@ -11,6 +11,7 @@ SUMMARY = "/summary"
 EVENTS = "/events"
 LEGEND = "/legend"
 STATES = "/states"
+KEY = "/key"
 CONTOUR_ERROR = "/contour_error"
 
 

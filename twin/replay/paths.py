@@ -20,7 +20,11 @@ from twin.replay.names import TIMELINE
 from twin.replay.scene import Scene
 from twin.report.colours import ERROR_BANDS, Colour
 
-MAGNIFICATIONS = (1, 100, 1000)
+MAGNIFICATIONS = (10, 100, 1000)
+LEAST_SHOWN = 5e-8
+"""A smaller deviation is not magnified: it would be a picture of rounding [m]."""
+VISIBLE = (0.01, 0.5)
+"""Magnified, a deviation takes at least and at most this share of the path's extent."""
 PATH_TOLERANCE = 2e-6
 """Points of a drawn path may be left out where it stays this close [m]; times the magnification, up to 0.1 mm."""
 COARSEST_TOLERANCE = 1e-4
@@ -59,6 +63,22 @@ def tool_point(scene: Scene, joints: Mapping[str, np.ndarray]) -> tuple[np.ndarr
     return np.ascontiguousarray(np.broadcast_to(pose.position, (count, 3))), pose
 
 
+def tip_in_world(scene: Scene, joints: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Tool tip (sample or 1, 3) in the frame of the world [m]."""
+    bodies = body_poses(scene.model, joints)
+    tip = site_pose(scene.model, bodies, scene.tool) if scene.tool >= 0 else bodies[scene.tip_body]
+    return np.atleast_2d(tip.position)
+
+
+def magnifications(largest: float, extent: float) -> tuple[int, ...]:
+    """1, and those of MAGNIFICATIONS that show a deviation of up to `largest` [m] on a path of that extent [m].
+
+    It must be more than LEAST_SHOWN, and magnified a visible share of the path but no more than a detail of it.
+    """
+    low, high = (share * extent for share in VISIBLE)
+    return (1, *(f for f in MAGNIFICATIONS if largest >= LEAST_SHOWN and low <= f * largest <= high))
+
+
 def error_scale(error: np.ndarray) -> ErrorScale:
     """A scale with round bands (1, 2 or 5 times a power of ten) that holds all but the highest per mille of the errors (sample,) [m]."""
     largest = float(np.quantile(error, 0.999))
@@ -88,7 +108,7 @@ def log_growing_path(
 ) -> None:
     """Log a path (sample, 3) piece by piece on the timeline; `bands` (sample,) are indices into the palette.
 
-    `drawn` has factor (the magnification), width [points of the screen] and full (all samples).
+    `drawn` has factor (the magnification), width [points of the screen], full (all samples) and dashed (every other piece).
     """
     factor, width, full = drawn["factor"], drawn["width"], drawn["full"]
     duration = float(time[-1] - time[0])
@@ -102,6 +122,8 @@ def log_growing_path(
     starts_piece = np.r_[True, (segment[1:] != segment[:-1]) | np.isin(kept[1:-1], edges)]
     first = np.flatnonzero(starts_piece)
     last = np.r_[first[1:], len(segment)]
+    if drawn.get("dashed"):
+        first, last = first[::2], last[::2]
     strips = [points[kept[a : b + 1]] for a, b in zip(first, last)]
     packed = np.array(palette, np.uint32) @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(0xFF)
     recording.send_columns(

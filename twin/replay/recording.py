@@ -16,15 +16,20 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import Content, layout
 from twin.replay.curves import Curve, axis_curves, contour_curve, following_error
+from twin.replay.dashes import dash_entity, dashes
 from twin.replay.decimate import decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
+from twin.replay.key import log_keys
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
+from twin.replay.paths import tip_in_world
 from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
-from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, path_extent, tool_paths_of
+from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of
 
+SOLID_WIDTH, THIN_WIDTH, DASH_WIDTH = 1.75, 0.4, 1.25
+"""Widths of lines [points of the screen]: the first run, the later ones, and the dashes over these."""
 POSES_PER_SECOND = 50.0
 """Poses of the bodies; the viewer shows the latest one."""
 CURVE_POINTS_PER_MINUTE = 100_000
@@ -74,18 +79,18 @@ def write_recording(
         for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
             curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
         log_curves(recording, curves, full)
+        keys = log_keys(recording, curves)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         recording.log(SUMMARY, rr.TextDocument(summary_text(machine, runs, paths, found, summary), media_type="text/markdown"), static=True)
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
-        extent = path_extent(paths) if paths else 0.0
         content = Content(
             scene_root=scene.body_paths[0],
             part_frame=scene.part_path,
-            scene_bounds=np.array(scene_bounds(scene)),
+            scene_bounds=_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
             curves=curves,
             axes=axes,
+            keys=keys,
             paths=views,
-            first_path=paths.best_magnification(extent) if paths else 0,
             first_axis=_busiest_axis(machine, trace),
             legend=LEGEND if paths else "",
             legend_title=f"contour error of {main} [um]" if paths else "",
@@ -114,9 +119,10 @@ def write_motion(
         content = Content(
             scene_root=scene.body_paths[0],
             part_frame=scene.part_path,
-            scene_bounds=np.array(scene_bounds(scene)),
+            scene_bounds=_with_tip(scene, {"motion": joints}),
             curves=curves,
             axes=tuple(joints),
+            keys=log_keys(recording, curves),
             paths=views,
         )
         recording.send_blueprint(layout(content))
@@ -158,12 +164,28 @@ def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: boo
         return
     duration = max(float(curve.time[-1] - curve.time[0]) for curve in curves)
     budget = max(LEAST_CURVE_POINTS, int(CURVE_POINTS_PER_MINUTE * duration / 60.0))
+    # dashes of the later runs lie over their thin lines and need points of their own
+    budget = round(budget / (1.0 + sum(curve.run > 0 for curve in curves) / len(curves)))
     kept = [np.arange(len(c.time)) for c in curves] if full else decimate([(c.time, c.values) for c in curves], budget)
+    # the viewer may join samples that lie evenly in time; joined, thinned points would make ramps that are not in the data
+    policy = rr.components.AggregationPolicy.MinMax if full else rr.components.AggregationPolicy.Off
     for curve, steps in zip(curves, kept):
-        recording.log(curve.path, rr.SeriesLines(colors=[curve.colour], names=[curve.name]), static=True)
-        recording.send_columns(
-            curve.path, [rr.TimeColumn(TIMELINE, duration=curve.time[steps])], rr.Scalars.columns(scalars=curve.values[steps])
-        )
+        drawn = [(curve.path, curve.time[steps], curve.values[steps], SOLID_WIDTH if curve.run == 0 else THIN_WIDTH)]
+        if curve.run:
+            drawn.append((dash_entity(curve.path), *dashes(curve.time[steps], curve.values[steps], curve.run), DASH_WIDTH))
+        for path, time, values, width in drawn:
+            style = rr.SeriesLines(colors=[curve.colour], names=[curve.name], widths=[width], aggregation_policy=policy)
+            recording.log(path, style, static=True)
+            recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], rr.Scalars.columns(scalars=values))
+
+
+def _with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:
+    """The box (2, 3) [m] around the machine in its reference pose and all that its tool reaches in the runs."""
+    low, high = scene_bounds(scene)
+    for joints in runs.values():
+        tip = tip_in_world(scene, joints)
+        low, high = np.minimum(low, tip.min(axis=0)), np.maximum(high, tip.max(axis=0))
+    return np.array([low, high])
 
 
 def _busiest_axis(machine: Machine, trace: Trace) -> str:

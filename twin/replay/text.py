@@ -11,6 +11,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.curves import following_error, not_recorded, setpoint_difference
 from twin.replay.events import KINDS, MOST_EVENTS, Event
+from twin.simulation.errors_of_run import axis_errors
 from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:
@@ -51,8 +52,12 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
     if paths:
         reference = "the programmed path" if paths.programmed is not None else "the path of the set points"
         parts.append(
-            f"The contour error is the distance of the tool point from {reference}, in the frame of the part. The views *x100* and *x1000* "
-            "magnify this deviation and leave that path as it is."
+            f"The contour error is the distance of the tool point from {reference}, in the frame of the part. "
+            + (
+                "The view *deviation* magnifies it and leaves that path as it is."
+                if len(paths.magnifications) > 1
+                else "It is too small to be magnified."
+            )
         )
     if summary:
         parts.append(f"```\n{summary.strip()}\n```")
@@ -62,24 +67,28 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
 def _axis_table(machine: Machine, trace: Trace) -> str:
     rows = []
     for axis in machine.axes:
-        error = following_error(trace, axis.name)
-        if error is None:
+        if following_error(trace, axis.name) is None:
             continue
+        errors = axis_errors(trace, axis)
         unit, factor = AXIS_UNITS[axis.kind].error
         current = f"{np.abs(trace.get(axis.name, 'current')).max():.1f}" if trace.has(axis.name, "current") else "-"
+        without = f"{errors.without_delay * factor:.2f}"
         rows.append(
-            f"| {axis.name} | {np.abs(error).max() * factor:.2f} | {np.sqrt(np.mean(error**2)) * factor:.2f} | {unit} | {current} |"
+            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {current} |"
         )
     if not rows:
         return ""
-    return "\n".join(["| axis | following error, largest | RMS | | current, A |", "|---|---:|---:|---|---:|", *rows])
+    heads = "| axis | error | less delay | its RMS | | A |"
+    return "Largest following errors, with and without the constant delay, and currents:\n\n" + "\n".join(
+        [heads, "|---|---:|---:|---:|---|---:|", *rows]
+    )
 
 
 def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:
     """What the difference of two runs means."""
     amount, axis, at = setpoint_difference(machine, first, second)
     if not axis or amount <= SETPOINTS_EQUAL[machine.axis(axis).kind]:
-        return f"**{other} - {label}** has the same set points; curves of *{other}* are the lighter ones."
+        return f"**{other} - {label}** has the same set points; curves of *{other}* are dashed."
     unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
     return (
         f"**{other} - {label}**: the set points differ by up to {amount * factor:.3g} {unit} ({axis} at {at:.3f} s), "

@@ -15,17 +15,15 @@ from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.blueprint import PathView
 from twin.replay.curves import Curve
 from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
-from twin.replay.paths import MAGNIFICATIONS, ErrorScale, error_scale, log_growing_path, log_legend, log_whole_path, tool_point
+from twin.replay.paths import ErrorScale, error_scale, log_growing_path, log_legend, log_whole_path, magnifications, tool_point
 from twin.replay.scene import Scene
 from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour, lighter
 from twin.units import AXIS_UNITS
 
 SECOND_RUN_COLOUR = (190, 70, 190)
 MARKS_PER_SECOND = 25.0
-SHOWN_DEVIATION = 0.25
-"""The view that opens first magnifies the deviation to at most this share of the path's extent."""
-
-
+SHORTEST_PATH = 1e-4
+"""A tool that moves less draws no path [m]."""
 SAME_SETPOINT = 1e-6
 """Set points that differ by less, by the rounding of a recording, are the same [m, rad]."""
 
@@ -42,11 +40,10 @@ class ToolPaths:
     contours: Mapping[str, Contour]
     scale: ErrorScale
 
-    def best_magnification(self, extent: float) -> int:
-        """Index of the largest magnification at which the deviation stays a detail of the path."""
-        largest = max(float(contour.error.max()) for contour in self.contours.values())
-        fits = [i for i, factor in enumerate(MAGNIFICATIONS) if factor * largest <= SHOWN_DEVIATION * extent]
-        return max(fits, default=0)
+    @property
+    def magnifications(self) -> tuple[int, ...]:
+        """1 and the factors at which the deviation of these paths can be seen."""
+        return magnifications(max(float(contour.error.max()) for contour in self.contours.values()), path_extent(self))
 
 
 def followed_joints(trace: Trace, steps: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
@@ -65,11 +62,16 @@ def commanded_joints(trace: Trace) -> dict[str, np.ndarray]:
 
 
 def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], programmed: Trace | None) -> ToolPaths | None:
-    """Tool paths and contour errors of the runs; None for a machine whose tool or part the model does not name."""
+    """Tool paths and contour errors of the runs; None where the tool does not move.
+
+    The tool is the site `tool` of the model, else the end of its longest chain of joints; without a site `workpiece` paths lie in the world.
+    """
     main = next(iter(runs.values()))
-    if scene.tool < 0 or not any(main.has(axis, s) for axis in main.axes for s in POSITIONS):
+    if not any(main.has(axis, s) for axis in main.axes for s in POSITIONS):
         return None
     commanded, _ = tool_point(scene, commanded_joints(main))
+    if np.linalg.norm(np.ptp(commanded, axis=0)) < SHORTEST_PATH:
+        return None
     ideal = tool_point(scene, commanded_joints(programmed))[0] if programmed is not None else None
     reference, reference_time = (commanded, main.time) if ideal is None or programmed is None else (ideal, programmed.time)
     window = search_window(machine)
@@ -106,7 +108,7 @@ def log_tool_paths(
     """Log all paths below the part frame, one folder per magnification, and the colour bar. Returns their views."""
     reference = paths.commanded if paths.programmed is None else paths.programmed
     views = []
-    for factor in MAGNIFICATIONS:
+    for factor in paths.magnifications:
         root = entity(scene.part_path, f"path_x{factor}")
         duration = float(paths.reference_time[-1] - paths.reference_time[0])
         low, high = reference.min(axis=0), reference.max(axis=0)
@@ -119,14 +121,17 @@ def log_tool_paths(
             bands = paths.scale.band(contour.error) if order == 0 else np.zeros(len(drawn), int)
             palette = ERROR_BANDS if order == 0 else (SECOND_RUN_COLOUR,)
             growing.append(entity(root, "followed", label))
-            width = 2.5 if order == 0 else 1.0
-            log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, palette, factor=factor, width=width, full=full)
+            width = 2.5 if order == 0 else 1.5
+            log_growing_path(
+                recording, growing[-1], paths.times[label], drawn, bands, palette, factor=factor, width=width, full=full, dashed=order > 0
+            )
             if order == 0:
                 log_tool_point(recording, entity(root, "tool_point"), paths.times[label], drawn)
         if paths.programmed is not None:
             log_commanded(recording, entity(root, "commanded"), paths, factor, full)
-        also = tuple(shapes_of_tool(scene, shapes)) if factor == 1 else ()
-        views.append(PathView(f"Tool path x{factor}" if factor > 1 else "Tool path", root, tuple(growing), np.array([low, high]), also))
+        also = tuple(shapes_of_tool(scene, shapes))
+        title = f"Tool path, deviation x{factor}" if factor > 1 else "At the part"
+        views.append(PathView(title, root, tuple(growing), np.array([low, high]), also))
     log_legend(recording, LEGEND, paths.scale, next(iter(paths.followed)))
     return tuple(views)
 
@@ -149,7 +154,7 @@ def log_tip_path(
     path = entity(root, "followed", "motion")
     log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), factor=1, width=2.5, full=full)
     log_tool_point(recording, entity(root, "tool_point"), time, points)
-    return (PathView("Path of the tip", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
+    return (PathView("At the tip: machine and path", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
 
 
 def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray]) -> list[Curve]:
@@ -171,7 +176,7 @@ def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarra
 
 def shapes_of_tool(scene: Scene, shapes: Sequence[str]) -> list[str]:
     """Entities of the tool itself: the shapes of its body that are named after it."""
-    return [path for shape, path in zip(scene.shapes, shapes) if shape.body == scene.tip_body and shape.name.startswith(("tool", "holder"))]
+    return [path for shape, path in zip(scene.shapes, shapes) if shape.body == scene.tip_body and shape.name.startswith("tool")]
 
 
 def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:

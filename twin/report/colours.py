@@ -32,7 +32,6 @@ RUN_COLOURS: tuple[Colour, ...] = ((255, 221, 0), (187, 255, 255))
 SETPOINT_COLOUR: Colour = (166, 170, 178)
 """Set points, of any axis: what was asked for is grey, what happened has colour."""
 LIMIT_COLOUR: Colour = (255, 40, 120)
-DIFFERENCE_COLOUR: Colour = (230, 60, 160)
 PROGRAM_COLOUR: Colour = (20, 20, 24)
 """The programmed path."""
 

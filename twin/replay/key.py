@@ -1,0 +1,52 @@
+"""The key of the plots: a strip below them that says which colour and dash is what, so that no legend covers a curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+import rerun as rr
+
+from twin.replay.curves import Curve
+from twin.replay.dashes import DASHES
+from twin.replay.names import CONTOUR_ERROR, KEY, entity
+from twin.report.colours import Colour
+
+GROUND = (13, 16, 17)
+"""The viewer's own ground."""
+INK = (205, 210, 215)
+HEIGHT, SAMPLE, SPACE, FONT_SIZE = 30, 46, 26, 17
+"""Pixels: height of the strip, length of a sample of a line, space between entries, size of the letters."""
+LEAST_WIDTH = 1200
+
+
+def log_keys(recording: rr.RecordingStream, curves: Sequence[Curve]) -> dict[str, str]:
+    """Log a key for every axis (and '' for the contour error of several runs). Returns their entities."""
+    found: dict[str, str] = {}
+    for axis in dict.fromkeys(_axis_of(curve) for curve in curves):
+        entries = {(c.key, c.colour, c.run): None for c in curves if _axis_of(c) == axis and c.key}
+        if (len(entries) > 1 or axis) and entries:
+            found[axis] = entity(KEY, axis or "contour_error")
+            recording.log(found[axis], rr.Image(key_picture([*entries], LEAST_WIDTH if axis else 1)), static=True)
+    return found
+
+
+def key_picture(entries: Sequence[tuple[str, Colour, int]], least_width: int = LEAST_WIDTH) -> np.ndarray:
+    """A strip (row, column, RGB) with a piece of line and a word for each entry (word, colour, number of the run)."""
+    font = ImageFont.load_default(FONT_SIZE)
+    widths = [SAMPLE + 8 + int(font.getlength(word)) + SPACE for word, _, _ in entries]
+    picture = Image.new("RGB", (max(sum(widths) + SPACE, least_width), HEIGHT), GROUND)
+    pen, x = ImageDraw.Draw(picture), SPACE // 2
+    for (word, colour, run), width in zip(entries, widths):
+        step, share = (SAMPLE, 1.0) if run == 0 else (SAMPLE // (3 * run), DASHES[(run - 1) % len(DASHES)][1])
+        for left in range(x, x + SAMPLE - 2, step):
+            pen.line([(left, HEIGHT // 2), (left + share * step, HEIGHT // 2)], fill=colour, width=4)
+        pen.text((x + SAMPLE + 8, HEIGHT // 2), word, fill=INK, font=font, anchor="lm")
+        x += width
+    return np.asarray(picture)
+
+
+def _axis_of(curve: Curve) -> str:
+    """Axis of a curve, '' for the contour error."""
+    return "" if curve.path.startswith(CONTOUR_ERROR) else curve.path.split("/")[2]

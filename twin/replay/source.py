@@ -1,0 +1,102 @@
+"""What a path stands for in the viewer: the recording or the trace of the folder of any command, of a campaign, of a machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+import tomllib
+
+from twin.errors import InputError, nearest
+
+TRACE_ENDINGS = (".parquet", ".csv")
+MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
+_WHAT = "give the folder of a run, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
+_NAMES = ("run.rrd", "diagnosis.rrd", "cut.rrd", "compare.rrd")
+"""Recordings that commands write; others are taken in the order of their names."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording, a trace, or both (the folder of a run); a label for plots, and a note where one of several was chosen."""
+
+    path: Path
+    label: str
+    recording: Path | None
+    trace: Path | None
+    note: str = ""
+
+
+def source_of(path: Path) -> Source:
+    """What lies at a path, checked."""
+    from twin.replay.viewer import check_recording
+
+    if path.is_dir():
+        return _of_folder(path)
+    ending = path.suffix.lower()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; {_WHAT}")
+    if ending == ".rrd":
+        return Source(path, _label(path), check_recording(path), _trace_in(path.parent) if path.name == "run.rrd" else None)
+    if ending in TRACE_ENDINGS:
+        return Source(path, _label(path), None, path)
+    if ending in MODEL_ENDINGS:
+        raise InputError(f"{path}: a model stands first; give the trace that moves it behind it")
+    raise InputError(
+        f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
+    )
+
+
+def machine_file_in(path: Path) -> Path | None:
+    """The machine file of a folder that holds one and no run, such as that of `twin machine new`."""
+    if not path.is_dir() or _recordings_in(path) or _trace_in(path) or (path / "campaign.toml").is_file():
+        return None
+    files = [file for file in sorted(path.glob("*.toml")) if "axis" in _tables_of(file)]
+    return files[0] if len(files) == 1 else None
+
+
+def _of_folder(path: Path) -> Source:
+    from twin.replay.viewer import check_recording
+
+    recordings, trace, name = _recordings_in(path), _trace_in(path), path.resolve().name
+    if recordings or trace is not None:
+        return Source(path, name, check_recording(recordings[0]) if recordings else None, trace)
+    if (path / "campaign.toml").is_file():
+        files = [path / str(run.get("file", "")) for run in _tables_of(path / "campaign.toml").get("run", [])]
+        files = [file for file in files if file.is_file()]
+        if files:
+            others = ", ".join(file.name for file in files[1:])
+            note = f"{files[0].name} of {len(files)} runs of the campaign is shown" + (f"; others: {others}" if others else "")
+            return Source(path, files[0].stem, None, files[0], note)
+    # cases of a regression or an examination have a folder each
+    below = sorted(path.rglob("*.rrd"))
+    if below:
+        note = f"{below[0].relative_to(path)} of {len(below)} recordings in this folder is shown"
+        return Source(path, below[0].parent.name, check_recording(below[0]), None, note)
+    programs, pages = sorted(path.glob("*.mpf")), sorted(path.glob("*.html"))
+    if programs:
+        raise InputError(f"{path}: part programs, and no run yet; simulate one: twin run {programs[0]}")
+    if pages:
+        raise InputError(f"{path}: numbers and a report, and no motion to replay; open {pages[0]} in a browser")
+    raise InputError(f"{path}: no run: neither a recording (.rrd) nor trace.parquet lies in this folder; {_WHAT}")
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """Recordings that lie in a folder, that of the command first."""
+    named = [folder / name for name in _NAMES if (folder / name).is_file()]
+    return named + [file for file in sorted(folder.glob("*.rrd")) if file not in named]
+
+
+def _trace_in(folder: Path) -> Path | None:
+    return next((folder / f"trace{end}" for end in TRACE_ENDINGS if (folder / f"trace{end}").is_file()), None)
+
+
+def _tables_of(file: Path) -> dict:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
+def _label(path: Path) -> str:
+    """The file's name, or its folder's for the files of a run."""
+    return path.resolve().parent.name if path.stem in ("trace", "run") else path.stem
