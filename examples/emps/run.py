@@ -312,7 +312,7 @@ def friction_figure(record: Record, machines: dict[str, Machine]):  # type: igno
 def voltage_at(machine: Machine, speed: np.ndarray) -> np.ndarray:
     """Voltage [V] that a machine takes at constant speeds (speed,) [m/s]: friction, its asymmetry, a constant force."""
     axis = machine.axis("X")
-    force = axis.coulomb_friction * np.sign(speed) + axis.viscous_friction * speed
+    force = axis.coulomb_friction * np.sign(speed) + axis.viscous_friction * speed + axis.constant_force
     for effect in machine.effects:
         if effect["name"] == "viscous_asymmetry":
             force = force + effect["fraction"] * axis.viscous_friction * np.abs(speed)

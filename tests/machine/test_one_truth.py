@@ -27,6 +27,7 @@ NUMBERS = {
     "coulomb_friction_nm": (0.1, 2.5),
     "viscous_friction_nm_s_per_rad": (0.001, 0.01),
     "peak_current_a": (20.0, 60.0),
+    "constant_torque_nm": (-1.0, 1.0),
     "torque_constant_nm_per_a": (0.8, 1.6),
     "position_gain_per_s": (20.0, 60.0),
     "speed_gain_nm_s_per_rad": (0.3, 3.0),

@@ -62,6 +62,18 @@ def test_constant_force():
     assert (means[0] - means[1]) / 2 == pytest.approx(a.coulomb_friction + a.viscous_friction * 0.05, rel=1e-3)
 
 
+def test_steady_load_of_the_file_is_a_constant_force():
+    """A machine whose file holds a steady load moves as one with that constant force put on it, in both plants."""
+    axis = axis_of("X")
+    loaded = MACHINE.with_values({"axis.X.constant_torque_nm": 400.0 * axis.ratio}).with_axes(["X"])
+    shaken = with_effects(MACHINE.with_axes(["X"]), [{"name": "constant_force", "axis": "X", "force": 400.0}])
+    assert loaded.axis("X").constant_force == pytest.approx(400.0)
+    setpoints = Setpoints(there_and_back(0.02, 0.1)[:, None], 1e-3)
+    one, other = (simulate(machine, setpoints).trace for machine in (loaded, shaken))
+    for signal in ("position", "current"):
+        np.testing.assert_allclose(one.get("X", signal), other.get("X", signal), rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize(("tilt", "turn"), [(0.0, 0.0), (-math.pi / 2, 0.3), (-1.0, 1.2), (0.4, -2.5)])
 def test_table_unbalance(tilt, turn):
     """Torques that hold m at (r, angle, h) on the tilted, turned table: dV/dA and dV/dC of V = m g (r sin(angle + C) sin A + h cos A)."""

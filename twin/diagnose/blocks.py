@@ -194,7 +194,7 @@ def _inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray
     grid = np.arange(len(loads.inertia))
     return (
         np.interp(rows, grid, loads.inertia[:, column]) + axis.reflected_inertia,
-        np.interp(rows, grid, loads.bias[:, column]),
+        np.interp(rows, grid, loads.bias[:, column]) - change.constant_force[column],
     )
 
 

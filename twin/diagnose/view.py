@@ -96,7 +96,11 @@ def _motion(position: np.ndarray, period: float) -> Motion:
 def _command(view: RunView, axis: Axis) -> np.ndarray:
     """Velocity feedforward at the sample times (sample,) [axis units a second]."""
     tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
-    return axis.loops.velocity_feedforward * (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
+    if axis.loops.velocity_feedforward == 0.0:
+        return np.zeros(len(view.trace.time))
+    beside = view.setpoints.part((view.machine.axis_names.index(axis.name),)).fed_at(view.trace.time - view.trace.time[0])
+    slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
+    return axis.loops.velocity_feedforward * slope + (beside[:, 0] if isinstance(beside, np.ndarray) else beside)
 
 
 def _delayed(view: RunView, axis: Axis) -> np.ndarray:

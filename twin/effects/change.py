@@ -177,8 +177,11 @@ _MOST_HOMES = 256
 
 
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
-    """Put the machine's effects on it; `started_at` [s] since the start of the campaign."""
+    """Put the machine's steady loads and effects on it; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
+    for axis in machine.axes:
+        if axis.constant_force:
+            change.add_force(axis, -axis.constant_force)
     # by block, then in the order of the library: a machine with the same effects in another order is the same machine
     order = {name: i for i, name in enumerate(EFFECTS)}
     for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):

@@ -36,6 +36,13 @@ STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5
 """Step of the difference quotient where it is not RELATIVE_STEP: of the force as a share of the peak of the command, delays in seconds."""
 
 RELATIVE_STEP = 0.02
+CLEARLY = 0.02
+"""A speed controller with a reference model is taken where it lowers the mean log RMS by more."""
+
+REFERENCE_LAGS_S = (0.3e-3, 3e-3)
+REFERENCE_INTEGRAL_S = 0.01
+"""Where the search for a reference model starts: the lag of the speed loop within bounds, and an integral time of at least this."""
+
 DIVERGED = 1e9
 LEAST_RMS = 1e-10
 """Residuals below this (in units of the signal's range) count as equal."""
@@ -76,9 +83,56 @@ def fit_drives(
 
     Axes in `skipped`, and those that neither move nor have a command recorded are left alone.
     """
-    work = _Work(machine, runs, rows, known, skipped)
-    if not work.names:
+    plain = _searched(_Work(machine, runs, rows, known, skipped), say)
+    if plain is None:
         return DriveFits(machine)
+    searches = dict.fromkeys(plain.x, plain)
+    modelled = with_reference_models(machine, [n for n in plain.x if "speed_integral_time_s" in plain.work.fields[n]])
+    if modelled is not machine:
+        try:
+            other = _searched(_Work(modelled, runs, rows, known, [a.name for a in machine.axes if modelled.axis(a.name) == a]), say)
+        except SimulationError:
+            other = None
+        if other is not None:
+            searches |= {n: other for n in other.x if other.score[n] < plain.score[n] - CLEARLY}
+    fits, values, forces = {}, {}, {}
+    for n, search in searches.items():
+        fits[n] = search.work.result(n, search.x[n], search.base[n], search.jacobian[n])
+        own, force = search.work.values({n: search.x[n]})
+        values.update(own)
+        forces.update(force)
+    return DriveFits(with_constant_forces(machine.with_values(values), forces), fits)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Where a search ended: values, residuals, score and slopes of each axis."""
+
+    work: _Work
+    x: dict[str, np.ndarray]
+    base: dict[str, dict[str, np.ndarray]]
+    score: dict[str, float]
+    jacobian: dict[str, np.ndarray]
+
+
+def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
+    """The machine with a reference model, of the lag of their speed loop, before the integrators of these axes; as it is where all have one."""
+    values: dict[str, object] = {}
+    for name in axes:
+        axis = machine.axis(name)
+        if axis.loops.speed_reference_time_s == 0.0:
+            inertia = axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2
+            lag = float(np.clip(inertia / axis.loops.speed_gain_nm_s_per_rad, *REFERENCE_LAGS_S))
+            values[f"axis.{name}.loops.speed_reference_time_s"] = lag
+            values[f"axis.{name}.loops.speed_gain_nm_s_per_rad"] = inertia / lag
+            values[f"axis.{name}.loops.speed_integral_time_s"] = max(axis.loops.speed_integral_time_s, REFERENCE_INTEGRAL_S)
+    return machine.with_values(values) if values else machine
+
+
+def _searched(work: _Work, say: Callable[[str], None] | None) -> _Search | None:
+    """The damped search from the machine's own values; None where no axis is fitted."""
+    if not work.names:
+        return None
     x = work.start()
     base = work.residuals(x)
     if base is None:
@@ -111,7 +165,7 @@ def fit_drives(
             say(f"drive fit step {step + 1}")
         if not open_axes:
             break
-    return work.result(x, base, work.jacobian(x, base))
+    return _Search(work, x, base, score, work.jacobian(x, base))
 
 
 def _score(residual: Mapping[str, np.ndarray]) -> float:
@@ -184,6 +238,7 @@ class _Work:
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
         if axis.has_speed_integral and any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs):
             fields += ["speed_gain_nm_s_per_rad", "speed_integral_time_s"]
+            fields += ["speed_reference_time_s"] if axis.loops.speed_reference_time_s > 0.0 else []
         if axis.loops.dsc_delay_s > 0.0:
             fields.append("dsc_delay_s")
         return [f for f in fields if (axis.name, f) not in known]
@@ -207,7 +262,8 @@ class _Work:
         if field_name == "inertia":
             return axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2
         if field_name == "constant_force":
-            return sum(float(e["force"]) for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name)
+            listed = [e for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name]
+            return axis.constant_force + sum(float(e["force"]) for e in listed)
         if hasattr(axis.loops, field_name):
             return float(getattr(axis.loops, field_name))
         return max(float(getattr(axis, field_name)), 1e-6 * self._peak(name))
@@ -231,10 +287,15 @@ class _Work:
 
     def changed(self, x: Mapping[str, np.ndarray]) -> Machine:
         """The machine with these values."""
+        values, forces = self.values(x)
+        return with_constant_forces(self.machine.with_values(values), forces)
+
+    def values(self, x: Mapping[str, np.ndarray]) -> tuple[dict[str, object], dict[str, float]]:
+        """Values by their paths in the file, and constant forces [N or Nm at the axis] by axis."""
         values: dict[str, object] = {}
         forces = {}
-        for n in self.names:
-            for f, code in zip(self.fields[n], x[n]):
+        for n, codes in x.items():
+            for f, code in zip(self.fields[n], codes):
                 value = self._decoded(n, f, float(code))
                 if f == "constant_force":
                     forces[n] = value
@@ -243,7 +304,7 @@ class _Work:
                 else:
                     part = "loops." if hasattr(self.machine.axis(n).loops, f) else ""
                     values[f"axis.{n}.{part}{f}"] = value
-        return with_constant_forces(self.machine.with_values(values), forces)
+        return values, forces
 
     def _inertia(self, name: str, inertia: float) -> dict[str, object]:
         """The whole inertia at the motor: the rotor takes the change where the file has one, else the moving mass."""
@@ -318,23 +379,18 @@ class _Work:
                     out.append((1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows])
         return np.concatenate(out)
 
-    def result(
-        self, x: Mapping[str, np.ndarray], base: Mapping[str, Mapping[str, np.ndarray]], jacobian: Mapping[str, np.ndarray]
-    ) -> DriveFits:
-        """Machine, values and their deviations."""
-        fits = {}
-        for n in self.names:
-            deviation = _deviations(jacobian[n], _whitened(base[n]), self.clusters(n))
-            values, deviations, unseen = {}, {}, []
-            for f, code, d in zip(self.fields[n], x[n], deviation):
-                value = self._decoded(n, f, float(code))
-                if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
-                    unseen.append(f)
-                slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
-                values[f], deviations[f] = value, float(d * slope)
-            rms = {s: _rms(v) * self.scale[n, s] for s, v in base[n].items()}
-            fits[n] = DriveFit(values, deviations, rms, tuple(unseen))
-        return DriveFits(self.changed(x), fits)
+    def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
+        """Values of one axis with their deviations."""
+        deviation = _deviations(jacobian, _whitened(base), self.clusters(n))
+        values, deviations, unseen = {}, {}, []
+        for f, code, d in zip(self.fields[n], x, deviation):
+            value = self._decoded(n, f, float(code))
+            if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
+                unseen.append(f)
+            slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
+            values[f], deviations[f] = value, float(d * slope)
+        rms = {s: _rms(v) * self.scale[n, s] for s, v in base.items()}
+        return DriveFit(values, deviations, rms, tuple(unseen))
 
 
 def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray) -> np.ndarray:
@@ -356,7 +412,7 @@ def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray
 
 
 def with_constant_forces(machine: Machine, forces: Mapping[str, float]) -> Machine:
-    """The machine with these constant forces [N or Nm at the axis] in place of those that its file lists."""
+    """The machine with these constant forces [N or Nm at the axis] as its steady loads, in place of effects of that name."""
+    loads = {f"axis.{n}.constant_torque_nm": f * machine.axis(n).ratio for n, f in forces.items()}
     kept = [dict(e) for e in machine.effects if not (e.get("name") == "constant_force" and e.get("axis") in forces)]
-    added = [{"name": "constant_force", "axis": n, "force": f} for n, f in forces.items() if f != 0.0]
-    return machine.with_values({"effect": [*kept, *added]})
+    return machine.with_values({**loads, **({"effect": kept} if len(kept) < len(machine.effects) else {})})

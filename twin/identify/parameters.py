@@ -127,7 +127,7 @@ def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list
     elif not paired and is_vertical(machine, axis.name):
         out.append(("gravity", "gravity_torque", force, 1.0, (axis.moving_mass_kg or 0.0) * machine.gravity * r))
     elif not paired:
-        out.append(("gravity", "constant_torque", force, 1.0, 0.0))
+        out.append(("gravity", "constant_torque", force, 1.0, axis.constant_torque_nm))
     return out
 
 
@@ -185,7 +185,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
                 1.0,
                 path_of(axis, "viscous_friction"),
             ),
-            "constant_force": ("constant_torque", force, 0.0, r, ""),
+            "constant_force": ("constant_torque", force, axis.constant_torque_nm, r, f"axis.{name}.constant_torque_nm"),
         }
         for field, value in fit.values.items():
             if field in fit.unseen or not math.isfinite(fit.deviations[field]):

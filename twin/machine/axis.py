@@ -40,7 +40,8 @@ class Loops:
     `dsc_delay_s` > 0: the drive closes the position loop (dynamic servo control); the NC's command reaches it so much later.
 
     `speed_mean_cycles` n > 0: the speed is not measured but differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts);
-    `speed_filter_time_s`: first-order lag of the speed that the controller sees (0: none).
+    `speed_filter_time_s`: first-order lag of the speed that the controller sees (0: none). `speed_reference_time_s`: first-order lag of the
+    speed set point that the integrator of the speed controller sees (its reference model; 0: none).
     """
 
     position_gain_per_s: float
@@ -55,6 +56,7 @@ class Loops:
     dsc_delay_s: float = 0.0
     speed_mean_cycles: int = 0
     speed_filter_time_s: float = 0.0
+    speed_reference_time_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class Axis:
 
     `ratio` is axis units per motor radian: lead / 2 pi for a screw, 1 / gear ratio for a gear, 1 for a direct drive.
     `commissioned_torque_constant` [Nm/A] is what the control divides torques by: the file's, or the motor's own where the file has
-    none. `commissioned_inertia` [kg m2 at the motor] is that of the torque feedforward; None: the model's in the home pose.
+    none. `constant_torque_nm` is a steady load against +q (counterbalance, hoses, cable drag). `commissioned_inertia` [kg m2 at the motor] is that of the torque feedforward; None: the model's in the home pose.
     `effort` names the signal that the speed controller commands: current, voltage or torque. `encoder` says which measuring
     system closes the position loop: scale (at the load) or motor.
     """
@@ -82,6 +84,7 @@ class Axis:
     motor: Motor
     loops: Loops
     commissioned_torque_constant: float
+    constant_torque_nm: float = 0.0
     commissioned_inertia: float | None = None
     structure: str = keys.STRUCTURES[0]
     effort: str = "current"
@@ -118,6 +121,11 @@ class Axis:
     def viscous_friction(self) -> float:
         """Viscous friction at the axis [N s/m or Nm s/rad]."""
         return self.viscous_friction_nm_s_per_rad / self.ratio**2
+
+    @property
+    def constant_force(self) -> float:
+        """Steady load against +q at the axis [N or Nm]."""
+        return self.constant_torque_nm / self.ratio
 
     @property
     def reflected_inertia(self) -> float:

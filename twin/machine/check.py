@@ -75,7 +75,7 @@ def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
     """Numbers of one axis in the home pose."""
     inertia = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)])
     loops = tuple(loops_of(machine, axis, inertia))
-    held = held_force(machine, axis) * axis.ratio
+    held = (held_force(machine, axis) + axis.constant_force) * axis.ratio
     friction = axis.coulomb_friction_nm + axis.viscous_friction_nm_s_per_rad * axis.max_velocity / axis.ratio
     constant = axis.motor.torque_constant_nm_per_a
     speed = axis.max_velocity / axis.ratio

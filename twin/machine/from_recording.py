@@ -204,16 +204,13 @@ def _tuned(
 
 def _write(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping[str, Tuning], source: str) -> None:
     model = out.with_suffix(".xml")
-    forces: list[str] = []
     lines = _head(out, model, lumps, source)
     bodies = []
     for i, one in enumerate(lumps):
         vertical = _hangs(one)
         lines += _axis(one, tunings[one.name], vertical)
         bodies.append(_body(one, i, vertical))
-        forces += [] if vertical else _constant(one)
     lines += _measurement(lumps)
-    lines += forces
     out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     model.write_text(_MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)), encoding="utf-8")
 
@@ -304,6 +301,7 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
             _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{LUMP}: {unit}" if m else ASSUMED),
             _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{LUMP}: {unit} per rad/s" if m else ASSUMED),
         ]
+    lines += [] if vertical else _constant(one, unit)
     return [*lines, *_actuator(one, table), *_loops(one, tuning, table, inertia)]
 
 
@@ -368,13 +366,13 @@ def _hangs(one: AxisLumps) -> bool:
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
 
 
-def _constant(one: AxisLumps) -> list[str]:
-    """A constant force as an effect."""
+def _constant(one: AxisLumps, unit: str) -> list[str]:
+    """The steady load of an axis that does not hang."""
     m = one.mechanics
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
-    return ["", "[[effect]]                                 # weight, counterbalance or friction one way: one recording cannot separate them",
-            'name = "constant_force"', f"axis = {json.dumps(one.name)}", _line("force", m.constant, f"{LUMP}: {_COMMAND_UNIT[m.effort]}")]  # fmt: skip
+    key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
+    return [_line(key, m.constant, f"{LUMP}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them")]
 
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:

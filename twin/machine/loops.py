@@ -146,6 +146,8 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
     inner = _with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
     loops.append(inner)
     a, b = _closed(inner)
+    if integral > 0.0 and axis.loops.speed_reference_time_s > 0.0:
+        a, b = _behind_reference(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
     position = _wider(motor if axis.encoder == "motor" else load, len(a))
     cycles = round(machine.position_cycle / machine.speed_cycle)
     if axis.loops.dsc_delay_s > 0.0:
@@ -262,6 +264,15 @@ def _with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarr
 def _closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     """Set point to state of the closed loop."""
     return loop.a - loop.b @ loop.c, loop.b
+
+
+def _behind_reference(a: np.ndarray, b: np.ndarray, integral: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed speed loop whose integrator, its last state, sees the set point through a lag w_r += share (w* - w_r)."""
+    into = np.zeros((len(a), 1))
+    into[-1] = integral
+    wide = block_diag(a, 1.0 - share)
+    wide[: len(a), len(a) :] = into * (1.0 - share)
+    return wide, np.vstack([b + into * (share - 1.0), [[share]]])
 
 
 def _speed_as_seen(

@@ -106,6 +106,7 @@ PARAMETERS = (
     Parameter("rotor_inertia_kg_m2", "rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2", "rotor_mass_kg", positive()),
     _same("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
     _same("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
+    _same("constant_torque_nm", Key(required=False), direct="constant_force_n"),
     _same("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
     _same("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
     _same("motor.resistance_ohm", positive()),
@@ -124,6 +125,7 @@ PARAMETERS = (
     _same("loops.dsc_delay_s", Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0)),
     _same("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
     _same("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
+    _same("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
     # what the control was commissioned with; it keeps these whatever motor and load really are
     _same(
         "commissioned.torque_constant_nm_per_a",

@@ -48,6 +48,7 @@ def sheet(machine: Machine) -> str:
     row("loop closed in", "", each(lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC"))
     row("speed from", "", each(lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder"))
     row("speed filter", "ms", each(lambda a: _g(a.loops.speed_filter_time_s * 1e3) if a.loops.speed_filter_time_s else "-"))
+    row("speed reference model", "ms", each(lambda a: _g(a.loops.speed_reference_time_s * 1e3) if a.loops.speed_reference_time_s else "-"))
     row("loop closed on", "", each(lambda a: a.encoder))
     cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
     if "P/PI/PI" in kinds:

@@ -5,6 +5,7 @@ Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` 
     every position cycle:  w* = (Kv (s(t - d_pos) - x) + a_v ds/dt(t - d_ff)) / r
                            T_ff = a_t J_ff d2s/dt2(t - d_ff) / r
     every speed cycle:     e = w* - w;  T* = Kp e + I + T_ff;  i* = clip(T* / Kt, +-i_peak);  I += Kp Ts/Tn e unless clipped
+                           (with a reference model of time Tr:  I += Kp Ts/Tn (w_r - w),  w_r += (1 - exp(-Ts/Tr)) (w* - w_r))
     every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
     between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
 
@@ -56,6 +57,7 @@ class Drives(NamedTuple):
     mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 where the speed is measured
     differentiation_rate: np.ndarray  # 1 / (n Ts), 1/s
     speed_lag: np.ndarray  # 1 - exp(-Ts / T) of the speed's filter, 1 without
+    reference_lag: np.ndarray  # 1 - exp(-Ts / Tr) of the integrator's reference model, 1 without
     dsc: np.ndarray  # bool: the drive closes the position loop
     dsc_cycles: np.ndarray  # int64: whole speed cycles of its delay
     dsc_part: np.ndarray  # what is left of its delay, as a part of a speed cycle
@@ -73,6 +75,7 @@ class DriveState(NamedTuple):
     current_integral: np.ndarray  # V
     voltage: np.ndarray  # V
     current: np.ndarray  # A, or the command
+    reference_speed: np.ndarray  # w_r, rad/s at the motor
     seen_speed: np.ndarray  # speed that the speed controller sees, axis units a second
     seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
     sent: np.ndarray  # (axis, cycle, 2) w*_NC + Kv x / r and T_ff,NC at the last speed cycles, a ring
@@ -114,6 +117,7 @@ def drives_of(machine: Machine) -> Drives:
         mean_cycles=mean_cycles,
         differentiation_rate=1.0 / (np.maximum(mean_cycles, 1) * ts),
         speed_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_filter_time_s) if a.loops.speed_filter_time_s > 0.0 else 1.0),
+        reference_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_reference_time_s) if a.loops.speed_reference_time_s > 0.0 else 1.0),
         dsc=dsc_delay > 0.0,
         dsc_cycles=dsc_cycles,
         dsc_part=np.maximum(dsc_delay - dsc_cycles, 0.0),
@@ -137,6 +141,7 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
         current_integral=drives.resistance * current,
         voltage=drives.resistance * current,
         current=current.copy(),
+        reference_speed=zero.copy(),
         seen_speed=zero.copy(),
         seen_positions=np.full((len(zero), MOST_MEAN_CYCLES + 1), np.nan),
         sent=np.zeros((len(zero), int(drives.dsc_cycles.max(initial=0)) + 2, 2)),
@@ -200,6 +205,10 @@ def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-de
 def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
     error = state.speed_setpoint[a] - motor_speed
+    integrated = error
+    if drives.reference_lag[a] < 1.0:
+        state.reference_speed[a] += drives.reference_lag[a] * (state.speed_setpoint[a] - state.reference_speed[a])
+        integrated = state.reference_speed[a] - motor_speed
     wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * (
         1.0 / drives.control_torque_constant[a]
     )
@@ -208,7 +217,7 @@ def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-
         state.current_setpoint[a] = math.copysign(limit, wanted)
         return True
     state.current_setpoint[a] = wanted
-    state.speed_integral[a] += drives.speed_integral_gain[a] * error
+    state.speed_integral[a] += drives.speed_integral_gain[a] * integrated
     return False
 
 

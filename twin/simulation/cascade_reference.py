@@ -65,10 +65,12 @@ class ReferenceCascade:
         self.n = [p.speed_mean_cycles for p in loops]
         self.Td = column([p.dsc_delay_s for p in loops])
         self.T_w = column([p.speed_filter_time_s for p in loops])
+        self.T_r = column([p.speed_reference_time_s for p in loops])
         # at rest: the motor holds, nothing moves
         self.i = self.held_torque / self.Kt
         self.i_star = self.i.copy()
         self.I = np.where(np.isfinite(self.Tn), self.i * self.control_Kt, 0.0)
+        self.w_r = np.zeros(len(axes))
         self.w_seen, self.q_seen = np.zeros(len(axes)), []
         self.I_i = self.R * self.i
         self.u = self.R * self.i
@@ -111,10 +113,13 @@ class ReferenceCascade:
         share = 1.0 - np.exp(-Ts / np.where(lagged, self.T_w, 1.0))
         self.w_seen = np.where(lagged, self.w_seen + share * (w - self.w_seen), w)
         e = self.w_star - self.w_seen
+        modelled = self.T_r > 0.0
+        share = 1.0 - np.exp(-Ts / np.where(modelled, self.T_r, 1.0))
+        self.w_r = np.where(modelled, self.w_r + share * (self.w_star - self.w_r), self.w_star)
         unlimited = (self.Kp * e + self.I + self.T_ff) / self.control_Kt
         self.i_star = np.clip(unlimited, -self.i_peak, self.i_peak)
         free = np.abs(unlimited) <= self.i_peak
-        self.I = np.where(free, self.I + self.Kp * self.machine.speed_cycle / self.Tn * e, self.I)
+        self.I = np.where(free, self.I + self.Kp * self.machine.speed_cycle / self.Tn * (self.w_r - self.w_seen), self.I)
 
     def current_cycle(self) -> None:
         """u = Kpi e + I_i; u limited; the integrator stands still where the limit is met. Without current loop i = i*."""

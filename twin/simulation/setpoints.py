@@ -26,6 +26,7 @@ from scipy.interpolate import CubicSpline
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
+from twin.simulation.fed_speed import beside_slope
 from twin.units import AXIS_UNITS, deg_from_rad
 
 _OVERLAP = 40
@@ -61,11 +62,19 @@ class Setpoints:
     """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s].
 
     `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in. `injected` (sample, axis) is what a test rig
-    adds to the drive's command, as torque at the motor [Nm]; nothing is added outside the samples.
+    adds to the drive's command, as torque at the motor [Nm]; `fed` (sample, axis) is what the control adds to its velocity feedforward
+    [m/s, rad/s]. Nothing is added outside the samples.
     """
 
-    def __init__(self, position: np.ndarray, period: float, before: np.ndarray | None = None, injected: np.ndarray | None = None) -> None:
-        self.injected = injected
+    def __init__(
+        self,
+        position: np.ndarray,
+        period: float,
+        before: np.ndarray | None = None,
+        injected: np.ndarray | None = None,
+        fed: np.ndarray | None = None,
+    ) -> None:
+        self.injected, self.fed = injected, fed
         self.position = np.ascontiguousarray(position, float)
         self.period = period
         self.before = self.position[:0] if before is None else before
@@ -98,6 +107,7 @@ class Setpoints:
                 self.period,
                 self.before[:, index] if len(self.before) else None,
                 None if self.injected is None else self.injected[:, index],
+                None if self.fed is None else self.fed[:, index],
             )
         return self._parts[axes]
 
@@ -119,12 +129,20 @@ class Setpoints:
         return out
 
     def injected_at(self, first: int, count: int, period: float) -> np.ndarray | float:
-        """(cycle, axis) injected torque [Nm] at position cycles, held from its sample on; 0 where nothing is injected."""
-        if self.injected is None:
+        """(cycle, axis) injected torque [Nm] at position cycles; 0 where nothing is injected."""
+        return self._held(self.injected, np.arange(first, first + count) * period)
+
+    def fed_at(self, times: np.ndarray) -> np.ndarray | float:
+        """(time, axis) speed that is fed forward beside the slope of the set points [m/s, rad/s]; 0 where none is."""
+        return self._held(self.fed, times)
+
+    def _held(self, values: np.ndarray | None, times: np.ndarray) -> np.ndarray | float:
+        """Values (time, axis) held from their sample on."""
+        if values is None:
             return 0.0
-        rows = np.floor(np.arange(first, first + count) * period / self.period + 1e-9).astype(int)
-        inside = (rows >= 0) & (rows < len(self.injected))
-        return np.where(inside[:, None], self.injected[np.clip(rows, 0, len(self.injected) - 1)], 0.0)
+        rows = np.floor(times / self.period + 1e-6).astype(int)
+        inside = (rows >= 0) & (rows < len(values))
+        return np.where(inside[:, None], values[np.clip(rows, 0, len(values) - 1)], 0.0)
 
     def command(self, key: object, period: float, first: int, count: int, of: Callable[[int, int], Command]) -> Command:
         """A stretch of the command that `of(first, count)` gives; of short runs the whole is remembered under `key`."""
@@ -192,6 +210,8 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
         for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
     ]
 
+    feeds = np.array([law.velocity_feedforward != 0.0 for law in laws])
+
     def of(first: int, count: int) -> Command:
         # one spline evaluation for all axes, delays and steps back
         delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
@@ -207,6 +227,7 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
             out.velocity_feedforward[:, a] = law.velocity_feedforward * (now - before) / tp
             acceleration = (now - 2.0 * before + earlier) / tp**2
             out.torque_feedforward[:, a] = law.fed_inertia * acceleration / law.ratio
+        out.velocity_feedforward[:] += setpoints.fed_at(np.arange(first, first + count) * tp) * feeds
         out.torque_feedforward[:] += setpoints.injected_at(first, count, tp)
         return out
 
@@ -277,8 +298,9 @@ def _injected(trace: Trace, machine: Machine) -> np.ndarray | None:
 
 
 def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
-    """Set points of a recording, with a lead-in where it begins in motion."""
+    """Set points of a recording, with a lead-in where it begins in motion and what a recorded feedforward holds beside their slope."""
     setpoints = setpoints_of(trace, machine)
+    setpoints.fed = beside_slope(trace, machine, setpoints.at)
     position, period = setpoints.position, setpoints.period
     speed = (position[1] - position[0]) / period
     least = [AT_REST[axis.kind] for axis in machine.axes]
@@ -292,7 +314,7 @@ def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
     t = np.arange(n) / n
     x = np.minimum(t / UP_TO_SPEED, 1.0)  # the speed grows as 3 x^2 - 2 x^3, then stays
     missing = np.where(x < 1.0, UP_TO_SPEED * (0.5 - x**3 + 0.5 * x**4) + 1.0 - UP_TO_SPEED, 1.0 - t)  # its integral from t to 1
-    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed), setpoints.injected)
+    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed), setpoints.injected, setpoints.fed)
 
 
 def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:

@@ -28,6 +28,7 @@ from twin.simulation.summary import table
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("recording", type=Path, metavar="recording.json", help="the recording of the control")
+    parser.add_argument("--diagnose", action="store_true", help="hold the recording against the identified machine, too")
     parser.add_argument("--out", type=Path, default=Path("out/sinumerik"), metavar="DIR", help="folder for all results")
     args = parser.parse_args(arguments)
     if not args.recording.is_file():
@@ -50,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         machine = load_machine(out / "identified" / "machine.toml")
         print(summary_text(machine, read_campaign(out / "campaign", machine)))
+        if args.diagnose:
+            command("diagnose", out / "campaign", "--machine", out / "identified" / "machine.toml", "--out", out / "diagnosis")
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

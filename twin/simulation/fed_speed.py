@@ -1,0 +1,96 @@
+"""What a control feeds forward beside the speed of its set points, from a recorded feedforward.
+
+A control may add to its velocity feedforward what no law of set points holds: pulses after a reversal that push through friction (SINUMERIK
+MD32500, friction compensation), or a shape of its own. Where the feedforward f is recorded, this part of it is known:
+
+    f(t) = a v(t - d) + rest(t),    v(t) = (s(t) - s(t - Tp)) / Tp
+
+Weight a and delay d are fitted here, so that the rest hides neither of them: a machine file in which one is wrong is still wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+
+MOST_DELAY_CYCLES = 8
+"""Longest delay of the feedforward that is tried, in position cycles."""
+
+EXPLAINED = 0.1
+"""A feedforward of which the set points leave more than this share (RMS) is another quantity, and not used."""
+
+ROUNDING = 1e-5
+"""A rest that stays below this share of the largest feedforward is rounding."""
+
+PART = 0.1
+"""By so much the part of a cycle by which the feedforward is late may lie outside of 0 to 1."""
+
+ROUNDS = 4
+IN_LINE = 0.8
+OUT_OF_LINE = 4.0
+"""The fit leaves out, in so many rounds, what is so many times beyond the RMS of this part of the samples, the nearest: pulses must not bend it."""
+
+
+def beside_slope(trace: Trace, machine: Machine, set_points: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
+    """Speed (sample, axis) [m/s, rad/s] that the recorded feedforward of each axis holds beside the slope of its set points; None without.
+
+    `set_points` gives positions (time, axis) at times [s] since the first sample.
+    """
+    if trace.period > machine.position_cycle * 1.001:
+        return None
+    fed = [a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0]
+    out = np.zeros((len(trace.time), len(machine.axes)))
+    for axis in fed:
+        a = machine.axis_names.index(axis.name)
+        out[:, a] = _rest(trace, axis, lambda times, a=a: set_points(times)[:, a], machine.position_cycle)  # type: ignore[misc]
+    return out if out.any() else None
+
+
+def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray], cycle: float) -> np.ndarray:
+    """The rest (sample,) of one axis; zeros where there is none or the feedforward is another quantity."""
+    fed = trace.get(axis.name, "velocity_feedforward")
+    largest = float(np.abs(fed).max())
+    none = np.zeros(len(fed))
+    if not largest > 0.0 or len(fed) < 20:
+        return none
+    times = trace.time - trace.time[0]
+    delays = axis.loops.feedforward_delay_s % cycle + cycle * np.arange(MOST_DELAY_CYCLES + 1)
+    back = np.append(delays, [delays[-1] + cycle, delays[-1] + 2.0 * cycle])
+    speeds = -np.diff(np.column_stack([set_point(times - d) for d in back]), axis=1) / cycle
+    moving = (times > back[-1]) & ((fed != 0.0) | speeds.any(axis=1))
+    speeds, seen = speeds[moving], fed[moving]
+    if len(seen) < 20:
+        return none
+    fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen) for k in range(len(delays))]
+    # a swaying axis fits any delay by a part that is more than a cycle
+    rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
+    if not rests:
+        return none
+    left = min(rests, key=_size)
+    if np.mean(left**2) > EXPLAINED**2 * np.mean(seen**2) or np.abs(left).max() < ROUNDING * largest:
+        return none
+    none[moving] = left
+    return none
+
+
+def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """(rest (sample,), weight, part of a cycle of further delay): robust least squares of the feedforward on the speed and its change."""
+    columns = np.column_stack([speed, speed - before])
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    keep = np.ones(len(fed), bool)
+    rest, values = fed, np.zeros(2)
+    for _ in range(ROUNDS):
+        values = np.linalg.lstsq(columns[keep] / scale, fed[keep], rcond=None)[0] / scale
+        rest = fed - columns @ values
+        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest), 1e-15)
+    return rest, float(values[0]), float(-values[1] / values[0]) if values[0] else 0.0
+
+
+def _size(values: np.ndarray) -> float:
+    """RMS of the part of the values that is nearest to zero."""
+    squares = np.sort(values**2)[: max(int(IN_LINE * len(values)), 1)]
+    return float(np.sqrt(np.mean(squares)))
