@@ -28,6 +28,12 @@ def runs(machine: Machine) -> list[MeasuredRun]:
     return usual_runs(machine)
 
 
+@pytest.fixture(scope="module")
+def good(machine: Machine, runs: list[MeasuredRun]) -> Identification:
+    """The identification of the runs without a fault."""
+    return identified(machine, runs)
+
+
 def identified(machine: Machine, runs: list[MeasuredRun]) -> Identification:
     return identify_campaign(machine, campaign(runs), refine=False, gaps=False)
 
@@ -36,10 +42,9 @@ def said(result: Identification) -> str:
     return " | ".join(str(f) for f in result.findings)
 
 
-def test_a_good_recording_has_no_findings(machine: Machine, runs: list[MeasuredRun]) -> None:
-    result = identified(machine, runs)
-    assert said(result) == ""
-    assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.005)
+def test_a_good_recording_has_no_findings(good: Identification) -> None:
+    assert said(good) == ""
+    assert good.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.005)
 
 
 @pytest.mark.parametrize(
@@ -143,8 +148,8 @@ def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, ru
     assert "no run identifies torque_feedforward; add accelerations with torque feedforward on" in said(result)
 
 
-def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun]) -> None:
-    assert identified(machine, runs).left_out == ()
+def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
+    assert good.left_out == ()
     again = [*runs, recorded(machine, "again", LADDER, "velocity", 9)]
     assert identified(machine, again).left_out == ("again",)
 
