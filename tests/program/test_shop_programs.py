@@ -149,6 +149,13 @@ def test_an_inside_corner_made_by_rounding_is_a_tangent(read) -> None:
     assert nearest_to_join < 5e-3  # 2 mm to the right of the contour
 
 
+@pytest.mark.parametrize(("rise", "arcs"), [(2e-4, 0), (0.2, 1)])
+def test_an_outside_corner_made_by_rounding_gets_no_arc(read, rise: float, arcs: int) -> None:
+    """Two lines meant to be one: 2e-5 rad at a radius of 5 mm make an arc of 0.1 um, which no axis follows; 0.02 rad make one of 0.1 mm."""
+    program = read(f"G21 G17 G90\nG1 X0 Y0 F100\nG42.1 D10 X10 Y0\nX20\nX30 Y{rise}\nG40 X40 Y1\nM30\n", "part.ngc")
+    assert (program.moves.kind == ARC).sum() == arcs
+
+
 @pytest.mark.parametrize("beside", [0.0, 1e-4, -1e-4])
 def test_a_full_circle_stays_one_beside_the_contour(read, beside: float) -> None:
     """Inside a bore of 40 mm with a tool of 10 mm: entry on an arc, once round, out; also where the join is not quite tangent."""

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", help="a part program, or a folder with them")
     add_machine(parser)
     add_place(parser)
-    parser.add_argument("--read-only", action="store_true", help="read, do not plan: no times and no limits")
+    parser.add_argument("--read-only", action="store_true", help="only read the programs: no times, no check of limits")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
 
 

@@ -34,14 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="L",
-        help="programmed | commanded | followed; may be given several times (default: all there are)",
+        help="programmed | commanded | followed; may be given several times (default: all that exist)",
     )
     parser.add_argument(
         "--feedforward",
         action="append",
         default=[],
         metavar="F",
-        help="velocity+torque | velocity | off, of the simulated run of a program; several are allowed (default: first and last)",
+        help="velocity+torque | velocity | off, of the simulated run of a program; may be given several times (default: velocity+torque and off)",
     )
     parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: as the part file says)")
     parser.add_argument(

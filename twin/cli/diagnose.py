@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_campaign(parser)
     add_machine(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
-    parser.add_argument("--quick", action="store_true", help="fewer candidates, quiet axes not searched: a look in less than half the time")
+    parser.add_argument(
+        "--quick", action="store_true", help="a first look in less than half the time: fewer candidates, and quiet axes are not searched"
+    )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
 
 

@@ -12,7 +12,7 @@ from twin.machine.machine import Machine
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="show one effect: its law, parameters, bounds and usual sizes")
-    parser.add_argument("--picture", metavar="FILE.png", help="draw what the effect NAME does to a short move")
+    parser.add_argument("--picture", metavar="FILE.png", help="draw the response to a short move with and without the effect NAME")
     add_machine(parser)
 
 

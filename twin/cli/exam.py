@@ -15,26 +15,36 @@ from twin.files import stamped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="what is drawn (default 0); a published score has a fresh one")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the drawn machines (default 0); use a fresh one for a published score"
+    )
     parser.add_argument("--cases", type=int, default=150, metavar="N", help="how many campaigns (default 150)")
     parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder for campaigns, answers, exam.json, report.html; goes on where it was"
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="folder for campaigns, answers, exam.json, report.html; an examination stopped there continues",
     )
     parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the shipped one)")
     parser.add_argument(
-        "--richness", choices=("off", "small", "full"), default="small", help="physics that no effect describes, always on (default small)"
+        "--richness",
+        choices=("off", "small", "full"),
+        default="small",
+        help="small imperfections that no effect describes, in every machine (default small)",
     )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
     parser.add_argument(
         "--only",
         metavar="KIND",
-        help="nothing but one kind of case, e.g. healthy, 'a fifth', outside",
+        help="only one kind of case, e.g. healthy, 'a fifth', outside",
     )
-    parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten: a look in minutes")
+    parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
-    parser.add_argument("--open", action="store_true", help="end it here: open the seals, score what has been answered so far")
-    parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: which effects this campaign's runs, signals and noise can show")
+    parser.add_argument("--open", action="store_true", help="end the examination: open the seals and score the answers so far")
+    parser.add_argument(
+        "--plan", metavar="CAMPAIGN", help="instead of an examination, list the effects that the runs and signals of this campaign can show"
+    )
 
 
 def carry_out(args: argparse.Namespace) -> int:

@@ -24,12 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin iso`."""
     parser.add_argument("standard", choices=STANDARDS, metavar="230-2|230-4", help="230-2: positioning of an axis; 230-4: circles")
     parser.add_argument("input", metavar="INPUT", help="table of readings (.csv), trace, folder of a run, or campaign")
-    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON; the plot stands beside it")
-    parser.add_argument("--plot", metavar="FILE", help="where the plot goes (default: beside --json, or out/iso_STANDARD.png)")
+    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, and the plot beside it")
+    parser.add_argument("--plot", metavar="FILE", help="file of the plot (default: beside --json, or out/iso_STANDARD.png)")
     parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
-    parser.add_argument(
-        "--no-predict", action="store_true", help="230-4: leave out what the twin of --machine predicts for the same set points"
-    )
+    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the twin's prediction for the same set points")
     parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
     parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
     parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new.add_argument("--structure", metavar="S", help=f"control of all axes: {', '.join(STRUCTURES)} (default {STRUCTURES[0]})")
     new.add_argument("--sinumerik", metavar="FILE", help="machine data of a Sinumerik, as TOML or archive, for what they know")
     new.set_defaults(action=_new)
-    check = actions.add_parser("check", help="say what is missing, impossible or unusual, with the margins of each loop")
+    check = actions.add_parser("check", help="list missing, impossible and unusual values, with the margins of each loop")
     check.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
     check.add_argument("--out", metavar="DIR", help="folder for check.json and a picture of the loops of each axis")
     check.set_defaults(action=_check)

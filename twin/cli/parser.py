@@ -40,13 +40,13 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
     "simulate": (
         Command("demo", "demo", "the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
         Command("run", "run", "simulate a program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
-        Command("interpolate", "interpolate", "turn a program into set points, no more"),
-        Command("check", "check", "show what of a part program, or of a folder of them, is understood, fits and keeps the limits"),
-        Command("cut", "cut", "cut the part along the followed tool path: where the mark is and how deep"),
+        Command("interpolate", "interpolate", "convert a program to set points without simulating it"),
+        Command("check", "check", "check part programs: unknown words, travel, axis limits, time"),
+        Command("cut", "cut", "cut a part along the followed tool path; report the place and depth of marks"),
     ),
     "look": (
         Command("replay", "replay", "open the viewer on a run, a recording, a trace or any MJCF or URDF"),
-        Command("compare", "compare", "two runs, campaigns or machines beside each other, aligned on their set points"),
+        Command("compare", "compare", "compare two runs, campaigns or machines, aligned on their set points"),
         Command("effects", "effects", "list the effects that a machine can have beyond the nominal model"),
         Command("machine", "machine", "make a machine file from a model, check it, show its data sheet"),
     ),
@@ -57,18 +57,26 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
     ),
     "judge": (
         Command(
-            "iso", "iso", "positioning by ISO 230-2 and circles by ISO 230-4, of a table, a trace, a run or a campaign, with the usual plot"
+            "iso",
+            "iso",
+            "evaluate positioning by ISO 230-2 or circles by ISO 230-4 from a table, trace, run or campaign, with the usual plot",
         ),
     ),
     "diagnose": (
         Command("gap", "gap", "simulate every run of a measured campaign and compare signal by signal"),
         Command(
-            "diagnose", "diagnose", "say where a measured campaign differs from the twin, which effect causes it, how far the gap shrinks"
+            "diagnose",
+            "diagnose",
+            "find where a measured campaign differs from the twin, which effect causes it, and how far it closes the gap",
         ),
-        Command("exam", "exam", "diagnose sealed campaigns of a second plant, open the seals, score"),
+        Command("exam", "exam", "diagnose campaigns of a second plant whose faults are sealed, then open the seals and score"),
     ),
-    "design": (Command("study", "study", "vary numbers of the machine file by a design, run every variant, show what each number buys"),),
-    "guard": (Command("regress", "regress", "run a suite of cases headless and compare with golden results: what moved, and where first"),),
+    "design": (
+        Command(
+            "study", "study", "vary numbers of the machine file by a design, simulate every variant, show the influence of each number"
+        ),
+    ),
+    "guard": (Command("regress", "regress", "run a suite of cases and compare with golden results; report what changed, and where first"),),
     "shell": (Command("completion", "completion", "print the completion of commands and options for bash, zsh or tcsh"),),
 }
 
@@ -132,8 +140,8 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
             _add_effect_files(sub)
-            sub.add_argument("--quiet", action="store_true", help="print nothing but errors; the results are in the files")
-            sub.add_argument("--verbose", action="store_true", help="say which versions ran and how long it took")
+            sub.add_argument("--quiet", action="store_true", help="print errors only; the results are in the files")
+            sub.add_argument("--verbose", action="store_true", help="also print versions and run time")
     return parser
 
 
@@ -148,7 +156,7 @@ def _add_effect_files(parser: argparse.ArgumentParser) -> None:
             "--effects",
             action="append",
             metavar="FILE.py",
-            help="Python file with effects of your own, which this command knows like those of the library; may be given several times",
+            help="Python file with effects of your own, used like those of the library; may be given several times",
         )
 
 

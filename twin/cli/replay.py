@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", metavar="FILE.png", help="render the view to a picture, without a display")
     parser.add_argument("--at", type=float, metavar="SECONDS", help="time of the picture (default: the end)")
     parser.add_argument("--size", metavar="WIDTHxHEIGHT", default="1920x1080", help="size of the picture in pixels (default: 1920x1080)")
-    parser.add_argument("--serve", action="store_true", help="offer the view to browsers on this computer (127.0.0.1) until Ctrl-C")
+    parser.add_argument("--serve", action="store_true", help="serve the view to browsers on this computer (127.0.0.1) until Ctrl-C")
     parser.add_argument("--port", type=int, metavar="N", default=9090, help="port of --serve (default: 9090)")
     parser.add_argument(
         "--out",
         metavar="FILE.rrd",
-        help="keep the recording that is made of a trace or a model; without --screenshot or --serve nothing is opened",
+        help="write the recording of a trace or a model to this file; opens no viewer",
     )
     parser.add_argument(
         "--full", action="store_true", help="keep every sample (about 80 MB a minute) instead of the smallest and largest of each stretch"

@@ -14,8 +14,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("spec", metavar="SPEC", type=shipped_example, help="study file (.toml): factors, design, runs")
     parser.add_argument("--machine", metavar="FILE", help="machine file (default: the study's, else the Mikron UCP 710)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results; a killed study goes on there with --resume")
-    parser.add_argument("--resume", action="store_true", help="go on with the variants that the folder lacks")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results; --resume continues a stopped study there")
+    parser.add_argument("--resume", action="store_true", help="simulate only the variants that are missing in the folder")
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://host:8786 (default: threads of this machine)"
     )

@@ -19,7 +19,8 @@ TINY = 1e-9
 SMOOTH = 1e-6
 """Elements whose directions differ by less than this join smoothly [rad]."""
 GOUGE = 1e-6
-"""Depth to which the tool may cut into an inside corner that exists only because the program is rounded [m]."""
+"""A corner that exists only because the numbers of the program are rounded: depth to which the tool may cut into an inside corner, and
+length of an arc about an outside corner that is left out [m]."""
 BACK = 0.05
 """At a corner closer than this to a full reversal the second element may cross the first, and so change sides [rad]."""
 
@@ -118,7 +119,8 @@ class Compensation:
         """The corner between two elements; returns the second with its start."""
         t1, t2 = last.direction(True), e.direction(False)
         turn = math.atan2(t1[0] * t2[1] - t1[1] * t2[0], float(t1 @ t2))
-        if abs(turn) < SMOOTH:
+        short = turn * self.offset < 0.0 and abs(turn * self.offset) < GOUGE  # an arc about this outside corner would be no way
+        if abs(turn) < SMOOTH or short:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
             return new
