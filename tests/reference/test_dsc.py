@@ -15,6 +15,7 @@ from twin.exam.plant.plant import run
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine, load_machine, write_machine
+from twin.simulation.errors_of_run import error_without_delay
 from twin.simulation.run import commissioned_inertia, simulate
 from twin.simulation.setpoints import Setpoints, command_of
 from twin.units import ARCSEC
@@ -151,3 +152,13 @@ def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
     points = Setpoints(np.concatenate([np.zeros(50), np.full(400, 1e-4)])[:, None], 1e-3)
     settled = simulate(fast.with_axes(["X"]), points).trace.get("X", "position")[-50:]
     assert np.ptp(settled) < 1e-6
+
+
+def test_errors_without_delay_know_the_drive(mikron: Machine) -> None:
+    """At constant speed nothing is left of the following error of a loop closed in the drive once both delays are taken out."""
+    machine = with_dsc(mikron, 5.25e-3).with_axes(["X"])
+    t = np.arange(900) * 1e-3
+    x = SPEED * np.where(t < 0.2, t**2 / 0.4, t - 0.1) - 0.05
+    trace = simulate(machine, Setpoints(x[:, None], 1e-3)).trace
+    left = error_without_delay(trace, machine.axis("X"))[-400:]
+    assert np.abs(left).max() < 1e-3 * SPEED * machine.axis("X").loops.set_point_delay_s

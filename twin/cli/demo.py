@@ -19,6 +19,7 @@ from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal, lighter
+from twin.simulation.errors_of_run import error_without_delay
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -39,7 +40,7 @@ TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk
 @dataclass(frozen=True)
 class Finding:
     """What one run of the test shows, SI: following error largest and at constant speed, the largest deviation from the
-    set point one position delay earlier (what is left when the delay is taken out), overshoot at the stops, current."""
+    set point one delay earlier (what is left when the delay is taken out), overshoot at the stops, current."""
 
     error_max: float
     error_at_speed: float
@@ -71,7 +72,7 @@ def finding_of(machine: Machine, trace: Trace) -> Finding:
     return Finding(
         error_max=float(np.abs(error).max()),
         error_at_speed=float(np.abs(error[at_speed]).mean()),
-        deviation_max=float(np.abs(_delayed(setpoint, trace.time, axis.loops.position_delay_s) - position).max()),
+        deviation_max=float(np.abs(error_without_delay(trace, axis)).max()),
         overshoot=float(max(beyond.max(), 0.0)),
         current_max=float(np.abs(trace.get(AXIS, "current")).max()),
     )
@@ -103,7 +104,6 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
 
     strong, light, grey = (hexadecimal(c) for c in (axis_colour(AXIS), lighter(axis_colour(AXIS), 0.5), SETPOINT_COLOUR))
     columns = {"feedforward off": [("off", strong)], "feedforward on": [("velocity", light), ("velocity+torque", strong)]}
-    delay = machine.axis(AXIS).loops.position_delay_s
     style: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e6ea"}
     with plt.rc_context(style):
         figure, axes = plt.subplots(5, 2, figsize=(12.0, 11.4), sharex=True, layout="constrained")
@@ -118,7 +118,7 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
                 line = {"color": colour, "linewidth": 1.3, "label": "feedforward " + word.replace("+", " and ")}
                 position.plot(time, followed * 1e3, **{**line, "label": "position"})
                 error.plot(time, (setpoint - followed) * 1e6, **line)
-                deviation.plot(time, (_delayed(setpoint, time, delay) - followed) * 1e6, **line)
+                deviation.plot(time, error_without_delay(trace, machine.axis(AXIS)) * 1e6, **line)
                 speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
                 # the speed set point is a staircase of position cycles, so the current ripples: drawn faint, its mean strong
                 ripple = max(1, round(machine.position_cycle / trace.period))
@@ -150,10 +150,6 @@ def _mark_largest(axes: Axes, colour: str) -> None:
     axes.margins(y=0.2)
     text, place = f"{abs(values[largest]):.0f} µm", (time[largest], values[largest])
     axes.annotate(text, place, xytext=(6, 4), textcoords="offset points", color=colour, weight="bold")
-
-
-def _delayed(setpoint: np.ndarray, time: np.ndarray, delay: float) -> np.ndarray:
-    return np.interp(time - delay, time, setpoint)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -194,12 +190,12 @@ def _report(machine: Machine, traces: Mapping[str, Trace], out: Path) -> None:
         written.append(out / "x_200mm.rrd")
         write_recording(written[-1], machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
     loops = machine.axis(AXIS).loops
-    lag = SPEED * (1.0 / loops.position_gain_per_s + loops.position_delay_s)
+    lag = SPEED * (1.0 / loops.position_gain_per_s + loops.set_point_delay_s)
     print(f"{machine.name}: {TITLE}\n")
     print(text)
     print(
         f"\nWithout feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed; with it the delay of the "
-        f"set point ({loops.position_delay_s * 1e3:g} ms, {SPEED * loops.position_delay_s * 1e6:.0f} um) is left."
+        f"set point ({loops.set_point_delay_s * 1e3:g} ms, {SPEED * loops.set_point_delay_s * 1e6:.0f} um) is left."
     )
     print("\nwritten: " + "\n         ".join(map(str, written)))
 

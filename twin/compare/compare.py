@@ -12,7 +12,7 @@ import numpy as np
 from twin.compare.align import aligned
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
-from twin.simulation.errors_of_run import axis_errors
+from twin.simulation.errors_of_run import axis_errors, delayed_set_point
 from twin.simulation.gap import COMPARED, gap_unit
 from twin.simulation.result import Run
 from twin.simulation.summary import table
@@ -109,7 +109,7 @@ class Comparison:
         panels = []
         for axis in (a for a in self.machine.axes if a.name in found):
             unit, factor = AXIS_UNITS[axis.kind].error
-            asked = np.interp(self.first.time - axis.loops.position_delay_s, self.first.time, self.first.get(axis.name, "setpoint"))
+            asked = delayed_set_point(self.first, axis)
             curves = [
                 Curve(name, (asked - trace.get(axis.name, "position")) * factor, colour, dash)
                 for name, trace, colour, dash in zip(self.names, (self.first, self.second), ("setpoint", axis.name), ("-", "-"))

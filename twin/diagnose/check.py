@@ -27,7 +27,7 @@ def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds 
                 continue
             setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)
             loops = machine.axis(axis).loops
-            lag = loops.position_delay_s + loops.dsc_delay_s + 1.0 / loops.position_gain_per_s
+            lag = loops.set_point_delay_s + 1.0 / loops.position_gain_per_s
             allowed = thresholds.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
             largest = float(np.abs(setpoint - position).max())
             if largest > max(allowed, thresholds.off_set_point * float(np.ptp(setpoint))):

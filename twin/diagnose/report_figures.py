@@ -20,6 +20,7 @@ from twin.diagnose.wording import percent, times
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.report import figure_svg
+from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
@@ -167,7 +168,7 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
     """A signal of the panels in its unit (sample,); the following error without the delay that the control makes on purpose."""
     unit, factor = gap_unit(axis, "position")
     if signal == "following error":
-        asked = np.interp(measured.time - axis.loops.position_delay_s, measured.time, measured.get(axis.name, "setpoint"))
+        asked = delayed_set_point(measured, axis)
         return (asked - trace.get(axis.name, "position")) * factor, unit
     if signal == "motor_minus_scale":
         return (trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")) * factor, unit

@@ -68,11 +68,8 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
     position = setpoints.position.copy()
     for a, axis in enumerate(actual.axes):
         # an axis lags behind its set point by the delays and, without feedforward, by 1 / Kv
-        lag = (
-            axis.loops.position_delay_s
-            + axis.loops.dsc_delay_s
-            + (1.0 - min(axis.loops.velocity_feedforward, 1.0)) / axis.loops.position_gain_per_s
-        )
+        loops = axis.loops
+        lag = loops.set_point_delay_s + (1.0 - min(loops.velocity_feedforward, 1.0)) / loops.position_gain_per_s
         position[:, a] = setpoints.at(times - lag)[:, a]
     motion = _motion(position, setpoints.period)
     rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")

@@ -58,6 +58,11 @@ class Loops:
     speed_filter_time_s: float = 0.0
     speed_reference_time_s: float = 0.0
 
+    @property
+    def set_point_delay_s(self) -> float:
+        """How late a set point acts on the axis [s]: in the NC's position controller, and on the way to a drive that closes the loop."""
+        return self.position_delay_s + self.dsc_delay_s
+
 
 @dataclass(frozen=True)
 class Axis:

@@ -222,7 +222,7 @@ def _of_encoder(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
     resolution = noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
     error, factor = AXIS_UNITS[axis.kind].error
     slow = SLOW * axis.max_velocity
-    following = slow * (1.0 / axis.loops.position_gain_per_s + axis.loops.position_delay_s + axis.loops.dsc_delay_s)
+    following = slow * (1.0 / axis.loops.position_gain_per_s + axis.loops.set_point_delay_s)
     if resolution > following / FINE_ERROR:
         yield (
             "unusual",

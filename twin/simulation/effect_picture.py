@@ -16,6 +16,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
+from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 from twin.units import ARCSEC, AXIS_UNITS
@@ -103,7 +104,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     moving = pushing.name if pushing else axis.name
     rows = (
         (f"speed of {moving}\n{speed_unit}", lambda t: speed_factor * np.gradient(t.get(moving, "setpoint"), t.period)),
-        (f"error less delay\n{error_unit}", lambda t: error_factor * (delayed(t, axis) - t.get(axis.name, "position"))),
+        (f"error less delay\n{error_unit}", lambda t: error_factor * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
         ("motor current\nA", lambda t: smoothed(t.get(axis.name, "current"), shown.smooth_s, t.period)),
         (f"motor − scale\n{error_unit}", lambda t: error_factor * (t.get(axis.name, "motor_position") - t.get(axis.name, "position"))),
     )
@@ -160,11 +161,6 @@ def quantised(path: Path) -> None:
     from PIL import Image
 
     Image.open(path).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
-
-
-def delayed(trace: Trace, axis: Axis) -> np.ndarray:
-    """Set points one nominal position delay earlier: what a perfect axis would show."""
-    return np.interp(trace.time - axis.loops.position_delay_s, trace.time, trace.get(axis.name, "setpoint"))
 
 
 READABLE = {

@@ -1,7 +1,7 @@
 """Errors of one axis in a run: with the constant delay of the control, without it, and after reversals.
 
     following error        e(t) = s(t) - x(t)
-    error without delay    e'(t) = s(t - d) - x(t),   d = position delay of the control
+    error without delay    e'(t) = s(t - d) - x(t),   d = position delay of the control, and of a drive that closes the loop (`Loops.set_point_delay_s`)
 
 A control with feedforward delays its set points by d, so that e is v d at constant speed: 500 um at 15 m/min and 2 ms, whatever
 the machine does. e' is what is left, and what backlash, friction and elasticity change.
@@ -35,9 +35,13 @@ class AxisErrors(NamedTuple):
 
 
 def error_without_delay(trace: Trace, axis: Axis) -> np.ndarray:
-    """Set point `position_delay_s` earlier minus position (sample,) [m, rad]."""
-    setpoint = trace.get(axis.name, "setpoint")
-    return np.interp(trace.time - axis.loops.position_delay_s, trace.time, setpoint) - trace.get(axis.name, "position")
+    """Delayed set point minus position (sample,) [m, rad]."""
+    return delayed_set_point(trace, axis) - trace.get(axis.name, "position")
+
+
+def delayed_set_point(trace: Trace, axis: Axis) -> np.ndarray:
+    """Set point that acts at each sample (sample,) [m, rad]: what an axis without any error would show."""
+    return np.interp(trace.time - axis.loops.set_point_delay_s, trace.time, trace.get(axis.name, "setpoint"))
 
 
 def reversal_times(trace: Trace, axis: str) -> np.ndarray:

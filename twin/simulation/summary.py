@@ -15,7 +15,7 @@ from twin.units import AXIS_UNITS, deg_from_rad
 def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
     """Numbers of `summary.json`, in um, arcsec, m/min, deg/s, A.
 
-    Following error is set point minus position at the same time; without the delay the set point is taken `position_delay_s` earlier.
+    Following error is set point minus position at the same time; without the delay the set point is taken `set_point_delay_s` earlier.
     """
     axes = {}
     for axis in machine.axes:

@@ -54,14 +54,14 @@ def joined(name: str, values: list[float]) -> float:
 
 def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -> None:
     time = run.trace.time
-    delayed = {d: setpoints.at(time - d) for d in {axis.loops.position_delay_s for axis in machine.axes}}
+    delayed = {d: setpoints.at(time - d) for d in {axis.loops.set_point_delay_s for axis in machine.axes}}
     for a, axis in enumerate(machine.axes):
         setpoint, position, effort = (run.trace.get(axis.name, s) for s in ("setpoint", "position", axis.effort))
         if np.ptp(setpoint) < 1e-9:
             continue  # an axis that stands
         unit, factor = AXIS_UNITS[axis.kind].error
         error = setpoint - position
-        for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.position_delay_s][:, a] - position)):
+        for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.set_point_delay_s][:, a] - position)):
             add(f"{name}_max_{axis.name}_{unit}", float(np.abs(e).max()) * factor)
             add(f"{name}_rms_{axis.name}_{unit}", math.sqrt(e @ e / len(e)) * factor)
         largest, square = float(np.abs(effort).max()), float(effort @ effort) / len(effort)
