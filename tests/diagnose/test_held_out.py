@@ -23,7 +23,7 @@ def machines(monkeypatch, request):
             raise error("no machine runs like that")
         return [f"{job.machine} on {job.run.name}" for job in jobs]
 
-    monkeypatch.setattr(corrected, "_fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
+    monkeypatch.setattr(corrected, "fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
     monkeypatch.setattr(corrected, "predict_each", predict_each)
     monkeypatch.setattr(corrected, "gap_of", lambda machine, run, prediction: prediction)
     return unstable

@@ -175,14 +175,14 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
     v = savgol_filter(speed, window, 2)
     acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
     drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
-    inertia, bias = _inertia_and_bias(view, axis, count)
+    inertia, bias = inertia_and_bias(view, axis, count)
     force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
     slow = _moving_minimum(np.abs(v), window)
     sliding = np.flatnonzero(slow > view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
     return force[sliding], sliding
 
 
-def _inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
+def inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Inertia with the rotor, and bias force, of an axis along the nominal motion (sample,)."""
     group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
     index = [view.machine.axis_names.index(name) for name in group]

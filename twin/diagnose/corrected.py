@@ -87,7 +87,7 @@ def held_out_gaps(
     nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
     def corrected(without: Sequence[int], fold: Sequence[int]) -> list[Job]:
-        variant = _fitted_without(machine, found, without)
+        variant = fitted_without(machine, found, without)
         return [Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for i in fold]
 
     by_fold = [corrected(without, fold) for without, fold in zip(left_out, folds)]
@@ -114,7 +114,7 @@ def _can_run(jobs: Sequence[Job], threads: int) -> bool:
     return True
 
 
-def _fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:
+def fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:
     """The corrected machine as it is when the runs of a fold are left out of the fit."""
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance

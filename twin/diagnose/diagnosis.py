@@ -18,6 +18,9 @@ from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imp
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros
 from twin.diagnose.fit import Fit
+from twin.diagnose.law.laws import Law
+from twin.diagnose.law.step import ALL_BUT, gaps_with, laws_beside
+from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.plausible import normal_spread
@@ -52,6 +55,7 @@ class Diagnosis:
     notes: list[str] = field(default_factory=list)
     thresholds: Thresholds = DEFAULT
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
+    laws: tuple[Law, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """The contract."""
@@ -74,6 +78,7 @@ class Diagnosis:
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
             "next_measurement": self.proposal.text,
+            "laws": [entry(law, self.machine) for law in self.laws],
             "notes": self.notes,
         }
 
@@ -295,9 +300,14 @@ def diagnose(
 
     settings = named(found)
     corrected = corrected_machine(machine, found)
+    with ThreadPoolExecutor(threads) as workers:
+        laws = laws_beside(found, machine_without, corrected, folds, lambda function, items: list(workers.map(function, items)), say)
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
+    if laws and laws.laws:
+        corrected = laws.corrected
+        held_out = gaps_with(laws, held_out, campaign.runs, motions, machine_without, folds, engine=not quick, threads=threads)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
     if quick:
         notes.append("a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked")
@@ -318,7 +328,10 @@ def diagnose(
         notes=notes,
         thresholds=thresholds,
         predictions=held_out.predictions,
+        laws=laws.laws if laws else (),
     )
+    if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
+        diagnosis.verdict = verdict = "law"
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")

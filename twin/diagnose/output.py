@@ -46,6 +46,11 @@ def summary_text(document: dict[str, Any]) -> str:
         lines.append(
             f"  {e['effect']} on {place_text(e)} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
         )
+    for law in document.get("laws", ()):
+        lines.append(
+            f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "
+            f"explains {law['explained']:.0%}"
+        )
     for place in document["where"][:3]:
         runs = ", ".join(place["runs"][:3])
         lines.append(

@@ -9,6 +9,7 @@ import jinja2
 
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
+from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
@@ -56,6 +57,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         candidates=document["candidates"][:CANDIDATES_SHOWN],
         retuned=_retuned_table(diagnosis),
         stiffness=lambda table: _stiffness(diagnosis, table),
+        laws_picture=as_image(laws_figure(diagnosis.laws, diagnosis.machine)) if diagnosis.laws else "",
     )
 
 
@@ -63,7 +65,7 @@ def gap_sentence(document: dict[str, Any]) -> str:
     """How far the gap shrinks, in multiples of noise, and the worst signal of the first effect's axis in its own unit."""
     gap = document["gap"]
     where = "runs that took no part in the fit" if gap["held_out_runs"] else "the runs of the fit"
-    if not document["effects"]:
+    if not document["effects"] and not document.get("laws"):
         return f"The gap is {times(gap['before'])} times what noise makes, after re-tuning within tolerance {times(gap['after'])} times."
     return f"Corrected, the gap falls from {times(gap['before'])} to {times(gap['after'])} times what noise makes, on {where}."
 

@@ -98,9 +98,13 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in document["effects"]])
     if document["verdict"] == "effect":
         return f"The gap comes from {names}."
+    laws = listed([law["sentence"] for law in document.get("laws", ())])
+    if document["verdict"] == "law":
+        return f"A law that no effect describes: {laws}" + (f"; beside it {names}." if names else ".")
     place = document["where"][0] if document["where"] else None
     at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
-    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {names}." if names else ".")
+    parts = listed([part for part in (names, laws) if part])
+    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {parts}." if parts else ".")
 
 
 def headline_number(entry: dict[str, Any]) -> str:

@@ -75,7 +75,7 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     true = [_what(e) for e in truth["effect"]]
     named = [_what(e) for e in answer["effects"]]
     if truth["outside"]:
-        right = answer["verdict"] == "unknown"
+        right = answer["verdict"] in ("unknown", "law")
         places = {(e["axis"], e["block"]) for e in truth["outside"]}
     else:
         right = answer["verdict"] == ("effect" if true else "none") and sorted(named) == sorted(true)
@@ -85,7 +85,9 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     ]
     # one effect was named, and the true one listed among its rivals
     rightly_ambiguous = answer["verdict"] == "effect" and len(named) == 1 and any(r in true for r in rivals)
-    located = [(e["axis"], e["block"]) for e in answer["effects"]] or [(w["axis"], w["block"]) for w in answer["where"][:1]]
+    located = [(e["axis"], e["block"]) for e in [*answer["effects"], *answer.get("laws", ())]] or [
+        (w["axis"], w["block"]) for w in answer["where"][:1]
+    ]
     return {
         "verdict": answer["verdict"],
         "named": [list(n[:2]) for n in named],
@@ -142,7 +144,7 @@ def marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[s
     """The answer of a simpler method with its mark."""
     true = {(e["name"], e["axis"]) for e in truth["effect"]}
     named = (said["effect"], said["axis"])
-    first = named in true if true else said["verdict"] == ("unknown" if truth["outside"] else "none")
+    first = named in true if true else said["verdict"] in (("unknown", "law") if truth["outside"] else ("none",))
     return {**said, "first": bool(first), "exact": bool(first and len(true) <= 1)}
 
 

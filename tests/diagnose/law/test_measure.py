@@ -1,0 +1,124 @@
+"""A planted law is found in a block's residual, with its variable, its formula and its numbers; noise has none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.diagnose.law.known_physics import looks_like
+from twin.diagnose.law.laws import LEAST_PREDICTS
+from twin.diagnose.law.measure import excess, measured_laws
+from twin.diagnose.law.residual import Samples, remembered
+from twin.diagnose.law.shapes import described
+from twin.machine.machine import load_machine
+
+X = load_machine().axis("X")
+SIGMA = 10.0
+PERIOD = 5e-3
+RUNS, COUNT = 5, 400
+
+
+def motion(seed: int = 1) -> dict[str, np.ndarray]:
+    """Runs of strokes that differ in speed and place: position, speed and what follows from them."""
+    rng = np.random.default_rng(seed)
+    columns: dict[str, list[np.ndarray]] = {}
+    for run in range(RUNS):
+        t = PERIOD * np.arange(COUNT)
+        speed, rate = 0.3 * 10 ** (-0.35 * run), rng.uniform(1.0, 6.0)
+        v = speed * np.sin(rate * t + rng.uniform(0, 6)) + 0.2 * speed * np.sin(2.7 * rate * t)
+        q = np.cumsum(v) * PERIOD + rng.uniform(-0.1, 0.1)
+        of = {
+            "position": q,
+            "velocity": v,
+            "acceleration": np.gradient(v, PERIOD),
+            "turn": q / X.ratio,
+            "time": 30.0 * run + t,
+            "travel": np.cumsum(np.abs(v)) * PERIOD,
+            "current": 40.0 * np.gradient(v, PERIOD) + rng.normal(0, 1.0, COUNT),
+        }
+        for name, values in of.items():
+            columns.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in columns.items()}
+
+
+def samples_of(y: np.ndarray, m: dict[str, np.ndarray], block: str = "mechanics", sigma: float = SIGMA) -> Samples:
+    """The residual with noise, and some break-aways that are far off."""
+    rng = np.random.default_rng(7)
+    run = np.repeat(np.arange(RUNS), COUNT)
+    noisy = y + rng.normal(0.0, sigma, len(y))
+    noisy[rng.integers(0, len(y), 15)] += 40.0 * sigma
+    return Samples("X", block, noisy, sigma, run, run, COUNT * run, m)
+
+
+M = motion()
+V, Q = M["velocity"], M["position"]
+FIRST = COUNT * np.repeat(np.arange(RUNS), COUNT)
+PLANTED = {
+    "friction lower at low speed": (
+        "friction", "speed", "gaussian", {"height": -200.0, "width": 0.01},
+        200.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V),
+    ),
+    "drag by the square of speed": ("friction", "speed", "power", {"n": 2.0}, -3000.0 * V * np.abs(V)),
+    "friction that warms away": ("friction", "time", "approach", {"height": -150.0, "scale": 60.0},
+        150.0 * (1 - np.exp(-M["time"] / 60.0)) * np.sign(V)),
+    "a cable chain": ("force", "direction", "line", {"height": -120.0, "length": 4e-3},
+        -120.0 * remembered(V, M["travel"], FIRST, 4e-3, False)),
+    "cogging": ("force", "turn", "sine", {"amplitude": 60.0, "period": 2 * math.pi / 4}, 60.0 * np.sin(4 * M["turn"] + 0.4)),
+    "a wave over the travel": ("force", "position", "sine", {"amplitude": 60.0, "period": 0.0173}, 60.0 * np.sin(2 * math.pi * Q / 0.0173)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_law_is_found(name: str):
+    output, variable, shape, numbers, force = PLANTED[name]
+    # beside what a machine file may be off by
+    samples = samples_of(force + 12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
+    curves = measured_laws(samples, X)
+    best = max((described(samples, c, X) for c in curves[:3]), key=lambda d: d.predicts)
+    assert (best.candidate.output, best.candidate.variable, best.shape) == (output, variable, shape)
+    for key, value in numbers.items():
+        assert best.numbers[key] == pytest.approx(value, rel=0.1), key
+    assert excess(samples) > 2.0
+
+
+def test_noise_has_no_law():
+    samples = samples_of(12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
+    assert all(c.predicts < LEAST_PREDICTS for c in measured_laws(samples, X))
+
+
+def test_what_one_run_alone_shows_predicts_nothing():
+    force = np.where(FIRST == COUNT, 300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
+    flipped = np.where(FIRST == 2 * COUNT, -300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
+    curves = measured_laws(samples_of(force + flipped, M), X)
+    assert all(c.predicts < LEAST_PREDICTS for c in curves if c.candidate.variable == "speed")
+
+
+def test_a_play_of_the_scale_is_a_slack():
+    half = 5e-6
+    y = half * remembered(V, M["travel"], FIRST, half, True)  # motor minus scale
+    samples = samples_of(y, M, "transmission", 5e-8)
+    curve = measured_laws(samples, X)[0]
+    best = described(samples, curve, X)
+    assert (best.candidate.block, best.candidate.variable) == ("measurement", "slack")
+    assert best.numbers["length"] == pytest.approx(half, rel=0.1)
+    assert best.numbers["height"] == pytest.approx(-half, rel=0.1)
+
+
+def test_a_curve_that_no_formula_describes_stays_a_table():
+    force = 80.0 * np.interp((Q - Q.min()) / np.ptp(Q), np.linspace(0, 1, 6), [0.0, 1.0, 1.0, -1.0, 0.0, 0.0])
+    samples = samples_of(force, M)
+    curve = next(c for c in measured_laws(samples, X) if c.candidate.variable == "position" and not c.candidate.period)
+    found = described(samples, curve, X)
+    assert found.shape is None
+    x, y = np.array(found.points).T
+    low, high = np.quantile(Q, [0.05, 0.95])
+    inside = (low < Q) & (high > Q)
+    assert np.corrcoef(np.interp(Q[inside], x, y), force[inside])[0, 1] > 0.95
+
+
+def test_the_dictionary_names_what_a_law_looks_like():
+    assert [k.name for k in looks_like("friction", "speed", "gaussian", -1)] == ["slide way with plastic lining"]
+    assert [k.name for k in looks_like("force", "direction", "line", -1)] == ["cable chain"]
+    assert looks_like("torque", "current", "bending", 0)[0].name == "magnetic saturation"

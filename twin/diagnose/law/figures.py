@@ -1,0 +1,71 @@
+"""Pictures of laws: what was measured with its band, and the formula over it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import io
+import math
+
+import numpy as np
+
+from twin.diagnose.law.laws import Law
+from twin.diagnose.law.measure import variable_of
+from twin.diagnose.law.wording import BAND
+from twin.effects.law import OUTPUTS, VARIABLES, law_of
+from twin.machine.machine import Machine
+from twin.report.figure import AMBER, BLUE, SOFT, new_figure
+from twin.simulation.law_picture import shown_in, small_length
+
+HARDLY = 0.002
+"""Share of the samples up to which the runs hardly were at a place."""
+
+
+def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyped-def]
+    """One panel a law: the spline with its band, the formula over it, and where the runs were."""
+    figure, places = new_figure(len(laws), 1, 8.6, 3.1)
+    for place, law in zip(places[:, 0], laws):
+        axis = machine.axis(law.axis)
+        source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
+        table = law_of(law.setting.table(), "a measured law")
+        curve = law.measured.curve
+        quantity = OUTPUTS[table.block][table.output].quantity
+        unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+        x_unit, per = shown_in(VARIABLES[table.variable].quantity, source)
+        if table.variable == "following_error":
+            x_unit, per = small_length(axis)
+        x = np.linspace(curve.x[0], curve.x[-1], 500)
+        formula = table.values(x, law.setting.parameters, axis)
+        # a level, and over a speed a slope, are the machine's own: both are drawn about the same one
+        weight = np.sqrt(_driven(law, curve.x))
+        apart = curve.y - np.interp(curve.x, x, formula)
+        y = curve.y - curve.free @ np.linalg.lstsq(curve.free * weight[:, None], apart * weight, rcond=None)[0]
+        place.fill_between(per * curve.x, factor * (y - BAND * curve.band), factor * (y + BAND * curve.band), color=SOFT, alpha=0.35, lw=0)
+        place.plot(per * curve.x, factor * y, "o", color=SOFT, markersize=3.5, label="measured, with 95 % band")
+        place.plot(per * x, factor * formula, color=BLUE, linewidth=1.8, label=str(table.definition().get("formula", "table")))
+        hardly = weight**2 < HARDLY
+        place.plot(per * curve.x[hardly], factor * y[hardly], "o", color=AMBER, markersize=3.5)
+        span = max(float(np.ptp(formula)), 1e-300) * factor
+        middle = 0.5 * factor * float(formula.max() + formula.min())
+        place.set_ylim(middle - 0.9 * span, middle + 0.9 * span)
+        place.set_xlabel(f"{table.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{x_unit or '1'}]")
+        place.set_ylabel(f"{table.output.replace('_', ' ')} [{unit}]")
+        place.set_title(f"axis {law.axis}, {law.block}")
+        place.legend(loc="lower right" if formula[0] < formula[-1] else "upper left")
+    return figure
+
+
+def _driven(law: Law, at: np.ndarray) -> np.ndarray:
+    """Share of the samples next to each place (place,)."""
+    x = variable_of(law.samples, law.measured.candidate)
+    period = law.measured.candidate.period or (2.0 * math.pi if law.measured.candidate.variable == "turn" else 0.0)
+    x = np.mod(x, period) if period else x
+    edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
+    share: np.ndarray = np.histogram(x, edges)[0] / max(len(x), 1)
+    return share
+
+
+def as_png(laws: Sequence[Law], machine: Machine) -> bytes:
+    """The picture as the bytes of a PNG."""
+    out = io.BytesIO()
+    laws_figure(laws, machine).savefig(out, format="png", dpi=110)
+    return out.getvalue()

@@ -1,0 +1,254 @@
+"""Laws in closed loop: added to the corrected twin, fitted together with its effects and its tuning, and judged on runs left out.
+
+All that the machine of an axis is made of is one vector: the numbers of laws and effects, and the deviations of toleranced parameters, which
+have a prior. The twin is simulated for each (Gauss-Newton, in the decoupled plant), and what the fit of the other runs leaves on each fold of
+runs is the loss that decides: a law is kept only if it makes that smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.effects import Setting, settings_of, with_effects
+from twin.effects.law import NAME
+from twin.errors import TwinError
+from twin.machine.machine import Machine
+
+STEPS = 4
+"""Gauss-Newton steps."""
+
+RELATIVE_STEP = 0.03
+"""Step of a number over which its slope is taken, as a share of it."""
+
+ANGLE_STEP = 0.1
+"""The same of an angle [rad]."""
+
+LARGEST_MOVE = 0.5
+"""Largest change of a number in one step, as a share of it."""
+
+PRIOR_WEIGHT_ROWS = 60.0
+"""Samples that count as independent: the prior of the tuning is so much lighter than the sum over all rows."""
+
+CONVERGED = 1e-3
+"""Relative gain of the loss below which the fit has converged."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number of the machine that is fitted: a parameter of an effect or law (`setting`), or a toleranced parameter."""
+
+    setting: int | None
+    name: str
+    step: float
+    logarithmic: bool
+    nuisance: Nuisance | None = None
+
+
+@dataclass(frozen=True)
+class State:
+    """A machine in the making: the nominal one, what of its file is changed, settings, and deviations of toleranced parameters."""
+
+    machine: Machine  # nominal, without effects
+    values: Mapping[str, Any]  # of the machine file, by path
+    settings: tuple[Setting, ...]
+    nuisances: tuple[Nuisance, ...]
+    deviations: tuple[float, ...]
+
+    def machine_of(self, machine: Machine) -> Machine:
+        """A run's nominal machine made into this one."""
+        machine = machine.with_values(dict(self.values)) if self.values else machine
+        for nuisance, deviation in zip(self.nuisances, self.deviations):
+            if deviation != 0.0:
+                machine = nuisance.apply(machine, 1.0 + deviation)
+        return with_effects(machine, self.settings)
+
+    def corrected(self) -> Machine:
+        """The machine itself."""
+        return self.machine_of(self.machine)
+
+    def moved(self, unknowns: Sequence[Unknown], move: np.ndarray) -> State:
+        """The state with every unknown moved by so many of its steps, inside its bounds."""
+        settings, deviations = list(self.settings), list(self.deviations)
+        for u, m in zip(unknowns, move):
+            if u.nuisance is not None:
+                i = self.nuisances.index(u.nuisance)
+                deviations[i] += float(m) * u.step
+                continue
+            assert u.setting is not None
+            setting = settings[u.setting]
+            parameter = setting.effect.parameter(u.name)
+            value = setting.parameters[u.name]
+            new = value * math.exp(u.step * float(m)) if u.logarithmic else value + u.step * float(m)
+            if parameter.periodic:
+                new = math.remainder(new, 2.0 * math.pi)
+            settings[u.setting] = replace(setting, parameters={**setting.parameters, u.name: min(max(new, parameter.low), parameter.high)})
+        return replace(self, settings=tuple(settings), deviations=tuple(deviations))
+
+
+def state_of(machine: Machine, corrected: Machine, axes: Sequence[str], thresholds: Any) -> State:
+    """The corrected twin as a state whose numbers on these axes can be fitted; `machine` is the nominal one without effects."""
+    nuisances = nuisances_of(machine, axes, thresholds) if machine.parameter_tolerance > 0.0 else ()
+    return State(machine, _differences(machine.document, corrected.document), settings_of(corrected), nuisances, (0.0,) * len(nuisances))
+
+
+def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values of a document by path that differ from another one, effects apart."""
+    out: dict[str, Any] = {}
+    for key, value in after.items():
+        if not prefix and key in ("effect", "model"):
+            continue
+        old = before.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            out |= _differences(old, value, f"{prefix}{key}.")
+        elif value != old:
+            out[f"{prefix}{key}"] = value
+    return out
+
+
+def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
+    """Numbers of effects and laws on these axes, then their toleranced parameters."""
+    found = []
+    for i, setting in enumerate(state.settings):
+        if setting.axis not in axes or setting.effect.normal:
+            continue
+        for p in setting.effect.parameters:
+            value = setting.parameters.get(p.name)
+            if value is None or (p.shape and not p.periodic) or not math.isfinite(value):
+                continue
+            if value == 0.0 and not p.periodic:  # a place that the shape does not use
+                continue
+            positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
+            step = ANGLE_STEP if p.periodic else RELATIVE_STEP * (1.0 if positive else abs(value))
+            found.append(Unknown(i, p.name, step, positive and not p.periodic))
+    for nuisance in state.nuisances:
+        found.append(Unknown(None, nuisance.quantity, tolerance * float(UNIFORM), False, nuisance))
+    return found
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A state fitted to a group of axes, with the loss on folds of runs left out and what the fit of the others is on each fold."""
+
+    state: State
+    unknowns: list[Unknown]
+    left: np.ndarray  # (row,) weighted
+    columns: np.ndarray = field(repr=False)  # (row, unknown)
+    loss: float
+    held_out: float  # half the squares on runs left out
+    moves: tuple[np.ndarray, ...]  # of each fold, in steps
+    deviations: np.ndarray  # (unknown,) standard deviations in steps
+
+    def without(self, fold: int) -> State:
+        """The state fitted to the other folds."""
+        return self.state.moved(self.unknowns, self.moves[fold])
+
+
+class ClosedLoop:
+    """The gap of some axes of a group as a function of a state, with the folds on which it is judged."""
+
+    def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper):
+        self.group, self.axes, self.mapper = group, tuple(axes), mapper
+        self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.axis in self.axes])
+        self.root = np.sqrt(group.credit[self.rows])
+        self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
+        self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
+
+    def left(self, state: State) -> np.ndarray:
+        """What a state leaves of the measured runs (row,), weighted."""
+        change = self.group.response(state.machine_of, axes=self.axes, mapper=self.mapper)
+        rest: np.ndarray = (self.group.residual - change)[self.rows] * self.root
+        return rest
+
+    def fit(self, state: State, tolerance: float, steps: int = STEPS, like: Fitted | None = None) -> Fitted | None:
+        """Gauss-Newton from a state; None where it cannot be simulated. Toleranced parameters answer as in the fit `like`."""
+        unknowns = unknowns_of(state, self.axes, tolerance)
+        prior = np.array([PRIOR_WEIGHT_ROWS if u.nuisance is not None else 1e-6 for u in unknowns])
+        try:
+            left = self.left(state)
+        except TwinError:
+            return None
+        columns = np.zeros((len(self.rows), len(unknowns)))
+        # of the nuisances from what the machine file says, in steps
+        offset = np.array(
+            [state.deviations[state.nuisances.index(u.nuisance)] / u.step if u.nuisance is not None else 0.0 for u in unknowns]
+        )
+        loss = 0.5 * float(left @ left)
+        known = {u.nuisance: like.columns[:, i] for i, u in enumerate(like.unknowns)} if like else {}
+        for step in range(steps):
+            for i, u in enumerate(unknowns):
+                if u.nuisance is not None and (step or u.nuisance in known):  # their answers are linear
+                    columns[:, i] = known.get(u.nuisance, columns[:, i])
+                    continue
+                columns[:, i] = self._slope(state, unknowns, i, left)
+            move = np.linalg.solve(columns.T @ columns + np.diag(prior), columns.T @ left - prior * offset)
+            limits = np.array([math.inf if u.nuisance is not None else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
+            move = np.clip(move, -limits, limits)
+            better = self._better(state, unknowns, move, loss, prior, offset)
+            if better is None:
+                break
+            state, left, taken = better
+            offset = offset + np.where(prior == PRIOR_WEIGHT_ROWS, taken, 0.0)
+            gained, loss = loss - 0.5 * float(left @ left), 0.5 * float(left @ left)
+            if gained < CONVERGED * loss:
+                break
+        return self._judged(state, unknowns, left, columns, loss, prior, offset)
+
+    def _slope(self, state: State, unknowns: Sequence[Unknown], i: int, left: np.ndarray) -> np.ndarray:
+        move = np.zeros(len(unknowns))
+        for side in (1.0, -1.0):
+            move[i] = side
+            try:
+                slope: np.ndarray = (left - self.left(state.moved(unknowns, move))) * side
+            except TwinError:
+                continue
+            if slope.any():
+                return slope
+        return np.zeros(len(left))
+
+    def _better(self, state: State, unknowns: Sequence[Unknown], move: np.ndarray, loss: float, prior: np.ndarray, offset: np.ndarray):  # type: ignore[no-untyped-def]
+        before = loss + 0.5 * float(prior @ offset**2)
+        for part in (1.0, 0.35, 0.1):
+            tried = state.moved(unknowns, part * move)
+            try:
+                left = self.left(tried)
+            except TwinError:
+                continue
+            if 0.5 * float(left @ left) + 0.5 * float(prior @ (offset + part * move) ** 2) < before:
+                return tried, left, part * move
+        return None
+
+    def _judged(self, state, unknowns, left, columns, loss, prior, offset) -> Fitted:  # type: ignore[no-untyped-def]
+        normal = columns.T @ columns + np.diag(prior)
+        slope = columns.T @ left - prior * offset
+        moves, held_out = [], 0.0
+        for rows in self.fold_rows:
+            own = columns[rows]
+            if len(self.fold_rows) > 1:
+                move = np.linalg.solve(normal - own.T @ own + 1e-9 * np.eye(len(normal)), slope - own.T @ left[rows])
+            else:
+                move = np.zeros(len(normal))
+            moves.append(move)
+            held_out += 0.5 * float(np.sum((left[rows] - own @ move) ** 2))
+        inflation = max(1.0, loss / max(self.expected, 1e-300))
+        deviations = np.sqrt(np.diag(np.linalg.pinv(normal)) * inflation)
+        return Fitted(state, list(unknowns), left, columns, loss, held_out, tuple(moves), deviations)
+
+
+def with_law(state: State, setting: Setting) -> State:
+    """The state with one more law."""
+    return replace(state, settings=(*state.settings, setting))
+
+
+def laws_in(state: State) -> tuple[Setting, ...]:
+    """The laws of a state."""
+    return tuple(s for s in state.settings if s.effect.name == NAME)
+
+
+Say = Callable[[str], None]

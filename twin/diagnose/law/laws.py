@@ -1,0 +1,252 @@
+"""Unlisted laws of the axes that stay unexplained: measured, recognised, fitted in closed loop, and kept where the gap shrinks on runs left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
+from twin.diagnose.law.measure import Candidate, Curve, excess, measured_laws
+from twin.diagnose.law.residual import Samples, residuals_of
+from twin.diagnose.law.shapes import PER_NUMBER, Described, described
+from twin.diagnose.observe import Group, Mapper
+from twin.effects import Setting, check_setting
+from twin.errors import InputError
+from twin.machine.machine import Machine
+
+NOISY = 1.15
+"""Power of a block's residual over noise up to which nothing is asked of it."""
+
+LEAST_PREDICTS = 0.15
+"""Share of the loss on runs left out that a law must predict in its block."""
+
+LEAST_RUNS = 0.6
+"""Share of the runs, weighted by what they leave, on which a law must be better."""
+
+TRIED = 3
+"""Candidates of a block that are described by formulas and tried in closed loop."""
+
+NEAR_BEST = 0.7
+"""Share of what the best candidate predicts from which another one is tried."""
+
+MOST_LAWS = 3
+"""Laws of one axis."""
+
+LEAST_CLOSED = 0.05
+"""Share of the gap above noise that a law must close on runs left out, in closed loop."""
+
+LEAST_OF_ALL = 0.02
+"""The same share of what the corrected twin left before any law."""
+
+LITTLE_LEFT = 0.02
+"""Share of that from which on nothing more is looked for."""
+
+LEAST_EVIDENCE = 30.0
+"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
+
+MOST_PROBABLE = 0.98
+"""What nobody listed cannot be ruled out."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """One law that was kept: as it stands in the machine, how it was measured, and what it closes of its axis' gap on runs left out."""
+
+    setting: Setting
+    measured: Described
+    samples: Samples = field(repr=False)
+    explained: float
+    probability: float
+    deviations: dict[str, float]
+
+    @property
+    def axis(self) -> str:
+        return self.setting.axis
+
+    @property
+    def block(self) -> str:
+        return self.setting.effect.block
+
+
+@dataclass(frozen=True)
+class Laws:
+    """The laws of a machine, with the machines that have them: fitted to all runs, and to all but each fold."""
+
+    laws: tuple[Law, ...]
+    corrected: Machine
+    without_fold: tuple[Machine, ...]
+    left: dict[str, float]  # share of each axis' gap above noise that stays unexplained, on runs left out
+
+
+def laws_of(
+    groups: Sequence[Group],
+    machine: Machine,
+    corrected: Machine,
+    axes: Sequence[str],
+    folds: Sequence[Sequence[int]],
+    without_fold: Sequence[Machine],
+    mapper: Mapper,
+    say: Say = lambda _: None,
+) -> Laws:
+    """Laws of these axes beside the corrected twin.
+
+    groups          the groups of axes as they were observed against `machine`, the nominal machine without effects
+    corrected       what the search left: re-tuned, with its effects
+    axes            the axes of which something is unexplained
+    without_fold    the corrected machine fitted without the runs of each of `folds`
+    """
+    laws: list[Law] = []
+    without = list(without_fold)
+    left: dict[str, float] = {}
+    for group in groups:
+        for axis in [a for a in group.axes if a in axes]:
+            say(f"{axis}: is there a law that no effect describes?")
+            found, fitted, share = _laws_of_axis(group, machine, corrected, axis, folds, mapper, say)
+            left[axis] = share
+            if not found or fitted is None:
+                continue
+            laws += found
+            corrected = fitted.state.corrected()
+            without = [_taken_over(m, fitted.without(i), axis) for i, m in enumerate(without)]
+    return Laws(tuple(laws), corrected, tuple(without), left)
+
+
+def _taken_over(machine: Machine, state: State, axis: str) -> Machine:
+    """A machine with all that a state says of one axis."""
+    whole = state.corrected()
+    document = {**machine.document}
+    document["axis"] = {**document["axis"], axis: whole.document["axis"][axis]}
+    effects = [e for e in machine.effects if e["axis"] != axis] + [e for e in whole.effects if e["axis"] == axis]
+    return machine.with_values({f"axis.{axis}.{k}": v for k, v in _leaves(whole.document["axis"][axis])} | {"effect": effects})
+
+
+def _leaves(table, prefix: str = ""):  # type: ignore[no-untyped-def]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{prefix}{key}", value
+
+
+def _laws_of_axis(
+    group: Group, machine: Machine, corrected: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
+) -> tuple[list[Law], Fitted | None, float]:
+    """Laws of one axis, one after another while each earns its place; with the fit that holds them and the share that is left."""
+    tolerance = machine.parameter_tolerance
+    loop = ClosedLoop(group, (axis,), folds, mapper)
+    state = state_of(machine, corrected, (axis,), group.thresholds)
+    fitted: Fitted | None = None
+    first: Fitted | None = None
+    laws: list[Law] = []
+    refused: set[Candidate] = set()
+    while len(laws) < MOST_LAWS and (fitted is None or first is None or _above(loop, fitted) > LITTLE_LEFT * _above(loop, first)):
+        proposals = _proposals(group, state, axis, mapper, refused)
+        if not proposals:
+            break
+        if fitted is None:
+            fitted = first = loop.fit(state, tolerance, steps=2)
+        if fitted is None or first is None:
+            break
+        say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
+        tried = [(loop.fit(with_law(fitted.state, s), tolerance, like=fitted), d, x, s) for d, x, s in _settings(proposals, axis, machine)]
+        best = min(((f, d, x, s) for f, d, x, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
+        if best is None or not _earned(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * _above(loop, first)):
+            break
+        new, description, samples, _ = best
+        above = max(_above(loop, first), 1e-300)
+        share = (fitted.held_out - new.held_out) / above
+        index = len(new.state.settings) - 1
+        deviations = _deviations(new, index)
+        certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / _inflation(loop, new.held_out) / LEAST_EVIDENCE)
+        laws.append(
+            Law(
+                new.state.settings[index],
+                description,
+                samples,
+                float(min(max(share, 0.0), 1.0)),
+                float(min(certain, MOST_PROBABLE)),
+                deviations,
+            )
+        )
+        fitted, state = new, new.state
+    if fitted is None or first is None:
+        return [], None, 1.0
+    if laws:  # sizes of earlier laws are those of the last fit
+        settings = {s.key: s for s in fitted.state.settings}
+        laws = [
+            Law(
+                settings[x.setting.key],
+                x.measured,
+                x.samples,
+                x.explained,
+                x.probability,
+                _deviations(fitted, list(settings).index(x.setting.key)),
+            )
+            for x in laws
+        ]
+    unexplained = _above(loop, fitted) / max(_above(loop, first), 1e-300)
+    return laws, fitted, float(min(max(unexplained, 0.0), 1.0))
+
+
+def _inflation(loop: ClosedLoop, loss: float) -> float:
+    """How much larger than noise alone what is left is; at least 1."""
+    return max(1.0, loss / max(loop.expected, 1e-300))
+
+
+def _above(loop: ClosedLoop, fitted: Fitted) -> float:
+    """Loss above noise on runs left out."""
+    return max(fitted.held_out - loop.expected, 0.0)
+
+
+def _earned(loop: ClosedLoop, before: float, after: float, least: float) -> bool:
+    """Does a law shrink the gap on runs left out by enough?"""
+    gain = before - after
+    return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / _inflation(loop, after) > LEAST_EVIDENCE
+
+
+def _deviations(fitted: Fitted, index: int) -> dict[str, float]:
+    """Standard deviations of the numbers of a setting, in their own units."""
+    out = {}
+    for u, deviation in zip(fitted.unknowns, fitted.deviations):
+        if u.setting == index:
+            value = fitted.state.settings[index].parameters[u.name]
+            out[u.name] = float(deviation * u.step * (abs(value) if u.logarithmic else 1.0))
+    return out
+
+
+def _named(d: Described) -> str:
+    return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
+
+
+def _proposals(group: Group, state: State, axis: str, mapper: Mapper, refused: set[Candidate]) -> list[tuple[Described, Samples]]:
+    """The laws that predict best in the block of an axis that is furthest from noise, as formulas or tables."""
+    samples = [s for s in residuals_of(group.views, state.machine_of, (axis,), mapper) if excess(s) > NOISY]
+    own = state.machine.axis(axis)
+    found: list[tuple[float, Described, Samples]] = []
+    for s in samples:
+        curves = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
+        if not curves:
+            continue
+        distinct: dict[tuple[str, str, str, bool], Curve] = {}
+        for c in curves:
+            distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
+        near = [c for c in distinct.values() if c.predicts > NEAR_BEST * curves[0].predicts][: TRIED + 1]
+        size = excess(s)
+        for c in near:
+            if c.candidate not in refused:
+                d = described(s, c, own)
+                found.append((size * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
+    found.sort(key=lambda f: -f[0])
+    return [(d, s) for _, d, s in found[:TRIED]]
+
+
+def _settings(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
+    out = []
+    for d, s in proposals:
+        try:
+            out.append((d, s, check_setting(d.table(axis), machine, "a measured law")))
+        except InputError:  # a number outside what its shape allows
+            continue
+    return out

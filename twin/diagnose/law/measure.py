@@ -1,0 +1,384 @@
+"""Which quantities a block's residual depends on: smooth curves of one variable, judged on runs that took no part.
+
+A candidate is an output and a variable: a force over the position, a friction (it turns with the motion) over the speed. Its curve is a
+penalised cubic B-spline; what the machine file may be off by (a constant, sign v, v, a) is fitted beside it. Every run is left out in
+turn and predicted from the others. The share of the squares that a curve predicts beyond the re-tuned machine decides between candidates,
+in a loss that grows linearly for outliers (break-aways).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from twin.diagnose.law.residual import MECHANICS, Samples, remembered
+from twin.machine.machine import Axis
+
+PIECES = 9
+"""Pieces of a smooth curve over the range driven."""
+
+TURN_PIECES = 24
+"""Pieces of a curve over one motor turn."""
+
+PENALTIES = (1e-3, 1e-1, 1e1)
+"""Weights of the second differences of a curve that are tried, beside its own normal matrix."""
+
+RANGE = 2e-3
+"""Share of the samples at either end of a variable that its curve does not follow."""
+
+HUBER = 1.345
+"""Multiple of the standard deviation from which a sample counts linearly."""
+
+SWEEPS = 4
+"""Sweeps of re-weighting: more change the third digit."""
+
+LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
+"""Lengths over which a direction of motion may be remembered [m]; of a rotary axis at the same motor angle of a 10 mm lead."""
+
+PLAYS = tuple(np.geomspace(1e-6, 5e-5, 9))
+"""Half widths of a play [m]; of a rotary axis in proportion."""
+
+LENGTH_PER_RAD = 0.2
+"""Metres that stand for a radian of a rotary axis in the lengths above."""
+
+SMALL = 1e-9
+"""Ridge beside a normal matrix, relative."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a law may be: the output of a block over one variable, of another axis with `source`; `length` of a remembered variable [m, rad]."""
+
+    block: str
+    output: str
+    variable: str
+    source: str = ""
+    length: float = 0.0
+    period: float = 0.0  # of a wave over the variable, in its unit
+
+    @property
+    def is_friction(self) -> bool:
+        return self.output == "friction"
+
+
+def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
+    """Everything that the residual of a block may depend on, as far as it was recorded."""
+    metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
+    turns = axis.kind == "rotary" or axis.ratio != 1.0
+    if samples.block == MECHANICS:
+        # what is odd in the speed is a friction, what is even a force
+        for variable in ("position", *(("turn",) if turns else ()), "speed", "time"):
+            yield Candidate(MECHANICS, "force", variable)
+        for variable in ("speed", "position", *(("turn",) if turns else ()), "acceleration_size", "time"):
+            yield Candidate(MECHANICS, "friction", variable)
+        if "current" in samples.motion:
+            yield Candidate("current loop", "torque", "current")
+        for length in LENGTHS:
+            yield Candidate(MECHANICS, "force", "direction", length=length * metre)
+        for other in samples.others:
+            for variable in ("position", "velocity", "acceleration"):
+                yield Candidate(MECHANICS, "force", variable, other)
+    elif samples.block == "transmission":
+        for variable in ("position", *(("turn",) if turns else ()), "time"):
+            yield Candidate("measurement", "displacement", variable)
+        yield Candidate("transmission", "displacement", "acceleration")
+        for length in PLAYS:
+            yield Candidate("measurement", "displacement", "slack", length=length * metre)
+        for other in samples.others:
+            yield Candidate("measurement", "displacement", "position", other)
+    elif samples.block == "position controller":
+        for variable in ("following_error", "speed_setpoint", "position", "velocity"):
+            if variable in samples.motion:
+                yield Candidate("position controller", "speed", variable)
+
+
+def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
+    """Values (sample,) of the variable of a candidate."""
+    motion = samples.others[candidate.source] if candidate.source else samples.motion
+    if candidate.variable == "speed":
+        return np.abs(motion["velocity"])
+    if candidate.variable == "acceleration_size":
+        return np.abs(motion["acceleration"])
+    if candidate.variable in ("direction", "slack"):
+        return remembered(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
+    return motion[candidate.variable]
+
+
+def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray | float:
+    """What a value of the law is multiplied by in the residual: a friction acts against the motion, a torque through the ratio."""
+    if candidate.is_friction:
+        return -np.sign(samples.motion["velocity"])
+    if candidate.output == "torque":
+        return 1.0 / axis.ratio
+    return -1.0 if candidate.block == "measurement" else 1.0
+
+
+def from_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
+    """Columns (sample, n) of a displacement, which is zero where its run begins."""
+    return columns - columns[samples.first]
+
+
+def in_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
+    """What values of a law (sample, n) make of the residual."""
+    acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
+    return from_start(samples, acting) if candidate.output == "displacement" else acting
+
+
+def nuisances_in(samples: Samples) -> np.ndarray:
+    """What the machine file may be off by (sample, n): levels of force and friction, of one encoder against the other, none of a control law."""
+    ones = np.ones(len(samples))
+    if samples.block == MECHANICS:
+        v = samples.motion["velocity"]
+        return np.column_stack([ones, np.sign(v), v, samples.motion["acceleration"]])
+    if samples.block == "transmission":
+        return from_start(samples, np.column_stack([samples.motion["position"], samples.motion["time"]]))
+    return ones[:, None]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Cubic B-splines of a variable over the range driven; `root` spaces them by the square root, `period` closes them to a ring."""
+
+    knots: np.ndarray
+    root: bool
+    period: float = 0.0
+
+    def columns(self, x: np.ndarray) -> np.ndarray:
+        """(sample, spline)."""
+        u = self.place(x)
+        full = BSpline.design_matrix(np.clip(u, self.knots[3], self.knots[-4] - 1e-12 * np.ptp(self.knots)), self.knots, 3).toarray()
+        if not self.period:
+            return full
+        full[:, :3] += full[:, -3:]
+        return full[:, :-3]
+
+    def place(self, x: np.ndarray) -> np.ndarray:
+        """Where on the spline's own scale."""
+        if self.period:
+            return np.mod(x, self.period)
+        return np.sign(x) * np.sqrt(np.abs(x)) if self.root else x
+
+    def penalty(self, count: int) -> np.ndarray:
+        """Second differences (count, count)."""
+        d = np.diff(np.vstack([np.eye(count), np.eye(count)[:2]]) if self.period else np.eye(count), 2, axis=0)
+        penalty: np.ndarray = d.T @ d
+        return penalty
+
+
+def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
+    """Splines over the range of x (sample,), or over a period of it; None where it does not vary."""
+    if variable == "turn" or period:
+        pieces = TURN_PIECES if variable == "turn" else PIECES
+        period = period or 2.0 * math.pi
+        return Basis(np.arange(-3, pieces + 4) * period / pieces, False, period)
+    root = variable in ("speed", "velocity", "current", "following_error")
+    u = np.sign(x) * np.sqrt(np.abs(x)) if root else x
+    low, high = np.quantile(u, [RANGE, 1.0 - RANGE])
+    if not high - low > 1e-9 * max(abs(high), abs(low), 1e-12):
+        return None
+    step = (high - low) / PIECES
+    return Basis(low + step * np.arange(-3, PIECES + 4), root)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A measured law: the candidate, its points with a band (standard deviation), and how it predicts runs left out.
+
+    `predicts` is the share of the loss that the re-tuned machine leaves on runs left out, and that the curve takes away; `runs_better` the
+    share of the runs, weighted by what they leave, on which it is better.
+    """
+
+    candidate: Candidate
+    predicts: float
+    runs_better: float
+    x: np.ndarray
+    y: np.ndarray
+    band: np.ndarray
+
+    @property
+    def free(self) -> np.ndarray:
+        """What of the curve is the machine's own (place, n): a level, and over a speed a slope, which is its viscous friction."""
+        return machines_own(self.x, self.candidate.variable)
+
+
+def machines_own(x: np.ndarray, variable: str) -> np.ndarray:
+    """Curves over a variable (place, n) that toleranced parameters make."""
+    level = np.ones((len(x), 1))
+    return np.column_stack([level, x / max(float(np.abs(x).max()), 1e-300)]) if variable in ("speed", "velocity") else level
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Least loss of linear columns on parts left out, with weights of outliers from a fit of all."""
+
+    total: float
+    of_part: np.ndarray
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+
+
+def scale_of(values: np.ndarray, least: float) -> float:
+    """Robust standard deviation, at least what noise makes."""
+    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), least)
+
+
+def huber(values: np.ndarray, scale: float) -> np.ndarray:
+    """Loss of each value: half its square up to `HUBER` scales, linear beyond."""
+    u = np.abs(values) / scale
+    return np.where(u <= HUBER, 0.5 * u**2, HUBER * (u - 0.5 * HUBER))
+
+
+def left_out_loss(
+    samples: Samples, columns: np.ndarray, scale: float, penalty: np.ndarray | None = None, weights: np.ndarray | None = None
+) -> Loss:
+    """Loss on parts left out of a fit with these columns (sample, n), beside a penalty (n, n) on their coefficients.
+
+    `weights` of outliers (sample,) are found, or start from those given.
+    """
+    parts = np.unique(samples.part)
+    norm = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
+    x = columns / norm
+    ridge = SMALL * len(x) * np.eye(x.shape[1]) + (0.0 if penalty is None else penalty)
+    sweeps = SWEEPS if weights is None else 1
+    weights = np.ones(len(x)) if weights is None else weights
+    solution = np.zeros(x.shape[1])
+    for _ in range(sweeps):
+        normal = x.T @ (weights[:, None] * x) + ridge
+        solution = np.linalg.solve(normal, x.T @ (weights * samples.y))
+        left = np.abs(samples.y - x @ solution) / scale
+        weights = np.where(left <= HUBER, 1.0, HUBER / np.maximum(left, 1e-12))
+    of_part = np.zeros(len(parts))
+    whole, target = x.T @ (weights[:, None] * x) + ridge, x.T @ (weights * samples.y)
+    for i, part in enumerate(parts):
+        rows = samples.part == part
+        own = x[rows]
+        without = np.linalg.solve(
+            whole - own.T @ (weights[rows, None] * own) + 1e-12 * np.eye(len(ridge)), target - own.T @ (weights[rows] * samples.y[rows])
+        )
+        of_part[i] = float(huber(samples.y[rows] - own @ without, scale).sum())
+    left_all = samples.y - x @ solution
+    variance = float(np.sum(weights * left_all**2)) / max(len(x) - x.shape[1], 1) * CORRELATED
+    covariance = np.linalg.inv(whole) * variance
+    return Loss(float(of_part.sum()), of_part, solution / norm, covariance / np.outer(norm, norm), weights)
+
+
+CORRELATED = 5.0
+"""Samples that count as one, after smoothing."""
+
+
+def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> Curve | None:
+    """The curve of a candidate beside `fixed` columns (sample, n), with what it predicts beyond them; None where its variable does not vary."""
+    x = variable_of(samples, candidate)
+    basis = basis_of(x, candidate.variable, candidate.period)
+    if basis is None:
+        return None
+    columns = in_residual(samples, candidate, axis, basis.columns(x))
+    used = np.any(np.abs(columns) > 1e-12, axis=0)
+    if not used.any():
+        return None
+    all_columns = np.column_stack([fixed, columns[:, used]])
+    count, own = all_columns.shape[1], int(used.sum())
+    roughness = np.zeros((count, count))
+    roughness[count - own :, count - own :] = basis.penalty(columns.shape[1])[np.ix_(used, used)]
+    stiff = len(samples) / own * roughness
+    best = left_out_loss(samples, all_columns, scale, PENALTIES[0] * stiff)
+    for weight in PENALTIES[1:]:
+        best = min(best, left_out_loss(samples, all_columns, scale, weight * stiff, best.weights), key=lambda loss: loss.total)
+    low, high = np.quantile(x, [RANGE, 1.0 - RANGE])
+    at = np.linspace(0.0, basis.period, 49) if basis.period else _spaced(low, high, basis.root)
+    shown = basis.columns(at)[:, used]
+    coefficients, covariance = best.coefficients[count - own :], best.covariance[count - own :, count - own :]
+    y = shown @ coefficients
+    # the band is that of the shape: what the machine's own parameters make is taken out of it
+    own_curves = machines_own(at, candidate.variable)
+    centred = shown - own_curves @ np.linalg.lstsq(own_curves, shown, rcond=None)[0]
+    band = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", centred, covariance, centred), 0.0))
+    better = base.of_part - best.of_part
+    return Curve(
+        candidate,
+        1.0 - best.total / max(base.total, 1e-300),
+        float(np.sum(base.of_part * (better > 0.0)) / max(base.of_part.sum(), 1e-300)),
+        at,
+        y,
+        band,
+    )
+
+
+def _spaced(low: float, high: float, root: bool) -> np.ndarray:
+    """Places at which a curve is shown, dense where its splines are."""
+    if not root:
+        return np.linspace(low, high, 41)
+    first, last = (math.copysign(math.sqrt(abs(v)), v) for v in (low, high))
+    u = np.linspace(first, last, 41)
+    return np.sign(u) * u**2
+
+
+def measured_laws(samples: Samples, axis: Axis, fixed: np.ndarray | None = None) -> list[Curve]:
+    """The curves of all candidates of a block that predict something, best first, beside `fixed` columns that stand for laws already taken."""
+    columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
+    first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
+    base = left_out_loss(samples, columns, scale)
+    left = samples.y - columns @ base.coefficients
+    candidates = [*candidates_of(samples, axis), *waves_of(samples, left, axis)]
+    curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]
+    return sorted((c for c in curves if c is not None and c.predicts > 0.0), key=lambda c: -c.predicts)
+
+
+def waves_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
+    """Waves over the position: for each output the period at which the spectrum of what is left (sample,) stands out most.
+
+    What is left is summed in narrow bins of the position, so that one transform asks all periods.
+    """
+    position = samples.motion["position"]
+    span = float(np.ptp(position))
+    if not span > 0.0:
+        return
+    finest = FINEST_WAVE_M * (1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD)
+    bins = int(min(max(2.0 * span / finest, 64), MOST_BINS))
+    at = np.minimum(((position - position.min()) / span * bins).astype(int), bins - 1)
+    outputs = ("force", "friction") if samples.block == MECHANICS else ("displacement",) if samples.block == "transmission" else ()
+    limit = 4.0 * scale_of(left, samples.sigma)
+    for output in outputs:
+        block = MECHANICS if samples.block == MECHANICS else "measurement"
+        y = np.clip(left, -limit, limit) * (-np.sign(samples.motion["velocity"]) if output == "friction" else 1.0)
+        spectrum = np.abs(np.fft.rfft(np.bincount(at, y, bins), OVERSAMPLED * bins))
+        first = OVERSAMPLED * LEAST_WAVES
+        if len(spectrum) > first:
+            period = OVERSAMPLED * span / (first + int(np.argmax(spectrum[first:])))
+            if not _is_of_turn(period, span, axis):
+                yield Candidate(block, output, "position", period=period)
+
+
+def _is_of_turn(period: float, span: float, axis: Axis) -> bool:
+    """Is a wave over the position one of the motor turn, as far as the range driven tells them apart?"""
+    each_turn = 2.0 * math.pi * axis.ratio / period
+    turns = span / (2.0 * math.pi * axis.ratio)
+    direct = axis.kind == "linear" and axis.ratio == 1.0
+    return not direct and 1 <= round(each_turn) <= TURN_PIECES // 2 and abs(each_turn - round(each_turn)) * turns < 1.0
+
+
+FINEST_WAVE_M = 1e-5
+"""Shortest wave over the position that is looked for [m]; of a rotary axis in proportion."""
+
+MOST_BINS = 200_000
+"""Bins of the position."""
+
+OVERSAMPLED = 4
+"""Steps of the spectrum for each whole wave over the range."""
+
+LEAST_WAVES = 3
+"""Waves that the range must hold; slower ones are a curve over the position."""
+
+
+def excess(samples: Samples, columns: np.ndarray | None = None) -> float:
+    """Power of what columns leave of a residual over noise: 1 where nothing is left."""
+    columns = nuisances_in(samples) if columns is None else columns
+    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    left = samples.y - columns @ loss.coefficients
+    return float(np.mean(left**2)) / samples.sigma**2

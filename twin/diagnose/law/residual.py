@@ -1,0 +1,253 @@
+"""What the corrected twin leaves of each block of an axis, beside everything that it could depend on.
+
+Each block is cut out of the loop: it is fed with its measured inputs, and its output is compared with the recorded one. The same is done
+with a record that the corrected twin itself makes, and subtracted. What smoothing, sampling and the effects found make of a block is in
+both, so that the rest is what the twin does not know:
+
+    mechanics             force on the load that the motion shows:  M a - Kt i / r + friction + bias      [N, Nm]
+    transmission          motor position minus scale                                                      [m, rad]
+    position controller   speed set point beside the control law                                          [m/s, rad/s]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+import functools
+import math
+
+import numpy as np
+from scipy.ndimage import minimum_filter1d
+from scipy.signal import savgol_filter
+
+from twin.diagnose.blocks import MOTION, inertia_and_bias
+from twin.diagnose.control_law import law_error, law_sigma
+from twin.diagnose.observe import Mapper, simulate_group
+from twin.diagnose.view import RunView
+from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+
+FORCE_PERIOD_S = 5e-3
+"""Spacing of the samples of a force balance: a fifth of the window over which its motion is smoothed."""
+
+OTHER_PERIOD_S = 4e-3
+"""Spacing of the samples of the other blocks."""
+
+MOST_SAMPLES = 800
+"""Samples of an axis in a run, about: more of them only take time."""
+
+LEAST_SAMPLES = 50
+"""Samples of an axis in a run below which the run says nothing about it."""
+
+NOISE_SEED = 977
+"""Seed of the noise of the record from which a block's noise level is taken."""
+
+MECHANICS = "mechanics"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Residual `y` (sample,) of one block of one axis over all its runs, with what it may depend on.
+
+    `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has the
+    columns of `COLUMNS`; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
+    is the index of the sample at which the run of each sample begins.
+    """
+
+    axis: str
+    block: str
+    y: np.ndarray
+    sigma: float
+    part: np.ndarray
+    run: np.ndarray
+    first: np.ndarray
+    motion: dict[str, np.ndarray]
+    others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+
+def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
+    """Residuals of all blocks of these axes beside the corrected twin; `machine_of` turns a run's nominal machine into it."""
+    runs = mapper(functools.partial(_of_run, views, machine_of, tuple(axes)), range(len(views)))
+    found: dict[tuple[str, str], list[_Piece]] = {}
+    for pieces in runs:
+        for piece in pieces:
+            found.setdefault((piece.axis, piece.block), []).append(piece)
+    return [_joined(axis, block, pieces) for (axis, block), pieces in found.items()]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    run: int
+    axis: str
+    block: str
+    y: np.ndarray
+    noise: np.ndarray
+    motion: dict[str, np.ndarray]
+    others: dict[str, dict[str, np.ndarray]]
+
+
+def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
+    """The pieces of all runs as one; a few runs are divided into stretches."""
+    stretches = 1 if len(pieces) > 3 else 4 if len(pieces) > 1 else 6
+    part, run, first, at = [], [], [], 0
+    for i, p in enumerate(pieces):
+        n = len(p.y)
+        part.append(i * stretches + np.minimum(np.arange(n) * stretches // n, stretches - 1))
+        run.append(np.full(n, p.run))
+        first.append(np.full(n, at))
+        at += n
+    names = {name for p in pieces for name in p.others}
+
+    def column(of: Callable[[_Piece], dict[str, np.ndarray] | None], name: str) -> np.ndarray:
+        return np.concatenate([found[name] if (found := of(p)) is not None else np.zeros(len(p.y)) for p in pieces])
+
+    return Samples(
+        axis,
+        block,
+        np.concatenate([p.y for p in pieces]),
+        max(float(np.sqrt(np.mean(np.concatenate([p.noise for p in pieces]) ** 2))), 1e-12),
+        np.concatenate(part),
+        np.concatenate(run),
+        np.concatenate(first),
+        {name: column(lambda p: p.motion, name) for name in pieces[0].motion},
+        {
+            other: {name: column(lambda p, o=other: p.others.get(o), name) for name in ("position", "velocity", "acceleration")}  # type: ignore[misc]
+            for other in sorted(names)
+        },
+    )
+
+
+def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[_Piece]:
+    """All blocks of these axes in one run."""
+    view = views[r]
+    pieces: list[_Piece] = []
+    for name in axes:
+        if not view.moves(name) or not any(view.trace.has(name, s) for s in MOTION):
+            continue
+        twin = simulate_group(view, [name], machine_of)
+        noisy = simulate_group(view, [name], machine_of, noise_seed=NOISE_SEED + r).trace
+        actual = replace(view, machine=machine_of(view.machine), references=view.references)
+        axis = actual.machine.axis(name)
+        others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
+        for block, law, period in (
+            (MECHANICS, _forces, FORCE_PERIOD_S),
+            ("transmission", _displacement, OTHER_PERIOD_S),
+            ("position controller", _speed_set_point, 0.0),
+        ):
+            measured = law(actual, axis, view.trace)
+            if measured is None:
+                continue
+            expected, shaken = law(actual, axis, twin.without_noise), law(actual, axis, noisy)
+            if expected is None or shaken is None:
+                continue
+            keep = np.flatnonzero(measured[1] & expected[1])
+            step = max(1, round(period / view.trace.period))
+            index = keep[keep % step == 0] if period else keep
+            index = index[:: max(1, len(index) // MOST_SAMPLES)]
+            if len(index) < LEAST_SAMPLES:
+                continue
+            motion = _motion(view, name, axis)
+            pieces.append(
+                _Piece(
+                    r,
+                    name,
+                    block,
+                    (measured[0] - expected[0])[index],
+                    (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis)),
+                    {key: values[index] for key, values in motion.items()},
+                    {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
+                )
+            )
+    return pieces
+
+
+def _window(view: RunView) -> int:
+    return max(7, round(view.thresholds.smooth_s / view.trace.period) | 1)
+
+
+def _speed(trace: Trace, axis: Axis) -> np.ndarray:
+    if trace.has(axis.name, "velocity"):
+        return trace.get(axis.name, "velocity")
+    signal = next(s for s in ("motor_position", "position") if trace.has(axis.name, s))
+    speed: np.ndarray = np.gradient(trace.get(axis.name, signal), trace.period)
+    return speed
+
+
+def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """Force on the load beyond the model's, towards +q (sample,), and where the axis slides."""
+    window = _window(view)
+    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
+        return None
+    speed = _speed(trace, axis)
+    v = savgol_filter(speed, window, 2)
+    acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
+    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    inertia, bias = inertia_and_bias(view, axis, len(trace.time))
+    friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
+    least = view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
+    sliding = minimum_filter1d(np.abs(v), 2 * window) > least
+    return inertia * acceleration + friction + bias - drive, sliding
+
+
+def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """Motor position minus scale (sample,); everywhere."""
+    if not (view.trace.has(axis.name, "position") and view.trace.has(axis.name, "motor_position")):
+        return None
+    return trace.get(axis.name, "motor_position") - trace.get(axis.name, "position"), np.ones(len(trace.time), bool)
+
+
+def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """Speed set point beside the law (sample,), at the position cycles, while the axis moves."""
+    error = law_error(trace, view, axis)
+    if error is None or not view.trace.has(axis.name, "velocity_setpoint"):
+        return None
+    every = max(1, round(view.machine.position_cycle / view.trace.period))
+    out = np.zeros(len(trace.time))
+    where = np.zeros(len(trace.time), bool)
+    out[::every], where[::every] = error, True
+    return out, where
+
+
+def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:
+    """What a law may depend on (sample,), as it was measured; with `axis` all of it, without what another axis can pass on."""
+    trace, window = view.trace, _window(view)
+    own = axis or view.machine.axis(name)
+    signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
+    position = trace.get(name, signal)
+    speed = _speed(trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
+    if len(position) >= 2 * window:
+        velocity = savgol_filter(speed, window, 2)
+        acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
+    else:
+        velocity, acceleration = speed, np.gradient(speed, trace.period)
+    found = {"position": position, "velocity": velocity, "acceleration": acceleration}
+    if axis is None:
+        return found
+    motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
+    found |= {"turn": motor / own.ratio, "time": view.started_at + trace.time - trace.time[0]}
+    found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+    if trace.has(name, own.effort):
+        found["current"] = trace.get(name, own.effort)
+    if trace.has(name, "velocity_setpoint") and signal != "setpoint":
+        command, delayed, _ = view.reference(name)
+        found["following_error"] = delayed - position
+        found["speed_setpoint"] = command + own.loops.position_gain_per_s * (delayed - position)
+    return found
+
+
+def remembered(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
+    """Direction of motion remembered over `length` of travel (sample,): with a tail, or as the place inside a play."""
+    z = np.zeros(len(travel))
+    state = 0.0
+    for i in range(len(travel)):
+        if first[i] == i:
+            state = 0.0
+        else:
+            moved = travel[i] - travel[i - 1]
+            side = 1.0 if samples_velocity[i] > 0.0 else -1.0
+            state = min(max(state + side * moved / length, -1.0), 1.0) if clipped else side + (state - side) * math.exp(-moved / length)
+        z[i] = state
+    return z

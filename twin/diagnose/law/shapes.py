@@ -1,0 +1,267 @@
+"""A measured curve as a formula: every shape that suits the variable is fitted to the residual and judged on runs left out.
+
+A shape is y = height f(x; c). Its height is linear, its other numbers c are searched (variable projection: grid, then simplex). A wave has a
+sine and a cosine. The shape that predicts best is taken; where the measured curve predicts clearly more, the law stays a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.diagnose.law.measure import (
+    Candidate,
+    Curve,
+    Loss,
+    huber,
+    in_residual,
+    left_out_loss,
+    nuisances_in,
+    scale_of,
+    variable_of,
+)
+from twin.diagnose.law.residual import Samples, remembered
+from twin.effects.law import NAME
+from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
+from twin.machine.axis import Axis
+
+TABLE_BETTER = 0.04
+"""Share of the loss that a curve must predict beyond the best formula to stay a table."""
+
+PER_NUMBER = 0.004
+"""Share of the loss that each further number of a formula has to bring."""
+
+TABLE_POINTS = 15
+"""Points of a law that no formula describes."""
+
+SUITS: dict[str, tuple[str, ...]] = {
+    "speed": ("line", "power", "exponential", "gaussian", "step"),
+    "velocity": ("power", "saturation"),
+    "position": ("line", "gaussian", "step", "gas spring", "sine"),
+    "turn": ("sine",),
+    "time": ("line", "approach"),
+    "direction": ("line",),
+    "slack": ("line",),
+    "acceleration": ("line", "power"),
+    "acceleration_size": ("line", "power"),
+    "current": ("bending", "saturation", "power"),
+    "following_error": ("dead band", "saturation", "line"),
+    "speed_setpoint": ("clip above", "clip below", "clip", "line"),
+}
+"""Shapes that are tried for each variable."""
+
+HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
+"""Waves of a motor turn that are tried."""
+
+
+@dataclass(frozen=True)
+class Described:
+    """A law as a formula, or as a table where `shape` is None: numbers in SI, their standard deviations, and what it predicts."""
+
+    candidate: Candidate
+    shape: str | None
+    numbers: Mapping[str, float]
+    deviations: Mapping[str, float]
+    predicts: float
+    curve: Curve
+    column: np.ndarray = field(repr=False)  # (sample,) what it makes of the residual
+    points: tuple[tuple[float, float], ...] = ()
+
+    def table(self, axis: str) -> dict[str, Any]:
+        """As an effect of a machine file."""
+        c = self.candidate
+        head: dict[str, Any] = {"name": NAME, "axis": axis, "block": c.block, "output": c.output, "variables": [c.variable]}
+        if c.source:
+            head["from_axis"] = c.source
+        if self.shape is None:
+            head |= {"points": [list(p) for p in self.points], "between": "cubic"}
+            if c.variable == "turn" or c.period:
+                head["period"] = c.period or 2.0 * math.pi
+        else:
+            head["formula"] = SHAPES[self.shape].text(c.variable)
+        length = {"length": c.length} if c.length and "length" not in self.numbers else {}
+        return {**head, **self.numbers, **length}
+
+
+def described(samples: Samples, curve: Curve, axis: Axis, fixed: np.ndarray | None = None) -> Described:
+    """The curve as the formula that predicts best, or as a table."""
+    columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
+    first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
+    base = left_out_loss(samples, columns, scale)
+    names = ("sine",) if curve.candidate.period else SUITS.get(curve.candidate.variable, ())
+    found = [f for name in names if (f := _fitted(samples, curve, axis, SHAPES[name], columns, base, scale))]
+    best = max(found, key=lambda d: d.predicts - PER_NUMBER * len(d.numbers), default=None)
+    if best is None or best.predicts < curve.predicts - TABLE_BETTER:
+        return _as_table(samples, curve, axis)
+    return best
+
+
+def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
+    """The curve itself, through a few points; its level is the machine's own."""
+    places = np.unique(np.linspace(0, len(curve.x) - 1, TABLE_POINTS).round().astype(int))
+    x = variable_of(samples, curve.candidate)
+    period = curve.candidate.period or (2.0 * math.pi if curve.candidate.variable == "turn" else 0.0)
+    y = np.interp(np.mod(x, period) if period else x, curve.x, curve.y)
+    level = curve.y[-1] if curve.candidate.variable == "speed" else float(np.mean(y))
+    column = in_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]
+    points = tuple((float(curve.x[i]), float(curve.y[i] - level)) for i in places)
+    return Described(curve.candidate, None, {"scale": 1.0}, {}, curve.predicts, curve, column, points)
+
+
+class _Problem:
+    """One shape of one candidate on the samples: its linear columns for given other numbers."""
+
+    def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape):
+        self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
+        self.x = variable_of(samples, curve.candidate)
+        self.remembered = curve.candidate.variable in ("direction", "slack")
+        self.free, self.starts, self.logarithmic, self.given = _search_space(shape, self.x, curve.candidate)
+
+    @property
+    def is_characteristic(self) -> bool:
+        """Has the shape no height of its own?"""
+        return not any(n.of == "output" for n in self.shape.numbers)
+
+    def columns(self, values: Sequence[float]) -> np.ndarray:
+        """(sample, n) of unit height; of a wave sine and cosine."""
+        numbers = {**self.given, **dict(zip(self.free, values))}
+        x = self.x
+        if self.remembered and "length" in numbers:
+            s = self.samples
+            x = remembered(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
+        if self.shape.name == "sine":
+            angle = 2.0 * math.pi * x / numbers["period"]
+            own = np.column_stack([np.sin(angle), np.cos(angle)])
+        else:
+            own = values_of(self.shape, x, row_of(self.shape, {**numbers, self.height: 1.0}, self.gain))[:, None]
+        return in_residual(self.samples, self.candidate, self.axis, own)
+
+    @property
+    def height(self) -> str:
+        return next((n.name for n in self.shape.numbers if n.of == "output"), "")
+
+    @property
+    def gain(self) -> float:
+        """Nominal factor of a characteristic."""
+        if self.candidate.output == "torque":
+            return self.axis.motor.torque_constant_nm_per_a
+        return self.axis.loops.position_gain_per_s if self.candidate.variable == "following_error" else 1.0
+
+
+def _search_space(
+    shape: Shape, x: np.ndarray, candidate: Candidate
+) -> tuple[list[str], list[tuple[float, ...]], list[bool], dict[str, float]]:
+    """Numbers that are searched with their starts, whether by ratio, and numbers that are given."""
+    low, high = (float(v) for v in np.quantile(x, [0.002, 0.998]))
+    span = max(high - low, 1e-12)
+    reach = max(abs(low), abs(high), 1e-12)
+    widths = tuple(span * np.geomspace(0.004, 1.0, 10))
+    inside = tuple(np.linspace(low + 0.05 * span, high - 0.05 * span, 12))
+    if candidate.variable == "direction":
+        return ["length"], [(candidate.length,)], [True], {"reach": 1.0}
+    if candidate.variable == "slack":
+        return ["length"], [(candidate.length,)], [True], {"reach": 1.0}
+    if shape.name == "line":
+        return [], [], [], {"reach": reach}
+    if shape.name == "power":
+        return ["n"], [(0.5, 2.0, 3.0)], [True], {"reach": reach}
+    if shape.name in ("exponential", "approach", "saturation"):
+        return ["scale"], [widths], [True], {}
+    if shape.name == "gaussian":
+        return (
+            (["width"], [widths], [True], {"at": 0.0})
+            if candidate.variable == "speed"
+            else (["width", "at"], [widths[3:], inside], [True, False], {})
+        )
+    if shape.name == "step":
+        return ["at"], [inside], [False], {}
+    if shape.name == "sine":
+        if candidate.variable == "turn":
+            return ["period"], [tuple(2.0 * math.pi / k for k in HARMONICS)], [True], {}
+        return ["period"], [(candidate.period,) if candidate.period else tuple(span / np.linspace(0.6, 4.0, 12))], [True], {}
+    if shape.name == "gas spring":
+        return ["length", "at"], [tuple(span * np.array([0.3, 1.0, 3.0])), (low,)], [True, False], {"n": 1.3}
+    if shape.name == "bending":
+        return ["knee"], [tuple(reach * np.geomspace(0.6, 6.0, 8))], [True], {}
+    if shape.name == "dead band":
+        return ["band"], [tuple(reach * np.geomspace(0.003, 0.7, 12))], [True], {}
+    return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
+
+
+def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.ndarray, base: Loss, scale: float) -> Described | None:
+    problem = _Problem(samples, curve, axis, shape)
+    weights = base.weights
+    orthogonal, _ = np.linalg.qr(fixed * np.sqrt(weights)[:, None])
+
+    def without(columns: np.ndarray) -> np.ndarray:
+        scaled = columns * np.sqrt(weights)[:, None]
+        return scaled - orthogonal @ (orthogonal.T @ scaled)
+
+    target = without(samples.y[:, None])[:, 0]
+
+    def loss(values: Sequence[float]) -> float:
+        columns = without(problem.columns(values))
+        if not np.all(np.isfinite(columns)):
+            return math.inf
+        if problem.is_characteristic:
+            left = target - columns[:, 0]
+        else:
+            norm = np.sqrt(np.sum(columns**2, axis=0))
+            if np.any(norm < 1e-12):
+                return math.inf
+            left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        return float(huber(left, scale).sum())
+
+    values = min(itertools.product(*problem.starts), key=loss)
+    if problem.free:
+        values = _polished(loss, values, problem.logarithmic)
+    numbers = dict(zip(problem.free, values))
+    if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > float(np.ptp(problem.x)):
+        return None  # a bell that is wider than what was driven is a parabola
+    columns = problem.columns(values)
+    if problem.is_characteristic:
+        moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
+        judged = left_out_loss(moved, fixed, scale)
+        heights, column = np.ones(1), columns[:, 0]
+        spread = np.zeros(1)
+    else:
+        judged = left_out_loss(samples, np.column_stack([fixed, columns]), scale)
+        heights = judged.coefficients[fixed.shape[1] :]
+        spread = np.sqrt(np.diag(judged.covariance)[fixed.shape[1] :])
+        column = columns @ heights
+    numbers = {**problem.given, **{n: float(v) for n, v in zip(problem.free, values)}}
+    deviations: dict[str, float] = {}
+    if shape.name == "sine":
+        numbers["amplitude"] = float(np.hypot(*heights))
+        numbers["phase_rad"] = float(np.arctan2(heights[1], heights[0]))
+        deviations["amplitude"] = float(spread.mean())
+    elif problem.height:
+        numbers[problem.height] = float(heights[0])
+        deviations[problem.height] = float(spread[0])
+    order = [n.name for n in shape.numbers]
+    numbers = {n: numbers[n] for n in sorted(numbers, key=lambda n: order.index(n) if n in order else len(order))}
+    return Described(curve.candidate, shape.name, numbers, deviations, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
+
+
+def _polished(loss, values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
+    """Numbers around `values` with the least loss, by a simplex."""
+    scale = [abs(v) if log else max(abs(v), 1e-9) for v, log in zip(values, logarithmic)]
+
+    def numbers(u: np.ndarray) -> tuple[float, ...]:
+        return tuple(
+            s * math.exp(min(max(a, -3.0), 3.0)) if log else v + 0.3 * s * a for v, s, log, a in zip(values, scale, logarithmic, u)
+        )
+
+    n = len(values)
+    simplex = np.vstack([np.zeros(n), 0.15 * np.eye(n)])
+    found = minimize(
+        lambda u: loss(numbers(u)), np.zeros(n), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 70 * n, "xatol": 1e-3}
+    )
+    return numbers(found.x)

@@ -1,0 +1,54 @@
+"""The step of a diagnosis after the search: laws of the axes that no effect explains, and how far the gap shrinks with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
+from twin.diagnose.law.keep import Say
+from twin.diagnose.law.laws import Laws, laws_of
+from twin.diagnose.observe import Mapper
+from twin.diagnose.state import Found
+from twin.errors import TwinError
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.decoupled_plant import Motion
+from twin.simulation.gap import REALISATIONS, Job, gap_of, predict_each
+
+ALL_BUT = 0.1
+"""Share of the gap that may stay unexplained where the verdict is 'law'."""
+
+
+def laws_beside(
+    found: Sequence[Found], machine: Machine, corrected: Machine, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
+) -> Laws | None:
+    """Laws of the axes of groups that the search left unknown; None where there is none to ask. `machine` is the nominal one."""
+    axes = [axis for f in found if f.unknown for axis in f.group.axes]
+    if not axes:
+        return None
+    try:
+        without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
+        return laws_of([f.rigid for f in found], machine, corrected, axes, folds, without, mapper, say)
+    except TwinError:  # a corrected twin that cannot be simulated has no residual to look at
+        return None
+
+
+def gaps_with(
+    laws: Laws,
+    held_out: HeldOut,
+    runs: Sequence[MeasuredRun],
+    motions: Sequence[Motion],
+    machine: Machine,
+    folds: Sequence[Sequence[int]],
+    engine: bool,
+    threads: int,
+) -> HeldOut:
+    """The gaps after correction with the laws, each run by the machine fitted without it."""
+    realisations = REALISATIONS if engine else FEWER_REALISATIONS
+    jobs = [
+        Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold
+    ]
+    predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
+    after = {run.name: gap_of(machine, run, predictions[run.name]) for run in runs}
+    return replace(held_out, gaps={**held_out.gaps, "after": after}, predictions={**held_out.predictions, "after": predictions})

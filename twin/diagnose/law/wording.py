@@ -1,0 +1,111 @@
+"""A law in words: as a sentence with numbers, and as an entry of `diagnosis.json`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.law.known_physics import Known, looks_like
+from twin.diagnose.law.laws import Law
+from twin.effects.law import OUTPUTS, VARIABLES, law_of
+from twin.effects.law_shapes import TABLE
+from twin.machine.axis import Axis
+from twin.machine.machine import Machine
+from twin.simulation.effect_picture import readable
+from twin.simulation.law_picture import shown_in, small_length
+
+BAND = 1.96
+"""Standard deviations to either side of a 95 % interval."""
+
+
+def known(law: Law) -> tuple[Known, ...]:
+    """What of the known physics looks like it."""
+    c = law.measured.candidate
+    height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
+    return looks_like(c.output, c.variable, law.measured.shape, int(np.sign(height)))
+
+
+def _value(law: Law, name: str, axis: Axis, source: Axis) -> str:
+    """A number with its doubt, in units for people: '(485 +- 2) N'."""
+    value, deviation = law.setting.parameters[name], law.deviations.get(name, 0.0)
+    parameter = law.setting.effect.parameter(name)
+    unit = parameter.unit(axis)
+    quantity, factor = _shown(law, name, axis, source) or (unit, 1.0)
+    if not deviation:
+        return readable(value, unit) if factor == 1.0 else f"{factor * value:.3g} {quantity}"
+    digits = max(0, -math.floor(math.log10(max(BAND * factor * deviation, 1e-12))))
+    return f"({factor * abs(value):.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".rstrip()
+
+
+def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
+    """Unit for people of a number of the shape."""
+    described = law_of(law.setting.table(), "a measured law")
+    of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
+    if of == "output":
+        quantity = OUTPUTS[described.block][described.output].quantity
+        return small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+    if of == "variable":
+        return shown_in(VARIABLES[described.variable].quantity, source)
+    return shown_in("length", axis) if of == "length" else None
+
+
+def sentence(law: Law, machine: Machine) -> str:
+    """The law in one sentence: 'a friction on X that is (485 +- 2) N lower below (9.0 +- 0.1) mm/s'."""
+    axis = machine.axis(law.axis)
+    source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
+    described = law_of(law.setting.table(), "a measured law")
+    p = law.setting.parameters
+    what = {"force": "force", "friction": "friction", "torque": "torque", "displacement": "displacement"}.get(
+        described.output, described.output
+    )
+    head = f"a {what.replace('_', ' ')} on {law.axis}"
+    over = VARIABLES[described.variable].words.split(":")[0].split(" z ")[0] + (f" of {source.name}" if source is not axis else "")
+    name = described.shape.name
+    if described.shape.code == TABLE:
+        low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
+        quantity = OUTPUTS[described.block][described.output].quantity
+        unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+        return f"{head} that goes from {factor * low:.3g} to {factor * high:.3g} {unit} with the {over}"
+    if name in ("gaussian", "exponential") and described.variable == "speed" and described.output == "friction":
+        width = "width" if name == "gaussian" else "scale"
+        return f"{head} that is {_value(law, 'height', axis, source)} {'lower' if p['height'] < 0 else 'higher'} below {_value(law, width, axis, source)}"
+    if described.variable == "direction":
+        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the motion, which turns over within {_value(law, 'length', axis, source)} of travel"
+    if described.variable == "slack":
+        return f"{head} of {_value(law, 'height', axis, source)} to either side, which turns over within {_value(law, 'length', axis, source)} of travel"
+    if name == "sine":
+        return f"{head} that swings by {_value(law, 'amplitude', axis, source)} each {_value(law, 'period', axis, source)} of the {over}"
+    numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source)}" for n in described.shape.numbers if n.name in p)
+    return f"{head} over the {over}, {described.shape.words} ({numbers})"
+
+
+def entry(law: Law, machine: Machine) -> dict[str, Any]:
+    """The law as `diagnosis.json` has it: SI, 95 % intervals, the measured points with the standard deviation of each."""
+    axis = machine.axis(law.axis)
+    table = law.setting.table()
+    curve = law.measured.curve
+    return {
+        "axis": law.axis,
+        "block": law.block,
+        "output": table["output"],
+        "variables": list(table["variables"]),
+        **({"from_axis": law.setting.from_axis} if law.setting.from_axis else {}),
+        "formula": table.get("formula", "table"),
+        "parameters": {
+            name: {
+                "value": value,
+                "low": value - BAND * law.deviations.get(name, 0.0),
+                "high": value + BAND * law.deviations.get(name, 0.0),
+                "unit": law.setting.effect.parameter(name).unit(axis),
+            }
+            for name, value in law.setting.parameters.items()
+        },
+        **({"points": [list(p) for p in table["points"]]} if "points" in table else {}),
+        "probability": law.probability,
+        "explained": law.explained,
+        "sentence": sentence(law, machine),
+        "looks_like": [{"name": k.name, "sentence": k.sentence, "to_be_sure": k.to_be_sure} for k in known(law)],
+        "measured": {"x": curve.x.tolist(), "y": curve.y.tolist(), "deviation": curve.band.tolist(), "predicts": law.measured.predicts},
+    }
