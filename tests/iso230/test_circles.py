@@ -12,7 +12,9 @@ import pytest
 
 from tests.conftest import ROOT
 from twin.cli import main
+from twin.effects import with_effects
 from twin.errors import InputError
+from twin.iso230.circle_budget import circle_budget
 from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import CirclePath, CircleTest, circle_numbers, least_squares_circle, reversal_spikes
 from twin.iso230.yardstick_programs import PROGRAMS, ConeFrustum, SShape
@@ -107,6 +109,29 @@ def test_a_run_without_circle_is_refused() -> None:
     straight = {key: np.linspace(0.0, 0.1, len(trace.time)) for key in trace.signals}
     with pytest.raises(InputError, match="no two linear axes run a full circle"):
         circles_of_trace(Trace(trace.time, straight, trace.kinds))
+
+
+def test_each_effect_has_its_share_of_the_circle(mikron: Machine) -> None:
+    """Two effects that add 4 um cos 2a and 3 um, and 1 um sin 3a that no effect explains."""
+    sizes = {"position_gain": lambda a: 4e-6 * np.cos(2 * a), "backlash": lambda a: 3e-6 + 0 * a}
+    tables = [{"name": "backlash", "axis": "X", "clearance": 1e-5}, {"name": "position_gain", "axis": "Y", "factor": 0.9}]
+
+    def run(machine: Machine) -> CircleTest:
+        names = [table["name"] for table in machine.document.get("effect", [])]
+        return test_of(*[lambda a: sum((sizes[n](a) for n in names), 0 * a)] * 2)
+
+    measured = test_of(*[lambda a: sizes["position_gain"](a) + sizes["backlash"](a) + 1e-6 * np.sin(3 * a)] * 2)
+    diagnosis = {"effects": [{"effect": "position_gain", "axis": "Y", "probability": 0.98}]}
+    corrected, rows = circle_budget(with_effects(mikron, tables), diagnosis, measured, run)
+    assert circle_numbers(corrected)["G_ccw"] == pytest.approx(8e-6, abs=1e-8)
+    assert [(row.effect, row.axis, row.probability) for row in rows] == [
+        ("backlash", "X", None),
+        ("position_gain", "Y", 0.98),
+        ("unknown", "", None),
+    ]
+    assert [row.share for row in rows] == pytest.approx([3e-6, 4e-6 / math.sqrt(2.0), 1e-6 / math.sqrt(2.0)], rel=1e-3)
+    assert rows[1].adds["G_ccw"] == pytest.approx(8e-6, abs=1e-8)
+    assert rows[0].adds["F_max"] == pytest.approx(3e-6, abs=1e-8)
 
 
 def test_ballbar_and_its_campaign(tmp_path: Path, mikron: Machine) -> None:

@@ -15,6 +15,7 @@ from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.replay import screenshot, write_recording
 from twin.replay.blueprint import LIGHT_GROUND
+from twin.replay.curves import CONTOUR_COLOUR
 from twin.report.colours import ERROR_BANDS, Colour, axis_colour
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -24,7 +25,7 @@ EARLY, LATE = 0.45, 1.9
 # shares of the picture (left, top, right, bottom) that the layout gives to each view, without their title bars
 MACHINE = (0.0, 0.03, 0.41, 0.57)
 TOOL_PATH = (0.42, 0.03, 0.74, 0.49)
-LEGEND = (0.42, 0.52, 0.74, 0.58)
+LEGEND = (0.42, 0.555, 0.74, 0.61)
 CONTOUR = (0.01, 0.63, 0.23, 0.95)
 AXES = (0.25, 0.65, 1.0, 0.95)
 
@@ -101,7 +102,7 @@ def test_the_legend_shows_all_colours(pictures: dict[float, np.ndarray]) -> None
 
 def test_the_curves_are_drawn(pictures: dict[float, np.ndarray]) -> None:
     for picture in pictures.values():
-        assert pixels_of(part(picture, CONTOUR), (235, 140, 20)) > 100
+        assert pixels_of(part(picture, CONTOUR), CONTOUR_COLOUR) > 100
         shown = max(pixels_of(part(picture, AXES), axis_colour(axis)) for axis in "XYZAC")
         assert shown > 400
 
@@ -112,7 +113,7 @@ def test_an_empty_view_would_be_noticed() -> None:
     empty[:] = LIGHT_GROUND
     assert machine_share(empty) == 0.0
     assert sum(pixels_of(part(empty, TOOL_PATH), band) for band in ERROR_BANDS) == 0
-    assert pixels_of(part(empty, CONTOUR), (235, 140, 20)) == 0
+    assert pixels_of(part(empty, CONTOUR), CONTOUR_COLOUR) == 0
 
 
 def test_a_time_outside_the_run_is_refused(pictures: dict[float, np.ndarray], tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import struct
 import zipfile
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.surface.measured import HeightMap, compare, read_height_map
+from twin.surface.sur_file import write_sur
 
 
 def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -43,10 +45,53 @@ def test_files(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "map.x3p", "w") as archive:
         archive.writestr("main.xml", xml)
         archive.writestr("bindata/data.bin", height.astype("<f8").tobytes())
-    for ending in ("npz", "csv", "x3p"):
+    write_sur(tmp_path / "map.sur", 1e-5, 2e-5, height)
+    for ending in ("npz", "csv", "sur", "x3p"):
         found = read_height_map(tmp_path / f"map.{ending}")
-        np.testing.assert_allclose(found.height, height, atol=1e-12)
+        np.testing.assert_allclose(found.height, height, atol=1e-10 if ending == "sur" else 1e-12)
         np.testing.assert_allclose(found.v, v, atol=1e-9)
+
+
+def sur_file(path: Path, numbers: np.ndarray, **changed: bytes) -> Path:
+    """A .sur file of 16 bits, put together by hand from the published layout: a step of 2 nm, points 5 and 10 um apart."""
+    head = bytearray(512)
+    head[:12] = b"DIGITAL SURF"
+    head[14:16], head[86:88], head[98:100] = struct.pack("<h", 1), struct.pack("<h", 1), struct.pack("<h", 16)
+    head[100:108] = struct.pack("<ii", -500, 500)
+    head[108:116] = struct.pack("<ii", numbers.shape[1], numbers.shape[0])
+    head[120:132] = struct.pack("<fff", 5.0, 0.01, 2.0)
+    for at, unit in ((180, "\u00b5m"), (196, "mm"), (212, "nm")):
+        head[at : at + 16] = unit.encode("latin-1").ljust(16, b"\0")
+    head[334:338] = struct.pack("<hh", 7, 3)
+    head[474:478] = struct.pack("<f", 100.0)
+    for place, value in changed.items():
+        at = int(place.removeprefix("at_"))
+        head[at : at + len(value)] = value
+    path.write_bytes(bytes(head) + b"comment" + b"own" + numbers.astype("<i2").tobytes())
+    return path
+
+
+def test_a_sur_file_of_another_program(tmp_path: Path) -> None:
+    """Units, increments, offset, comment zones and points that were not measured."""
+    numbers = np.arange(-100, 100).reshape(10, 20)
+    numbers[3, 4] = -502
+    found = read_height_map(sur_file(tmp_path / "map.sur", numbers))
+    assert np.isnan(found.height[3, 4])
+    assert found.height[0, 1] == pytest.approx((-99 * 2.0 + 100.0) * 1e-9)
+    assert (found.u[1], found.v[1]) == (pytest.approx(5e-6), pytest.approx(1e-5))
+
+
+def test_sur_files_that_are_refused(tmp_path: Path) -> None:
+    numbers = np.zeros((10, 20), int)
+    for changed, says in (
+        ({"at_0": b"DSCOMPRESSED"}, "packed"),
+        ({"at_0": b"SOMETHING"}, "no SUR file"),
+        ({"at_14": b"\x02\x00"}, "2 objects"),
+        ({"at_108": struct.pack("<i", 4000)}, "ends before"),
+        ({"at_212": b"Kelvin".ljust(16, b"\0")}, "unit of z is 'Kelvin'"),
+    ):
+        with pytest.raises(InputError, match=says):
+            read_height_map(sur_file(tmp_path / "map.sur", numbers, **changed))
 
 
 def test_faults(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: as the part file says)")
     parser.add_argument(
-        "--measured", metavar="MAP", help="measured height map (.npz .csv .x3p) of the zone: registered and compared with every cut"
+        "--measured", metavar="MAP", help="measured height map (.npz .csv .sur .x3p) of the zone: registered and compared with every cut"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
     parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from twin.errors import InputError
 from twin.files import write_json
 
 if TYPE_CHECKING:
+    from twin.iso230.circle_budget import EffectOnCircle
     from twin.iso230.circles import CircleTest
     from twin.machine.machine import Machine
     from twin.recordings.trace import Trace
@@ -31,6 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
     parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
     parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")
+    parser.add_argument(
+        "--diagnosis",
+        metavar="DIR",
+        help="230-4: folder of `twin diagnose`: the corrected machine beside, and what each effect does to the circle",
+    )
     parser.add_argument("--campaign", metavar="DIR", help="230-4: also write the circles as a campaign for `twin diagnose`")
     add_machine(parser)
 
@@ -110,6 +117,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
 
     source = Path(args.input)
     tests: list[tuple[str, dict[str, CircleTest]]] = []
+    recorded: list[tuple[Trace, str | None]] = []
     if source.is_file() and is_table(source):
         if args.radius_mm is None or len(args.plane) != 2:
             raise InputError(f"{source}: a ballbar's table needs the radius and the plane of its program; give --radius-mm and --plane XY")
@@ -128,17 +136,22 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
                 continue
             for test in found:
                 tests.append((run, {"measured": test}))
+                recorded.append((trace, feedforward))
                 if not args.no_predict:
                     tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test)
         if not tests:
             raise InputError(problems[0] if problems else f"{source}: no run with a circle")
-    rows, circles = [], []
+    rows, circles, budgets = [], [], []
     for i, (run, by_name) in enumerate(tests):
+        if i < len(recorded) and args.diagnosis:
+            budgets.append(_budget(Path(args.diagnosis), recorded[i], by_name))
         entry: dict[str, Any] = {"run": run, "plane": by_name["measured"].name, "radius_mm": by_name["measured"].radius * 1e3}
         for name, test in by_name.items():
             numbers = _numbers(test)
             entry |= numbers if name == "measured" else {name: numbers}
             rows.append([run, test.name, name, *(f"{numbers[k]:.2f}" if k in numbers else "-" for k in _SHOWN)])
+        if budgets:
+            entry["budget"] = [_budget_row(row) for row in budgets[-1]]
         circles.append(entry)
         draw_circles(by_name, plot if i == 0 else plot.with_name(f"{plot.stem}_{run}_{by_name['measured'].name}{plot.suffix}"))
     print("ISO 230-4 [um]; G: about the least-squares centre, F: about the nominal centre")
@@ -148,6 +161,20 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
             print(
                 f"{entry['run']} {entry['plane']} {direction}: reversal spikes " + ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
             )
+    for entry in circles:
+        if "budget" in entry:
+            print(f"{entry['run']} {entry['plane']}: what each effect does to the circle [um]; unknown is measured less corrected")
+            cells = [
+                [
+                    row["effect"].replace("_", " "),
+                    row["axis"],
+                    "-" if row["probability"] is None else f"{row['probability']:.2f}",
+                    f"{row['rms_um']:.2f}",
+                    *(f"{row['adds_um'][k]:+.2f}" if k in row["adds_um"] else "-" for k in _ADDED),
+                ]
+                for row in entry["budget"]
+            ]
+            print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
     if args.campaign:
         _write_campaign([by_name["measured"] for _, by_name in tests], Path(args.campaign), machine, source)
     return {"standard": "ISO 230-4", "unit": "um", **(circles[0] if len(circles) == 1 else {}), "circles": circles}
@@ -163,6 +190,39 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
     numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items() if not k.startswith("radius")}
     spikes = {d: {str(q): v * 1e6 for q, v in s.items()} for d, s in reversal_spikes(test).items()}
     return {**numbers, "reversal_spikes": spikes}
+
+
+_ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
+
+
+def _budget(folder: Path, recorded: tuple[Trace, str | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
+    """The budget of one circle by the diagnosis in a folder; the corrected circle goes beside the others."""
+    from twin.iso230.circle_budget import circle_budget
+    from twin.machine import load_machine
+
+    file, document = folder / "machine.toml", folder / "diagnosis.json"
+    if not (file.is_file() and document.is_file()):
+        raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
+    trace, feedforward = recorded
+    measured = by_name["measured"]
+    by_name["corrected"], rows = circle_budget(
+        load_machine(file).with_feedforward(feedforward),
+        json.loads(document.read_text(encoding="utf-8")),
+        measured,
+        lambda machine: _predicted(trace, machine, measured),
+    )
+    return rows
+
+
+def _budget_row(row: EffectOnCircle) -> dict[str, Any]:
+    """A row of the budget for the JSON file [um]."""
+    return {
+        "effect": row.effect,
+        "axis": row.axis,
+        "probability": row.probability,
+        "rms_um": row.share * 1e6,
+        "adds_um": {k: v * 1e6 for k, v in row.adds.items()},
+    }
 
 
 def _predicted(trace: Trace, machine: Machine, measured: CircleTest) -> CircleTest:

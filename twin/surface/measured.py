@@ -1,4 +1,4 @@
-"""Measured height maps: read from NPZ, CSV or X3P, registered to a simulated cut, and compared with it.
+"""Measured height maps: read from NPZ, CSV, SUR or X3P, registered to a simulated cut, and compared with it.
 
 A map is a grid of heights over u along and v across, the simulated one's coordinates up to a shift and a tilt. Registered is by the shift with
 the best correlation, within half a map, and by the plane of least squares. Lengths in m; NaN where nothing was measured.
@@ -14,8 +14,9 @@ import zipfile
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.surface.sur_file import read_sur
 
-ENDINGS = (".npz", ".csv", ".x3p")
+ENDINGS = (".npz", ".csv", ".sur", ".x3p")
 LEAST_OVERLAP = 0.25
 """A measured map must cover so much of the simulated one."""
 
@@ -47,7 +48,7 @@ def read_height_map(path: Path) -> HeightMap:
     """A height map from a file; every fault is an InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such height map; give one of {', '.join(ENDINGS)}")
-    readers = {".npz": _npz, ".csv": _csv, ".x3p": _x3p}
+    readers = {".npz": _npz, ".csv": _csv, ".sur": _sur, ".x3p": _x3p}
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: not a height map that can be read; {nearest(path.suffix.lower(), ENDINGS)}")
     try:
@@ -144,6 +145,12 @@ def _csv(path: Path) -> HeightMap:
     height = np.full((len(rows), len(columns)), np.nan)
     height[np.searchsorted(rows, np.round(v, 6)), np.searchsorted(columns, np.round(u, 6))] = z * 1e-6
     return HeightMap(columns * 1e-3, rows * 1e-3, height)
+
+
+def _sur(path: Path) -> HeightMap:
+    found = read_sur(path)
+    rows, columns = found.height.shape
+    return HeightMap(found.dx * np.arange(columns), found.dy * np.arange(rows), found.height)
 
 
 def _x3p(path: Path) -> HeightMap:

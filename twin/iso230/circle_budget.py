@@ -1,0 +1,66 @@
+"""What each effect of a diagnosis does to a circle: the part of the picture that a ballbar's report cannot know.
+
+The corrected machine runs the circle, then again without one of its effects at a time. What changes is that effect's share:
+
+    share = RMS over the angle, both directions, of radius(with) - radius(without)            [m]
+    unknown = the same of radius(measured) - radius(corrected)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.effects import with_effects
+from twin.iso230.circles import GRID, CircleTest, circle_numbers
+from twin.machine.machine import Machine
+
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class EffectOnCircle:
+    """One row: effect and axis, its probability (None for what is unknown), share [m], and what it adds to G_b, F_max and F_min [m]."""
+
+    effect: str
+    axis: str
+    probability: float | None
+    share: float
+    adds: Mapping[str, float]
+
+
+def circle_budget(
+    corrected: Machine, diagnosis: Mapping[str, Any], measured: CircleTest, run: Callable[[Machine], CircleTest]
+) -> tuple[CircleTest, list[EffectOnCircle]]:
+    """The circle of the corrected machine, and the rows of the budget, largest first, what is unknown last.
+
+    `diagnosis` is the document of `twin diagnose`; `run` makes a machine run the measured circle.
+    """
+    tables = [dict(table) for table in corrected.document.get("effect", [])]
+    whole = run(corrected)
+    probability = {(found["effect"], found["axis"]): float(found["probability"]) for found in diagnosis.get("effects", [])}
+    rows = []
+    for i, table in enumerate(tables):
+        without = run(with_effects(corrected, tables[:i] + tables[i + 1 :]))
+        key = (str(table["name"]), str(table.get("axis", "")))
+        rows.append(EffectOnCircle(*key, probability.get(key), radial_rms(whole, without), _adds(whole, without)))
+    rows.sort(key=lambda row: -row.share)
+    rows.append(EffectOnCircle(UNKNOWN, "", None, radial_rms(measured, whole), _adds(measured, whole)))
+    return whole, rows
+
+
+def radial_rms(a: CircleTest, b: CircleTest) -> float:
+    """RMS over the angle of the difference of two circles' radii [m], over the directions that both have."""
+    angle = np.arange(GRID) * (2.0 * math.pi / GRID)
+    squares = [np.mean((a.paths[d].at(angle) - b.paths[d].at(angle)) ** 2) for d in a.paths if d in b.paths]
+    return float(np.sqrt(np.mean(squares))) if squares else math.nan
+
+
+def _adds(a: CircleTest, b: CircleTest) -> dict[str, float]:
+    """By how much the standard's numbers of one circle lie above those of another [m]."""
+    first, second = circle_numbers(a), circle_numbers(b)
+    return {k: first[k] - second[k] for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}

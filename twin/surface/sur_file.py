@@ -1,0 +1,106 @@
+"""Height maps of Digital Surf (`.sur`, MountainsMap and many profilometers): a head of 512 bytes, then the heights as whole numbers.
+
+    height = number * z increment + z offset          in the unit that the head names; row after row along x
+    not measured: the smallest number of the head less 2, where the head says that there are such points
+
+Layout after the open readers of the format, Gwyddion (`modules/file/surffile.c`) and the digitalsurf reader of RosettaSciIO. Little-endian. Packed
+files ("DSCOMPRESSED") and files of several surfaces are refused.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.errors import InputError
+
+SIGNATURE = b"DIGITAL SURF"
+HEAD_BYTES = 512
+METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "\u03bcm": 1e-6, "nm": 1e-9, "pm": 1e-12}
+PLACES = {
+    "objects": ("<h", 14),
+    "special_points": ("<h", 86),
+    "bits": ("<h", 98),
+    "least": ("<i", 100),
+    "columns": ("<i", 108),
+    "rows": ("<i", 112),
+    "dx": ("<f", 120),
+    "dy": ("<f", 124),
+    "dz": ("<f", 128),
+    "comment_bytes": ("<H", 334),
+    "private_bytes": ("<H", 336),
+    "z_offset": ("<f", 474),
+}
+"""Where the numbers stand in the head."""
+UNITS_AT = {"x": 180, "y": 196, "z": 212}
+"""Where the units of the increments stand, 16 bytes each."""
+
+
+class SurMap(NamedTuple):
+    """Increments along x and y [m] and heights (row, column) [m], NaN where nothing was measured."""
+
+    dx: float
+    dy: float
+    height: np.ndarray
+
+
+def read_sur(path: Path) -> SurMap:
+    """The surface of a `.sur` file; what cannot be read is an InputError."""
+    raw = path.read_bytes()
+    if raw[:12] != SIGNATURE or len(raw) < HEAD_BYTES:
+        packed = raw[:12] == b"DSCOMPRESSED"
+        raise InputError(f"{path}: {'a packed SUR file' if packed else 'no SUR file'}; save it as uncompressed SUR or as X3P")
+    head = {name: struct.unpack_from(kind, raw, at)[0] for name, (kind, at) in PLACES.items()}
+    if head["objects"] != 1 or head["bits"] not in (16, 32):
+        raise InputError(f"{path}: {head['objects']} objects of {head['bits']} bits; save one surface of 16 or 32 bits")
+    factor = {axis: _metres(raw[at : at + 16], axis, path) for axis, at in UNITS_AT.items()}
+    columns, rows = head["columns"], head["rows"]
+    start, width = HEAD_BYTES + head["comment_bytes"] + head["private_bytes"], head["bits"] // 8
+    if columns < 1 or rows < 1 or len(raw) < start + columns * rows * width:
+        raise InputError(f"{path}: the file ends before its {columns} x {rows} points; export it again")
+    numbers = np.frombuffer(raw, f"<i{width}", columns * rows, start).reshape(rows, columns)
+    height = (numbers * float(head["dz"]) + head["z_offset"]) * factor["z"]
+    if head["special_points"]:
+        height[numbers == head["least"] - 2] = np.nan
+    return SurMap(head["dx"] * factor["x"], head["dy"] * factor["y"], height)
+
+
+def write_sur(path: Path, dx: float, dy: float, height: np.ndarray) -> None:
+    """Write heights (row, column) [m] at increments dx, dy [m] as 32 bit numbers of 0.1 nm; NaN is not measured."""
+    step = 1e-10
+    known = np.isfinite(height)
+    numbers = np.round(np.where(known, height, 0.0) / step).astype(np.int64)
+    least = int(numbers[known].min())
+    numbers[~known] = least - 2
+    head = bytearray(HEAD_BYTES)
+    head[:12] = SIGNATURE
+    values = {
+        "objects": 1,
+        "special_points": int(not known.all()),
+        "bits": 32,
+        "least": least,
+        "columns": height.shape[1],
+        "rows": height.shape[0],
+        "dx": dx * 1e3,
+        "dy": dy * 1e3,
+        "dz": step * 1e6,
+    }
+    for name, value in values.items():
+        struct.pack_into(PLACES[name][0], head, PLACES[name][1], value)
+    struct.pack_into("<hhii", head, 16, 1, 2, 0, 0)  # version, kind: a surface
+    struct.pack_into("<i", head, 104, int(numbers.max()))
+    struct.pack_into("<i", head, 116, height.size)
+    for axis, unit in (("x", b"mm"), ("y", b"mm"), ("z", b"um")):
+        head[UNITS_AT[axis] : UNITS_AT[axis] + 16] = unit.ljust(16)
+    path.write_bytes(bytes(head) + numbers.astype("<i4").tobytes())
+
+
+def _metres(field: bytes, axis: str, path: Path) -> float:
+    """Factor of a unit to metres."""
+    unit = field.split(b"\0")[0].decode("latin-1").strip()
+    if unit not in METRES:
+        raise InputError(f"{path}: the unit of {axis} is '{unit}'; save the map with one of {', '.join(list(METRES)[:3])}, nm")
+    return METRES[unit]
