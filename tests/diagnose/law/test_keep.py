@@ -1,0 +1,56 @@
+"""A law in closed loop: found on a record of a machine that has it, kept because runs left out are predicted; none where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.law.laws import laws_of
+from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.view import view_of
+from twin.effects import settings_of, with_effects
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+X = load_machine().with_axes(["X"])
+BELL = {
+    "name": "law", "axis": "X", "block": "mechanics", "output": "friction", "variables": ["speed"],
+    "formula": "gaussian", "height": -300.0, "width": 0.010,
+}  # fmt: skip
+STROKES = ((0.010, 0.015), (0.020, 0.03), (0.040, 0.06))
+"""Distance [m] and speed [m/s] of the runs."""
+
+
+def found(effects: list[dict]):
+    """Laws of X on three short runs, with measuring noise, of a machine that has these effects."""
+    runs = []
+    for seed, (distance, speed) in enumerate(STROKES):
+        position = moves_in_turn(0.0, [distance, -distance], speed, 0.3, 5.0, 0.1, 1e-3)[1]
+        run = simulate(with_effects(X, effects), Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=seed)
+        runs.append(MeasuredRun(f"run{seed}", run.trace, "velocity+torque", 0.0))
+    views = [view_of(X, run) for run in runs]
+    folds = folds_of(len(views))
+    return laws_of([observe(views, ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
+
+
+def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():
+    laws = found([BELL])
+    assert [law.setting.table()["variables"] for law in laws.laws] == [["speed"]]
+    law = laws.laws[0]
+    assert law.measured.shape == "gaussian"
+    assert law.setting.parameters["height"] == pytest.approx(-300.0, rel=0.1)
+    assert law.setting.parameters["width"] == pytest.approx(0.010, rel=0.1)
+    assert law.explained > 0.9
+    assert laws.left["X"] < 0.1
+    # the corrected machine and those fitted without a fold have it
+    assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *laws.without_fold))
+
+
+def test_a_machine_without_a_law_gets_none():
+    laws = found([])
+    assert laws.laws == ()
+    assert np.array_equal(laws.corrected.effects, X.effects)
