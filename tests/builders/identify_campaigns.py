@@ -29,8 +29,12 @@ def path(
     return np.concatenate(parts)
 
 
-LADDER = path([0.01, -0.01, 0.03, -0.03, 0.07, -0.07, 0.12, -0.12, 0.0], [0.02, 0.02, 0.06, 0.06, 0.15, 0.15, 0.3, 0.3, 0.3], dwell=0.08)
-QUICK = path([0.08, -0.08, 0.08, 0.0], [0.3] * 4)
+LADDER = path([0.02, -0.02, 0.05, -0.05, 0.12, -0.12, 0.2, -0.2, 0.0], [0.02, 0.02, 0.06, 0.06, 0.15, 0.15, 0.3, 0.3, 0.3])
+QUICK = path([0.1, -0.1, 0.1, -0.1, 0.0], [0.3] * 5)
+SHORT_LADDER = path(
+    [0.01, -0.01, 0.03, -0.03, 0.07, -0.07, 0.12, -0.12, 0.0], [0.02, 0.02, 0.06, 0.06, 0.15, 0.15, 0.3, 0.3, 0.3], dwell=0.08
+)
+SHORT_QUICK = path([0.08, -0.08, 0.08, 0.0], [0.3] * 4)
 ONE_WAY = path([0.05, 0.2, 0.34], [0.05, 0.15, 0.25])
 
 
@@ -48,12 +52,13 @@ def campaign(runs: Sequence[MeasuredRun]) -> Campaign:
     return Campaign(Path("campaign"), "test", tuple(runs))
 
 
-def usual_runs(machine: Machine, seed: int = 0) -> list[MeasuredRun]:
-    """Constant speeds, and accelerations with and without feedforward."""
+def usual_runs(machine: Machine, seed: int = 0, *, short: bool = False) -> list[MeasuredRun]:
+    """Constant speeds, and accelerations with and without feedforward; `short` is two thirds of the time, for faults that any record shows."""
+    ladder, quick = (SHORT_LADDER, SHORT_QUICK) if short else (LADDER, QUICK)
     return [
-        recorded(machine, "speeds", LADDER, "velocity", seed),
-        recorded(machine, "quick_off", QUICK, "off", seed + 1),
-        recorded(machine, "quick", QUICK, "velocity+torque", seed + 2),
+        recorded(machine, "speeds", ladder, "velocity", seed),
+        recorded(machine, "quick_off", quick, "off", seed + 1),
+        recorded(machine, "quick", quick, "velocity+torque", seed + 2),
     ]
 
 

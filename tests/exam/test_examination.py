@@ -277,6 +277,7 @@ def sat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     return out, arguments
 
 
+@pytest.mark.slow
 def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
     out, _ = sat
     document = json.loads((out / "exam.json").read_text(encoding="utf-8"))
@@ -298,6 +299,7 @@ def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
     assert (out / "report.html").stat().st_size > 50_000
 
 
+@pytest.mark.slow
 def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None:
     out, _ = sat
     digest = hashlib.sha256((out / "truths.json").read_bytes()).hexdigest()
@@ -311,6 +313,7 @@ def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None
         assert not any(name in text for name in LIBRARY)
 
 
+@pytest.mark.slow
 def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> None:
     out, arguments = sat
     before = {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")}

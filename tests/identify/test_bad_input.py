@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.builders.identify_campaigns import LADDER, ONE_WAY, campaign, path, recorded, usual_runs, with_signal
+from tests.builders.identify_campaigns import ONE_WAY, SHORT_LADDER, campaign, path, recorded, usual_runs, with_signal
 from twin.cli import main
 from twin.errors import InputError
 from twin.identify.axis_run import axis_run
@@ -25,7 +25,7 @@ def machine(mikron: Machine) -> Machine:
 
 @pytest.fixture(scope="module")
 def runs(machine: Machine) -> list[MeasuredRun]:
-    return usual_runs(machine)
+    return usual_runs(machine, short=True)
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, ru
 
 def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
     assert good.left_out == ()
-    again = [*runs, recorded(machine, "again", LADDER, "velocity", 9)]
+    again = [*runs, recorded(machine, "again", SHORT_LADDER, "velocity", 9)]
     assert identified(machine, again).left_out == ("again",)
 
 

@@ -249,6 +249,7 @@ moves.B = { distances_deg = [10.0, -10.0], speed_deg_per_s = 40.0 }
 """
 
 
+@pytest.mark.slow
 def test_other_control_structures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """P/P on a voltage, P/PI on a current, P/P on a torque: what each commands is compared, and the block that changed is named."""
     write_slides(tmp_path)
