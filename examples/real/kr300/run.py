@@ -1,0 +1,190 @@
+"""A robot with two encoders on each axis, KUKA KR300: axes 1 to 3 from the authors' numbers to a corrected machine.
+
+    python examples/real/kr300/run.py FF_A.mat FF_B.mat [--out out/kr300] [--diagnose]
+
+The recordings are those of the MIT-licensed project Robot_Identification (J. Weigand and others); they are not part of this repository.
+The first one is fitted, the others are left out of every fit. The robot's position controller is not known: the twin follows the path that
+the motors took, and the torque that this takes is compared, and where the second encoder is. What gravity, the other axes and the change of
+inertia ask of an axis is given by the authors' model along the way: it is taken off the recorded torque.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+import json
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.signal import savgol_filter
+
+from twin.cli import main as twin
+from twin.errors import TwinError
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.trace import write_trace
+from twin.simulation.gap import is_moving, predict
+from twin.simulation.summary import table
+
+AXES = ("1", "2", "3")
+SMOOTHED = 15
+"""Samples over which the path of a motor is smoothed before the twin follows it."""
+
+LAG_S = 4e-3
+"""Lag of the speed loop with which the twin follows that path."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "recordings", type=Path, nargs="+", metavar="FF_A.mat", help="recordings; all but the first are left out of the fit"
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/kr300"), metavar="DIR", help="folder for all results")
+    parser.add_argument("--diagnose", action="store_true", help="ask what is left, too")
+    args = parser.parse_args(arguments)
+    if missing := [str(f) for f in args.recordings if not f.is_file()]:
+        print(f"run.py: {missing[0]}: no such file; skipped. Give the recordings of the project Robot_Identification", file=sys.stderr)
+        return 2
+    out = args.out
+    try:
+        command("import", *args.recordings, "--out", out / "imported")
+        models = [model_of(f) for f in args.recordings]
+        published = out / "published" / "machine.toml"
+        published.parent.mkdir(parents=True, exist_ok=True)
+        (published.parent / "axes.xml").write_text(model_xml(models[0]), encoding="utf-8")
+        published.write_text(machine_text(models[0]), encoding="utf-8")
+        machine = load_machine(published)
+        runs = [following(run, model) for run, model in zip(read_campaign(out / "imported").runs, models)]
+        write_campaign(out / "fitted", runs[:1], machine.name)
+        identified = out / "identified" / "machine.toml"
+        command("identify", out / "fitted", "--machine", published, "--out", identified)
+        print(gaps_text({"published": machine, "identified": load_machine(identified)}, runs))
+        if args.diagnose:
+            write_campaign(out / "both", runs, machine.name)
+            command("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
+    except TwinError as error:
+        print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def command(*arguments: object) -> None:
+    """A command of twin, shown and carried out."""
+    words = [str(a) for a in arguments]
+    print(f"\n$ twin {' '.join(words)}", flush=True)
+    if code := twin(words):
+        raise SystemExit(code)
+
+
+def write_campaign(folder: Path, runs: Sequence[MeasuredRun], machine: str) -> None:
+    """A campaign of these runs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [f"machine = {json.dumps(machine)}"]
+    for run in runs:
+        write_trace(run.trace, folder / f"{run.name}.parquet")
+        lines.append(f'[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "velocity"')
+    (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Model:
+    """The authors' numbers of axes 1 to 3: parameters (axis,), and along the way (axis, sample) at the joint [Nm, kg m2]."""
+
+    ratio: np.ndarray
+    rotor: np.ndarray
+    coulomb: np.ndarray
+    viscous: np.ndarray
+    inertia: np.ndarray
+    load: np.ndarray  # gravity, Coriolis torque and what the other axes' accelerations press
+
+
+def model_of(file: Path) -> Model:
+    """The authors' model in a recording. Their friction law Fc sign v + Fa atan(Fb v) is Coulomb friction Fc + Fa pi / 2 where the axis slides."""
+    content: dict[str, Any] = loadmat(file, squeeze_me=True, struct_as_record=False)
+    p, axes = content["para"], slice(0, len(AXES))
+    load = content["tau_g_init"][axes, None] + content["tau_g_all"][axes] + content["tau_c_all"][axes] + content["tau_a_all"][axes]
+    coulomb = p.f_coul[axes] + 0.5 * np.pi * p.f_a[axes]
+    return Model(p.u[axes], p.J_mr[axes], coulomb, p.f_vis[axes], content["m_all"][axes], load)
+
+
+def following(run: MeasuredRun, model: Model) -> MeasuredRun:
+    """The run with the path of each motor as its set point, and the torque that the authors' loads leave for mean inertia and friction."""
+    signals = {}
+    for a, name in enumerate(AXES):
+        path = savgol_filter(run.trace.get(name, "motor_position"), SMOOTHED, 3)
+        acceleration = savgol_filter(run.trace.get(name, "motor_position"), SMOOTHED, 3, deriv=2, delta=run.trace.period)
+        count = len(path)
+        changing = (model.inertia[a, :count] - model.inertia[a].mean()) * acceleration
+        signals[name, "setpoint"] = path
+        signals[name, "torque"] = run.trace.get(name, "torque") - (model.load[a, :count] + changing) / model.ratio[a]
+        signals |= {(name, s): run.trace.get(name, s) for s in ("position", "motor_position")}
+    trace = replace(run.trace, signals=signals, kinds=dict.fromkeys(AXES, "rotary"))
+    return replace(run, trace=trace, feedforward="velocity")
+
+
+def machine_text(model: Model) -> str:
+    """A machine file: three rotary axes whose drives take a torque."""
+    lines = [
+        'name = "KR300, axes 1 to 3"\nmodel = "axes.xml"\ngravity_m_per_s2 = 0.0   # given along the way\nparameter_tolerance = 0.05',
+        'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = 500\nposition_cycle_us = 4000',
+    ]
+    for a, name in enumerate(AXES):
+        u, inertia = model.ratio[a], model.rotor[a] + model.inertia[a].mean() / model.ratio[a] ** 2
+        lines.append(f"""
+[axis.{name}]
+kind = "rotary"
+structure = "P/PI"
+encoder = "motor"
+travel_deg = "endless"
+max_velocity_rev_per_min = 20.0
+max_acceleration_rev_per_s2 = 1.0
+max_jerk_rev_per_s3 = 50.0
+gear_ratio = {u:.6f}
+rotor_and_gear_inertia_kg_m2 = {model.rotor[a]:.6g}
+coulomb_friction_nm = {model.coulomb[a] / u:.6g}
+viscous_friction_nm_s_per_rad = {model.viscous[a] / u**2:.6g}
+[axis.{name}.actuator]
+command = "torque"
+peak_torque_nm = 50.0
+[axis.{name}.loops]
+position_gain_per_s = 20.0
+speed_gain_nm_s_per_rad = {inertia / LAG_S:.6g}
+speed_integral_time_s = 0.05
+velocity_feedforward = 1.0""")
+    lines.append("\n[measurement]\nsample_period_us = 4000\nrotary_encoder_noise_deg = 0.0002\nmotor_encoder_noise_rad = 1e-6")
+    return "\n".join(lines) + "\n"
+
+
+def model_xml(model: Model) -> str:
+    """Three hinges side by side, each with the mean inertia that its joint has along the way."""
+    bodies = "".join(
+        f'<body name="body{n}" pos="0 {a} 0"><inertial pos="0 0 0" mass="1" diaginertia="{j:.6g} {j:.6g} {j:.6g}"/>'
+        f'<joint name="{n}" type="hinge" axis="0 0 1"/></body>'
+        for a, (n, j) in enumerate(zip(AXES, model.inertia.mean(axis=1)))
+    )
+    return f'<mujoco model="kr300"><compiler angle="radian" inertiafromgeom="false"/><worldbody>{bodies}</worldbody></mujoco>\n'
+
+
+def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun]) -> str:
+    """RMS gap of torque [Nm at the motor] and of the second encoder [arcsec] where the axes move, run by run, for each machine."""
+    rows = []
+    for number, run in enumerate(runs):
+        simulated = {label: predict(machine, run, realisations=1).trace for label, machine in machines.items()}
+        for name in AXES:
+            row = [run.name, "fitted" if number == 0 else "left out", name]
+            for signal, factor in (("torque", 1.0), ("position", np.degrees(1.0) * 3600.0)):
+                for label, machine in machines.items():
+                    moving = is_moving(run.trace, machine.axis(name))
+                    off = (run.trace.get(name, signal) - simulated[label].get(name, signal))[moving]
+                    row.append(f"{float(np.sqrt(np.mean(off**2))) * factor:.3g}")
+            rows.append(row)
+    heading = ["run", "", "axis", *(f"torque, {m} [Nm RMS]" for m in machines), *(f"second encoder, {m} [arcsec RMS]" for m in machines)]
+    return "\n" + table(heading, rows, left=3)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
