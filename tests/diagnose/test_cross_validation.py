@@ -8,6 +8,8 @@ import pytest
 from twin.diagnose.cross_validation import held_out_loss, leave_out
 from twin.diagnose.diagnosis import folds_of
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.tolerance import Nuisance
+from twin.diagnose.tuning import tuning_from
 
 RUNS, SAMPLES, EFFECTS, NUISANCES = 3, 40, 2, 3
 PRIOR = np.diag([1e-6] * EFFECTS + [DEFAULT.prior_weight] * NUISANCES)
@@ -24,7 +26,7 @@ def linear(told_in: range = range(RUNS)):
     channels = [SimpleNamespace(run=k, rows=slice(k * SAMPLES, (k + 1) * SAMPLES)) for k in range(RUNS)]
     fit = SimpleNamespace(
         columns=x[:, :EFFECTS],
-        about=SimpleNamespace(jacobian=x[:, EFFECTS:], prior_weight=DEFAULT.prior_weight),
+        about=tuning_from([Nuisance("X", name) for name in "abc"], x[:, EFFECTS:], 0.01),
         tuning=best[EFFECTS:],
         free=[None] * EFFECTS,
         left=lambda group: y - x @ best,
@@ -38,7 +40,8 @@ def test_each_run_is_predicted_as_by_a_fit_of_the_others():
     loss = 0.0
     for k in range(RUNS):
         out = np.arange(len(y)) // SAMPLES == k
-        without = np.linalg.solve(x[~out].T @ x[~out] + PRIOR, x[~out].T @ y[~out])
+        weight = np.where(out, 1.0 - DEFAULT.known_alone, 1.0)
+        without = np.linalg.solve(x.T @ (weight[:, None] * x) + PRIOR, x.T @ (weight * y))
         loss += 0.5 * np.sum((y[out] - x[out] @ without) ** 2)
         effects, tuning = leave_out(found, [k])
         np.testing.assert_allclose(np.concatenate([effects, tuning]), without - best, atol=1e-9)

@@ -25,14 +25,13 @@ def machines(monkeypatch, request):
 
     monkeypatch.setattr(corrected, "fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
     monkeypatch.setattr(corrected, "predict_each", predict_each)
-    monkeypatch.setattr(corrected, "gap_of", lambda machine, run, prediction: prediction)
     return unstable
 
 
 def after(folds=FOLDS):
     held_out = corrected.held_out_gaps(RUNS, [None] * len(RUNS), "nominal", [], folds, engine=True, threads=1)
-    assert held_out.gaps["before"]["second"] == "nominal on second"
-    return [held_out.gaps["after"][run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.runs
+    assert held_out.predictions["before"]["second"] == "nominal on second"
+    return [held_out.predictions["after"][run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.runs
 
 
 def test_each_run_is_predicted_by_the_others(machines):

@@ -8,7 +8,7 @@ import pytest
 
 from twin.diagnose import verdict
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import no_effect
+from twin.diagnose.fit import Sizes, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import Candidate, Found
@@ -20,7 +20,8 @@ from twin.exam.score import is_failed, wilson
 
 
 def candidate(effect: str, evidence: float, needed: float, plausible: bool = True) -> Candidate:
-    return Candidate(SimpleNamespace(settings=(Setting(EFFECTS[effect], "X", {}),)), evidence, needed, plausible, 0.5)
+    sizes = Sizes((Setting(EFFECTS[effect], "X", {}),), (), np.zeros((0, 0)), DEFAULT.prior_weight)
+    return Candidate(sizes, evidence, needed, plausible, 0.5, evidence)
 
 
 def holding(*candidates: Candidate) -> SimpleNamespace:
@@ -60,6 +61,7 @@ def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: py
     monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
     monkeypatch.setattr(verdict, "sized", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
+    monkeypatch.setattr(verdict, "with_zeros_out", lambda found: found)
     assert verdict.judged(before, None, map).unknown
     monkeypatch.setattr(verdict, "sized", lambda found, *_: found)
     assert not verdict.judged(before, None, map).unknown

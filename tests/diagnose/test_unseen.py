@@ -30,7 +30,7 @@ def sizes_of(columns, monkeypatch, moving=None):
         column = axes[setting.axis]
         if column is None:
             raise SimulationError("unstable")
-        return column, tuning.project(column)
+        return column
 
     monkeypatch.setattr(unseen, "remembered_answer", answer)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]

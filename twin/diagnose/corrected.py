@@ -17,7 +17,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
+from twin.simulation.gap import REALISATIONS, Job, Prediction, predict_each
 
 FEWER_REALISATIONS = 2
 """Realisations of noise where the decoupled plant alone is simulated."""
@@ -51,9 +51,11 @@ def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setti
 def within(f: Found, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
     t = f.thresholds
-    deviations = f.fit.tuning * f.tuning.spread
+    known = len(f.tuning.nuisances)
+    deviations = f.fit.tuning[:known] * f.tuning.spread
     if np.any(np.abs(deviations) > t.widest * tolerance):
-        deviations = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, t.widest * tolerance) * f.tuning.spread
+        inside = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, t.widest * tolerance)
+        deviations = inside[:known] * f.tuning.spread
     deviations = f.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
@@ -63,7 +65,6 @@ def within(f: Found, tolerance: float) -> np.ndarray:
 class HeldOut:
     """Gaps and what was simulated for them, `before` and `after` correction, by run; the runs that took no part in their own fit."""
 
-    gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]
     predictions: dict[str, dict[str, Prediction]]
     runs: list[str]
 
@@ -102,8 +103,7 @@ def held_out_gaps(
         which: {job.run.name: prediction for job, prediction in zip(jobs[part], simulated[part])}
         for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
     }
-    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in predictions.items()}
-    return HeldOut(gaps, predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
+    return HeldOut(predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
 
 
 def _can_run(jobs: Sequence[Job], threads: int) -> bool:
@@ -128,6 +128,6 @@ def fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]
         deviations = within(f, tolerance)
         # what all runs together say is not there does not appear because the one that says so is left out
         absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
-        deviations = deviations + np.where(absent, 0.0, tuning_shift * f.tuning.spread)
+        deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)
         variant = tuned(f.tuning.nuisances, np.clip(deviations, -t.widest * tolerance, t.widest * tolerance))(variant)
     return with_added(variant, settings)

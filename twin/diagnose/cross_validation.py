@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -12,7 +12,7 @@ from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.state import Found, is_cut
 from twin.diagnose.tolerance import NORMAL, UNIFORM
-from twin.diagnose.tuning import Tuning, beside
+from twin.diagnose.tuning import FREE, Tuning
 from twin.effects import Setting
 
 FOLDS = 3
@@ -31,13 +31,20 @@ def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: 
     """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
-    return _inside(tuning, residual, start, np.full(len(start), tolerance / tuning.spread), tuning.prior_weight)
+    return _inside(tuning, residual, start, _bounds(tuning, tolerance), tuning.prior_weight)
+
+
+def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
+    """Largest size of each column in units of its spread: nuisances end at the tolerance, further columns nowhere."""
+    bound = np.full(tuning.jacobian.shape[1], np.inf)
+    bound[: len(tuning.nuisances)] = tolerance / tuning.spread if tuning.spread else 0.0
+    return bound
 
 
 def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
     """The same inside +-bound (nuisance,) spreads."""
     slope = tuning.jacobian.T @ residual
-    normal = tuning.normal + (weight - tuning.prior_weight) * np.eye(len(start))
+    normal = tuning.normal + np.diag(np.where(np.arange(len(start)) < len(tuning.nuisances), weight - tuning.prior_weight, 0.0))
     theta = np.clip(start, -bound, bound)
     for _ in range(DESCENTS):
         for i in range(len(theta)):
@@ -53,11 +60,11 @@ def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -
     """
     tuning = fit.about
     residual = found.group.residual - fit.response
-    if not tuning.nuisances:
+    if not len(fit.tuning):
         return residual
-    bound = np.full(len(tuning.nuisances), tolerance / tuning.spread)
+    bound = _bounds(tuning, tolerance)
     if not normal:
-        bound[[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
+        bound[: len(tuning.nuisances)][[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
     return residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
 
 
@@ -91,56 +98,85 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
     group, t = found.group, found.thresholds
-    x, normal, r = _linear(group, fit)
+    linear = _linear(group, fit)
     loss = 0.0
     for fold in folds:
-        rows = _rows_of(group, fold)
-        if not rows.size:
-            continue
-        xf, rf = x[rows], r[rows]
-        information = xf.T @ xf
-        if len(folds) > 1:
-            if _knows_alone(information, normal, fit, t.known_alone):
-                loss += t.evidence_in_sample - t.evidence
-            else:
-                rf = rf + xf @ np.linalg.lstsq(normal - information, xf.T @ rf, rcond=None)[0]
-        loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, t.outlier * np.maximum(1.0, rf**2) ** 0.5))
+        shift = np.zeros(len(linear.normal))
+        if len(folds) > 1 and linear.knows_alone(fold, t.known_alone):
+            loss += t.evidence_in_sample - t.evidence
+        elif len(folds) > 1:
+            shift = linear.shift(fold, t.known_alone)
+        for run in linear.of(fold):
+            for rows in linear.rows[run]:
+                rf = linear.left[rows] - fit.columns[rows] @ shift[: linear.own] - fit.about.jacobian[rows] @ shift[linear.own :]
+                loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, t.outlier * np.maximum(1.0, rf**2) ** 0.5))
     return loss
 
 
 def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Shift of free parameters and tuning when the runs of a fold are left out."""
     fit, group = found.fit, found.group
-    x, normal, r = _linear(group, fit)
-    rows = _rows_of(group, fold)
-    information = x[rows].T @ x[rows]
-    shift = np.zeros(len(normal))
-    if not _knows_alone(information, normal, fit, group.thresholds.known_alone):
-        shift = -np.linalg.lstsq(normal - information, x[rows].T @ r[rows], rcond=None)[0]
-    return shift[: fit.columns.shape[1]], shift[fit.columns.shape[1] :]
+    linear = _linear(group, fit)
+    alone = group.thresholds.known_alone
+    shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)
+    return shift[: linear.own], shift[linear.own :]
 
 
-def _linear(group: Group, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A fit about its optimum: X = [columns, jacobian], N = X'X + prior, and the residual r."""
-    x = beside(fit.columns, fit.about.jacobian)
-    prior = np.diag([1e-6] * fit.columns.shape[1] + [fit.about.prior_weight] * len(fit.tuning))
-    return x, x.T @ x + prior, fit.left(group)
+@dataclass(frozen=True)
+class _Linear:
+    """A fit about its optimum, X = [columns, jacobian]: by run X'X (run, column, column) and X'r (run, column), r the residual `left`."""
+
+    rows: Sequence[Sequence[slice]]  # of each run
+    own: int  # columns of the fit, the first ones
+    products: np.ndarray
+    slopes: np.ndarray
+    normal: np.ndarray  # N = X'X + prior
+    left: np.ndarray
+
+    def of(self, fold: Sequence[int]) -> list[int]:
+        """The runs of a fold in which something was measured."""
+        return [run for run in fold if run < len(self.rows)]
+
+    def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
+        """How far the optimum moves without these runs. What they alone know stays where it is: only this share of them is left out."""
+        information = share * self.products[self.of(fold)].sum(axis=0)
+        return -np.asarray(_solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0)))
+
+    def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
+        """Is some direction of the fit's own parameters p known from these runs alone?
+
+        Information about p beside the other columns q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
+        """
+        if not self.own:
+            return False
+        information = self.products[self.of(fold)].sum(axis=0)
+        of_all, of_others = (_information(n, self.own) for n in (self.normal, self.normal - information))
+        return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
 
 
-def _rows_of(group: Group, fold: Sequence[int]) -> np.ndarray:
-    return np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.run in fold] or [np.zeros(0, int)])
+def _linear(group: Group, fit: Fit) -> _Linear:
+    runs = 1 + max((c.run for c in group.channels), default=-1)
+    rows = [[c.rows for c in group.channels if c.run == run] for run in range(runs)]
+    jacobian, own = fit.about.jacobian, fit.columns.shape[1]
+    n = own + jacobian.shape[1]
+    products, slopes, left = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.left(group)
+    products[:, own:, own:] = fit.about.products(rows)
+    for run, slices in enumerate(rows):
+        for part in slices:
+            columns = fit.columns[part]
+            products[run, :own, :own] += columns.T @ columns
+            products[run, own:, :own] += jacobian[part].T @ columns
+            slopes[run, :own] += columns.T @ left[part]
+            slopes[run, own:] += jacobian[part].T @ left[part]
+        products[run, :own, own:] = products[run, own:, :own].T
+    normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
+    return _Linear(rows, own, products, slopes, normal, left)
 
 
-def _knows_alone(information: np.ndarray, normal: np.ndarray, fit: Fit, alone: float) -> bool:
-    """Is some direction of the effects' parameters known from these runs alone? A fit without them would leave it to chance.
-
-    Information about the parameters p beside the tuning q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
-    """
-    p = fit.columns.shape[1]
-    if not p:
-        return False
-    of_all, of_others = (_information(n, p) for n in (normal, normal - information))
-    return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
+def _solved(normal: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Least squares solution of normal x = slope, columns brought to one size first."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(scale * np.linalg.lstsq(normal * np.outer(scale, scale), scale * slope, rcond=1e-12)[0])
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from twin.diagnose.budget import Budget, budget_of, document_of, scatter_of
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
-from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros
-from twin.diagnose.fit import Fit
+from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
+from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import Law
-from twin.diagnose.law.step import ALL_BUT, gaps_with, laws_beside
+from twin.diagnose.law.step import ALL_BUT, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe
@@ -30,12 +31,13 @@ from twin.diagnose.state import Found
 from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.waterfall import retuning_share, waterfall
-from twin.diagnose.where import places
+from twin.diagnose.where import left_of, places
 from twin.effects import Setting, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign
-from twin.simulation.gap import COMPARED, Prediction, SignalGap
+from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 
 
 @dataclass
@@ -54,6 +56,7 @@ class Diagnosis:
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
     thresholds: Thresholds = DEFAULT
+    budget: Budget | None = None
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
 
@@ -74,6 +77,7 @@ class Diagnosis:
                 "held_out_runs": self.held_out,
                 "axes": self._axis_gaps(),
             },
+            "budget": self._budget(),
             "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
@@ -81,6 +85,32 @@ class Diagnosis:
             "laws": [entry(law, self.machine) for law in self.laws],
             "notes": self.notes,
         }
+
+    def _budget(self) -> dict[str, Any] | None:
+        if self.budget is None:
+            return None
+        halves = {}
+        for setting, found, _ in self.settings:
+            size = setting.effect.size
+            shown = self._parameters(setting, found).get(size.name)
+            if shown is not None and (deviation := size.deviation(shown["value"])) > 0.0:
+                halves[setting.key] = 0.5 * abs(shown["high"] - shown["low"]) / deviation
+        return {
+            **document_of(self.budget, self.machine, {s.key: p for s, _, p in self.settings}, halves),
+            "unexplained": self._unexplained(),
+        }
+
+    def _unexplained(self) -> list[dict[str, Any]]:
+        """What the corrected machine leaves of each axis on runs left out, above noise."""
+        rows = []
+        for found in self.found:
+            for axis in found.group.axes:
+                level = self.axis_level("after", axis)
+                if axis in self.axes and level > self.thresholds.left_over and self.budget is not None:
+                    block, law = left_of(found, axis)
+                    tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
+                    rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
+        return sorted(rows, key=lambda row: -row["times_noise"])
 
     def axis_level(self, which: str, axis: str) -> float:
         """RMS over runs and signals of gap over noise, on one axis."""
@@ -147,23 +177,22 @@ class Diagnosis:
             "parameters": self._parameters(setting, found),
         }
 
-    def _parameters(self, setting: Setting, found: Found, fit: Fit | None = None) -> dict[str, Any]:
-        """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `fit`.
+    def _parameters(self, setting: Setting, found: Found, sizes: Sizes | None = None) -> dict[str, Any]:
+        """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `sizes`.
 
         One that was screened only has no width: nothing was fitted.
         """
         axis = self.machine.axis(setting.axis)
-        of = next((f for f in (found.fit, fit) if f is not None and setting in f.settings), None)
+        of = found.fit.sizes() if setting in found.fit.settings else sizes if sizes is not None and setting in sizes.settings else None
         index = of.settings.index(setting) if of is not None else None
         out = {}
-        # the same weight that keeps the tolerance from being pulled by many samples keeps the interval from shrinking with them
-        covariance = of.covariance(of.about.prior_weight * found.inflation) if of is not None else np.zeros((0, 0))
+        covariance = of.covariance(found.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
             value = setting.parameters[parameter.name]
             low = high = value
-            free_of = of.free if of is not None else []
+            free_of = of.free if of is not None else ()
             i = next((i for i, f in enumerate(free_of) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
             if i is not None:
                 free = free_of[i]
@@ -191,9 +220,9 @@ class Diagnosis:
                         continue
                     seen.add(candidate.key)
                     setting, p = chosen.get(candidate.key, (candidate.setting, probability))
-                    row = self._candidate(setting, p, candidate.closes, self._parameters(setting, found, candidate.fit))
-                    if candidate.fit.settings[:-1]:
-                        row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.fit.settings[:-1]]
+                    row = self._candidate(setting, p, candidate.closes, self._parameters(setting, found, candidate.sizes))
+                    if candidate.sizes.settings[:-1]:
+                        row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.sizes.settings[:-1]]
                     rows.append(((candidate.key in chosen, p, candidate.evidence), row))
             for key, gain, setting, closes in found.screened:
                 if key not in seen:
@@ -302,12 +331,19 @@ def diagnose(
     corrected = corrected_machine(machine, found)
     with ThreadPoolExecutor(threads) as workers:
         laws = laws_beside(found, machine_without, corrected, folds, lambda function, items: list(workers.map(function, items)), say)
+    runs, fitted_zeros = without_zeros(campaign.runs, machine_without, {key: o for f in found for key, o in f.zeros.items()})
+    campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
+    views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     if laws and laws.laws:
         corrected = laws.corrected
-        held_out = gaps_with(laws, held_out, campaign.runs, motions, machine_without, folds, engine=not quick, threads=threads)
+        held_out = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
+    after = {name: p.trace for name, p in held_out.predictions["after"].items()}
+    runs = at_rest_without_zeros(runs, machine_without, after, fitted_zeros)
+    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
+    campaign = replace(campaign, runs=runs)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
     if quick:
         notes.append("a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked")
@@ -322,7 +358,7 @@ def diagnose(
         found=found,
         settings=settings,
         where=[],
-        gaps=held_out.gaps,
+        gaps=gaps,
         held_out=held_out.runs,
         proposal=propose(machine, found, verdict),
         notes=notes,
@@ -332,11 +368,35 @@ def diagnose(
     )
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
+    left = [_left(run, held_out.predictions["after"][run.name].trace, machine) for run in runs]
+    say("what each effect is worth")
+    with ThreadPoolExecutor(threads) as pool:
+        diagnosis.budget = budget_of(
+            machine,
+            found,
+            views,
+            left,
+            scatter_of([run.trace for run in runs], [after[run.name] for run in runs], machine),
+            lambda function, items: list(pool.map(function, items)),
+        )
+    order = [row.setting.key for row in diagnosis.budget.rows if row.setting is not None]
+    diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key))
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")
         diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
     return diagnosis
+
+
+def _left(run: MeasuredRun, prediction: Trace, machine: Machine) -> Trace:
+    """What a prediction leaves of the recorded positions: (axis, 'position') [m, rad]."""
+    signals = {
+        (axis.name, "position"): run.trace.get(axis.name, signal) - prediction.get(axis.name, signal)
+        for axis in machine.axes
+        for signal in [next((s for s in ("position", "motor_position") if run.trace.has(axis.name, s)), None)]
+        if signal is not None
+    }
+    return Trace(run.trace.time, signals, machine.kinds)
 
 
 def folds_of(runs: int) -> list[list[int]]:

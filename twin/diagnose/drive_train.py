@@ -35,7 +35,9 @@ class _Tried:
         channels = [c for c in group.channels if c.axis == axis and c.run in runs]
         rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
         self.group = replace(group, channels=channels)
-        self.tuning = tuning_from(tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight)
+        self.tuning = tuning_from(
+            tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight, tuning.further
+        )
         self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
         self.losses: dict[tuple[float, float], float] = {}
 

@@ -7,7 +7,7 @@ screw that grows or a wrong lead does: m_k = a + b t_k + c x_k explains little m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 import math
 
@@ -38,6 +38,36 @@ def with_common_zeros(
             found[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
             runs = [_shifted(run, axis, offsets[k][0]) if k in offsets else run for k, run in enumerate(runs)]
     return tuple(runs), found
+
+
+def without_zeros(
+    runs: Sequence[MeasuredRun], machine: Machine, zeros: Mapping[tuple[str, int], float]
+) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
+    """The runs with fitted differences of zeros, by axis and run [m or rad], taken out; and the largest of each axis that has a clear one."""
+    clear: dict[str, float] = {}
+    for (name, k), offset in zeros.items():
+        axis = machine.axis(name)
+        runs = [_shifted(run, axis, offset) if i == k else run for i, run in enumerate(runs)]
+        noise = max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
+        if abs(offset) > max(DEFAULT.zero_least * noise, abs(clear.get(name, 0.0))):
+            clear[name] = offset
+    return tuple(runs), clear
+
+
+def at_rest_without_zeros(
+    runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
+) -> tuple[MeasuredRun, ...]:
+    """The runs where one of these axes stands still, with the constant that a prediction leaves between its two encoders taken out."""
+
+    def shifted(run: MeasuredRun) -> MeasuredRun:
+        for name in axes:
+            if not run.trace.moves(name) and all(run.trace.has(name, signal) for signal in BOTH):
+                of_twin = predicted[run.name]
+                offset = _difference(run.trace, name)[0] - _difference(of_twin, name)[0]
+                run = _shifted(run, machine.axis(name), offset)
+        return run
+
+    return tuple(shifted(run) for run in runs)
 
 
 def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:

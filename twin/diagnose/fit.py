@@ -10,9 +10,10 @@ what re-tuning cannot explain.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +21,14 @@ import numpy as np
 from twin.diagnose.observe import Group, Mapper, in_turn
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, beside, tuning_from
+from twin.diagnose.tuning import Tuning, beside
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+
+Slope = tuple[tuple[str, str, str | None], str]
+"""Effect, axis and from_axis, and the parameter: what a column of a fit is the slope of."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,23 @@ def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: T
     return free
 
 
+class Sizes(NamedTuple):
+    """Settings of a fit, its free parameters, the information about them (free, free) in scale units, and the weight of the tolerance."""
+
+    settings: tuple[Setting, ...]
+    free: tuple[Free, ...]
+    information: np.ndarray
+    prior_weight: float
+
+    def covariance(self, inflation: float = 1.0) -> np.ndarray:
+        """Covariance of the free parameters in scale units.
+
+        The weight that keeps the tolerance from being pulled by many samples keeps this from shrinking with them; what is not modelled
+        has `inflation` times the power of noise.
+        """
+        return np.linalg.pinv(self.information) * self.prior_weight * inflation
+
+
 @dataclass(frozen=True)
 class Fit:
     """Effects fitted to a group: settings, tuning, loss, and what is needed for intervals and for leaving runs out."""
@@ -87,6 +108,11 @@ class Fit:
     response: np.ndarray  # D(p), (row,)
     columns: np.ndarray  # dD/dp in scale units, (row, free)
     about: Tuning  # what `tuning` is a tuning of
+
+    @property
+    def slopes(self) -> dict[Slope, np.ndarray]:
+        """The columns by effect and parameter, for a fit next to this one."""
+        return {(self.settings[f.setting].key, f.parameter.name): self.columns[:, i] for i, f in enumerate(self.free)}
 
     @property
     def retuning(self) -> np.ndarray:
@@ -104,13 +130,13 @@ class Fit:
         tuning, loss = about.solve(left), about.loss(left)
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
+    def sizes(self) -> Sizes:
+        """What is known of the free parameters, without the rows that it was found from."""
+        return Sizes(self.settings, tuple(self.free), self.information(), self.about.prior_weight)
+
     def information(self) -> np.ndarray:
         """Information of the channels about the free parameters (free, free) in scale units, tuning eliminated."""
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
-
-    def covariance(self, inflation: float = 1.0) -> np.ndarray:
-        """Covariance of the free parameters in scale units; noise has `inflation` times its power."""
-        return np.linalg.pinv(self.information()) * inflation
 
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:
@@ -126,11 +152,15 @@ def fit_effects(
     mapper: Mapper,
     steps: int | None = None,
     narrowest: float | None = None,
+    moving: Collection[int] | None = None,
+    known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
 ) -> Fit | None:
     """Gauss-Newton from these settings; None where they cannot be simulated. `mapper` maps over threads.
 
     Slopes are taken over `slope` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
-    `steps` and `narrowest` left out are those of the thresholds.
+    `steps` and `narrowest` left out are those of the thresholds. `moving`: the settings whose parameters move, all by default; the others
+    stay as they are, and stand in the tuning as free columns where they may answer. `known` slopes (row,), from a fit next to this one, are
+    taken again only where they do not hold what they promise.
     """
     settings, t = tuple(settings), group.thresholds
     narrowest = t.narrow_slope if narrowest is None else narrowest
@@ -141,29 +171,38 @@ def fit_effects(
     except TwinError:
         return None
     best = tuning.loss(group.residual - response)
-    free = free_parameters(settings, machine, t)
-    columns, reach = np.zeros((group.size, len(free))), np.full(len(free), t.slope)
-    for step in range(t.fit_steps if steps is None else steps):
+    free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
+    columns, reach = beside(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)), np.full(len(free), t.slope)
+    asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
+    for _ in range(t.fit_steps if steps is None else steps):
         try:
-            slopes = beside(*(_slope(group, settings, response, f, r, mapper)[:, None] for f, r in zip(free, reach)))
+            for i in asked:
+                columns[:, i] = _slope(group, settings, response, free[i], reach[i], mapper)
         except TwinError:
             return None
-        columns = slopes if step == 0 else columns
-        information = tuning.inner(slopes, slopes) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(slopes, (group.residual - response)[:, None])[:, 0]
+        information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
+        gradient = tuning.inner(columns, (group.residual - response)[:, None])[:, 0]
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, tuning, settings, free, move, best, mapper)
         if lower is not None:
-            gain = best - lower.loss
-            best, settings, response, columns = lower.loss, lower.settings, lower.response, slopes
+            gain, promised = best - lower.loss, float(gradient @ lower.move - 0.5 * lower.move @ information @ lower.move)
+            best, settings, response = lower.loss, lower.settings, lower.response
             reach = np.clip(np.abs(lower.move), narrowest, t.slope)
             if gain < t.converged * max(1.0, 0.002 * best):
                 break
+            # slopes that promise what they hold serve for the next step, too
+            asked = [] if gain > t.slopes_hold * promised else list(range(len(free)))
+        elif len(asked) < len(free):
+            asked = list(range(len(free)))  # slopes from elsewhere led nowhere
         elif best < t.above_noise * group.expected_loss or np.all(reach <= narrowest):
             break
         else:
             reach = np.full(len(free), narrowest)
     return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns, tuning)
+
+
+def _name(free: Free, settings: Sequence[Setting]) -> Slope:
+    return (settings[free.setting].key, free.parameter.name)
 
 
 class _Lower(NamedTuple):
@@ -234,12 +273,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
         return (changed - fit.response) * (tuning.spread / step)
 
     return replace(
-        tuning_from(
-            tuning.nuisances,
-            beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances))))),
-            tuning.spread,
-            tuning.prior_weight,
-        ),
+        tuning.of(tuning.nuisances, beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances)))))),
         base=tuning.base,
     )
 

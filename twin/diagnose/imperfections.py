@@ -13,7 +13,7 @@ from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Mapper, rebased
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
-from twin.diagnose.tuning import Trial, Tuning, trial_of, tuning_from
+from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -34,7 +34,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
         return tuning
     t = group.thresholds
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = tuning_from([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters], tuning.spread, tuning.prior_weight)
+    plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
@@ -75,13 +75,13 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
     the twin as on no real machine, or cannot be simulated. Then one imperfection, one kind or all are left out, whichever leaves least.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
-    theta, explained = tuning.solve(residual), group.residual - residual
+    theta, explained = tuning.solve(residual)[: len(tuning.nuisances)], group.residual - residual
     kinds = [(n.owner, KINDS.get(n.quantity, "")) for n in tuning.nuisances]
 
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
-        part = tuning if kept.all() else tuning_from(nuisances, tuning.jacobian[:, kept], tuning.spread, tuning.prior_weight)
+        part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian[:, : len(kept)][:, kept])
         try:
             there, about = moved_to(group, part, theta[kept], mapper)
         except TwinError:

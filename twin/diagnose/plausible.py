@@ -11,8 +11,17 @@ from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
 from twin.machine.machine import Machine
 
-SMALLEST, LARGEST = 0.12, 4.0
-"""Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed."""
+SMALLEST, LARGEST = 0.02, 4.0
+"""Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed: every machine has a little of most."""
+
+SMALLEST_SET = 0.12
+"""The same lower end for what is set, or is normal in small: laws of the controllers, factors on the machine file, springs."""
+
+SET = ("position controller", "speed controller")
+"""Blocks whose laws are set: a control has a filter or has none."""
+
+SHAPE = 3.5
+"""Multiple of the usual range beyond which the shape of an effect (a speed, a wave, a frequency) is not believed."""
 
 IMITATED = 5.0
 """Multiple of the tolerance up to which an effect is not believed beside a normal imperfection that imitates it."""
@@ -26,9 +35,12 @@ def is_ruled_out(group: Group, start: Start) -> bool:
 
 
 def is_plausible(setting: Setting, machine: Machine) -> bool:
-    """True for a size that is found on machines and is more than their normal spread."""
+    """True for a size that is found on machines and is more than their normal spread, and a shape next to the usual ones."""
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
     low, high = size.usual_range(machine, axis)
+    if not _has_usual_shape(setting, machine):
+        return False
+    smallest = SMALLEST_SET if setting.effect.block in SET else SMALLEST
     neutral = size.neutral or 0.0
     within = 0.0  # deviation that the tolerance explains
     if size.beyond_tolerance and (size.is_factor or size.part_of):
@@ -37,16 +49,35 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
         least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
-        return abs(value - neutral) > max(SMALLEST * least, within)
+        return abs(value - neutral) > max(SMALLEST_SET * least, within)
     if not math.isfinite(neutral):  # a spring: the softer, the larger
-        return low / LARGEST <= value <= high / SMALLEST
+        return low / LARGEST <= value <= high / SMALLEST_SET
     if low < neutral < high:
-        return abs(value - neutral) > max(SMALLEST * 0.3 * min(neutral - low, high - neutral), within)
+        return abs(value - neutral) > max(smallest * 0.3 * min(neutral - low, high - neutral), within)
     if size.judged_with:
         other = setting.effect.parameter(size.judged_with)
         inner, outer = other.usual_range(machine, axis)
         value, low, high = value * setting.parameters[other.name], low * inner, high * outer
-    return max(SMALLEST * low, within) < abs(value) < LARGEST * high
+    return max(smallest * low, within) < abs(value) < LARGEST * high
+
+
+def _has_usual_shape(setting: Setting, machine: Machine) -> bool:
+    """Are speeds, waves and frequencies of an effect next to the usual ones?"""
+    effect, axis = setting.effect, machine.axis(setting.axis)
+    for p in effect.parameters:
+        if (
+            p is effect.size
+            or p.usual is None
+            or p.periodic
+            or p.fitted
+            or p.name == effect.size.judged_with
+            or p.name not in setting.parameters
+        ):
+            continue
+        low, high = p.usual_range(machine, axis)
+        if 0.0 < low <= high and not low / SHAPE <= setting.parameters[p.name] <= SHAPE * high:
+            return False
+    return True
 
 
 def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> float:

@@ -10,7 +10,7 @@ import jinja2
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.law.figures import laws_figure
-from twin.diagnose.report_figures import as_image, map_figure, stretch_figure, waterfall_figure
+from twin.diagnose.report_figures import as_image, budget_figure, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
 from twin.files import write_text
@@ -49,6 +49,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),
+        budget=as_image(budget_figure(document["budget"])) if document["effects"] else "",
         waterfall=as_image(waterfall_figure(diagnosis.waterfall)),
         map=as_image(map_figure(axes, blocks)),
         curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from textwrap import fill
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,7 +17,7 @@ import numpy as np
 
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import BLOCKS_NEED, MARGIN, Stretch
-from twin.diagnose.wording import percent, times
+from twin.diagnose.wording import effect_title, percent, times
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.report import figure_svg
@@ -63,6 +64,40 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
     ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)
+    _plain(ax)
+    return figure
+
+
+BUDGET_SHOWN = 12
+"""Contributions that the picture shows one by one."""
+
+
+def budget_figure(budget: dict[str, Any]) -> Figure:
+    """What each effect is worth at the tool point, largest first, down to what nobody explains (hatched) and the noise floor."""
+    effects = [r for r in budget["rows"] if r["kind"] == "effect"]
+    other = [r for r in budget["rows"] if r["kind"] != "effect"]
+    shown = effects[:BUDGET_SHOWN]
+    bars: list[tuple[str, float, str]] = [("gap of the machine file", budget["before"], NOMINAL)]
+    bars += [(effect_title(r), r["tool_point"], CORRECTED) for r in shown]
+    for label, rest in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
+        if rest:
+            bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in rest))), CLOSED))
+    figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + 1)), layout="constrained")
+    ax = figure.add_subplot()
+    names = [name for name, _, _ in bars] + ["not explained"]
+    for i, (_, value, color) in enumerate(bars):
+        ax.barh(i, value, color=color, height=0.64)
+    ax.barh(len(bars), budget["after"], facecolor="white", edgecolor="#c9302c", hatch="////", height=0.64)
+    for i, row in enumerate(shown, start=1):
+        ax.plot([row["low"], row["high"]], [i, i], color=MEASURED, linewidth=1.2)
+    for i, value in enumerate([value for _, value, _ in bars] + [budget["after"]]):
+        ax.text(value, i, f"  {value:.3g} um", va="center", fontsize=8.5, color=MEASURED)
+    ax.axvline(budget["floor"], color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
+    ax.text(budget["floor"], -0.75, " noise floor", color="#5c636d", fontsize=8, va="center")
+    ax.set_yticks(range(len(names)), names, fontsize=8.5)
+    ax.set_ylim(len(names) - 0.4, -1.1)
+    ax.set_xlim(0.0, 1.14 * max(*(value for _, value, _ in bars), budget["after"], budget["floor"]))
+    ax.set_xlabel("um at the tool point, RMS over the campaign", fontsize=9)
     _plain(ax)
     return figure
 

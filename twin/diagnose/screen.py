@@ -1,49 +1,144 @@
-"""Screening: what each effect would close, from one simulated start of it, its size scaled linearly."""
+"""Screening: what every start of every effect would close, all in one linear problem over remembered answers.
+
+Small effects answer in proportion to their size, so that one simulation of each start is enough. With the columns
+
+    X = [re-tuning | slopes of the effects found | answers of all starts | what is left]
+
+every question of the form "what would this close beside those?" is algebra on X'X: columns are eliminated from it one after
+another (the Schur complement), and what a start gains is read from the row of what is left.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, softened
 from twin.diagnose.fit import answer
-from twin.diagnose.state import Found
+from twin.diagnose.observe import Mapper
+from twin.diagnose.settings import Thresholds
+from twin.diagnose.state import Found, Key
+from twin.diagnose.tuning import FREE
 from twin.effects import Setting
 from twin.errors import TwinError
+from twin.machine.machine import Machine
+
+CHUNK = 40_000
+"""Rows whose products are summed at once: bounds the memory that they take."""
 
 
-def screen(found: Found, start: Start, target: tuple[np.ndarray, np.ndarray]) -> tuple[float, Setting] | None:
-    """Gain of a start (half the drop of the squares) with its size scaled linearly, and the setting it stands for.
+class Gain(NamedTuple):
+    """What a start closes (half the drop of the squares) with its size scaled linearly, and those sizes, as multiples of the start's."""
 
-    `target` is what is left, remembered by the tuning; None where the start changes nothing or cannot be simulated.
+    gain: float
+    sizes: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Inner products of what is left and of the answers of starts, with re-tuning and other columns eliminated.
+
+    `gram` (column, column): the starts' columns, `at` says where, and what is left as the last one.
     """
-    tuning, t = found.tuning, found.thresholds
-    try:
-        columns = [remembered_answer(found, s) for s in start.settings]
-    except TwinError:
-        return None
-    setting = start.settings[0]
+
+    starts: tuple[Start, ...]
+    at: tuple[slice, ...]
+    gram: np.ndarray
+    own: np.ndarray  # (column,) squares of the columns before anything was eliminated
+    thresholds: Thresholds
+
+    def gain(self, i: int) -> Gain:
+        """What start i closes of what is left."""
+        inner, target = self.gram[self.at[i], self.at[i]], self.gram[self.at[i], -1]
+        if not np.all(np.diag(inner) > self.thresholds.alike * self.own[self.at[i]]):
+            return Gain(0.0, ())
+        return _best_size(self.starts[i], inner, target, self.thresholds)
+
+    def without(self, i: int) -> Screening:
+        """The same with start i eliminated: it may take any size."""
+        at = np.arange(self.at[i].start, self.at[i].stop)
+        return Screening(self.starts, self.at, eliminated(self.gram, at, np.full(len(at), FREE)), self.own, self.thresholds)
+
+    def best(self) -> dict[Key, tuple[int, Gain]]:
+        """The best start of each effect and axis that closes anything."""
+        found: dict[Key, tuple[int, Gain]] = {}
+        for i, start in enumerate(self.starts):
+            gain = self.gain(i)
+            if gain.gain > found.get(start.key, (0, Gain(0.0, ())))[1].gain:
+                found[start.key] = i, gain
+        return found
+
+    def setting(self, i: int, gain: Gain, machine: Machine) -> Setting:
+        """The setting that start i stands for with those sizes."""
+        start = self.starts[i]
+        if start.effect.size.is_spring:
+            return softened(start, machine, gain.sizes[0])
+        return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
+
+
+def screening(found: Found, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
+    """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
+
+    def columns_of(start: Start) -> list[np.ndarray] | None:
+        try:
+            return [remembered_answer(found, s) for s in start.settings]
+        except TwinError:
+            return None
+
+    simulated = [(start, columns) for start, columns in zip(starts, mapper(columns_of, starts)) if columns is not None]
+    columns = [c for _, of_start in simulated for c in of_start]
+    before = (found.tuning.jacobian, found.fit.columns)
+    gram = _gram(before, columns, left, mapper)
+    first = sum(b.shape[1] for b in before)
+    prior = np.concatenate([found.tuning.prior, np.full(found.fit.columns.shape[1], FREE)])
+    own = np.diag(gram)[first:-1].copy()
+    reduced = eliminated(gram, np.arange(first), prior)[first:, first:] if first else gram
+    at, n = [], 0
+    for _, of_start in simulated:
+        at.append(slice(n, n + len(of_start)))
+        n += len(of_start)
+    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, found.thresholds)
+
+
+def remembered_answer(found: Found, setting: Setting) -> np.ndarray:
+    """What a setting changes (row,), simulated once."""
+    return found.remembered(repr(setting.table()), lambda: answer(found.group, [setting]))
+
+
+def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Inner products (column, column) of what remains of all columns when the columns `at`, of that prior, explain what they can."""
+    inner = gram[np.ix_(at, at)] + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    scaled = inner * np.outer(scale, scale)
+    cross = gram[at] * scale[:, None]
+    return np.asarray(gram - cross.T @ np.linalg.lstsq(scaled, cross, rcond=1e-12)[0])
+
+
+def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], left: np.ndarray, mapper: Mapper) -> np.ndarray:
+    def part(start: int) -> np.ndarray:
+        rows = slice(start, start + CHUNK)
+        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), left[rows]]).astype(float)
+        return x.T @ x
+
+    return np.asarray(sum(mapper(part, range(0, len(left), CHUNK))))
+
+
+def _best_size(start: Start, inner: np.ndarray, target: np.ndarray, t: Thresholds) -> Gain:
     size = start.effect.size
-    inner = np.array([[tuning.product(a, b) for b in columns] for a in columns])
-    with_target = np.array([tuning.product(c, target) for c in columns])
-    if not np.all(np.isfinite(inner)) or not np.all(np.diag(inner) > 1e-9):
-        return None
     if size.is_spring:
-        share = float(np.clip(with_target[0] / inner[0, 0], t.stiffest_spring, t.softest_spring))
-        return share * float(with_target[0] - 0.5 * share * inner[0, 0]), softened(start, found.group.views[0].machine, share)
+        share = float(np.clip(target[0] / inner[0, 0], t.stiffest_spring, t.softest_spring))
+        return Gain(share * float(target[0] - 0.5 * share * inner[0, 0]), (share,))
     if not size.is_scaled:
-        return float(with_target[0] - 0.5 * inner[0, 0]), setting
-    sizes = np.linalg.solve(inner + 1e-12 * np.eye(len(inner)), with_target)
+        return Gain(float(target[0] - 0.5 * inner[0, 0]), (1.0,))
+    sizes = np.linalg.lstsq(inner, target, rcond=1e-9)[0]
     if len(sizes) == 1:
         neutral = size.neutral or 0.0
-        deviation = setting.parameters[size.name] - neutral
+        deviation = start.settings[0].parameters[size.name] - neutral
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
         sizes = np.clip(sizes, max(min(low, high), -t.screened_largest), min(max(low, high), t.screened_largest))
         if size.low >= neutral and not size.is_factor:
             sizes = np.maximum(sizes, t.screened_delay if size.lag_cycle else t.screened_least)
-    scaled = combine(start, sizes.tolist(), found.group.views[0].machine)
-    return float(sizes @ with_target - 0.5 * sizes @ inner @ sizes), scaled
-
-
-def remembered_answer(found: Found, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    """What a setting changes (row,), simulated once, with its projection on the tuning."""
-    return found.remembered(repr(setting.table()), lambda: answer(found.group, [setting]))
+    return Gain(float(sizes @ target - 0.5 * sizes @ inner @ sizes), tuple(sizes.tolist()))

@@ -1,42 +1,89 @@
-"""Which effects a group of axes has: screen all, fit the best, add one while it earns its place, try each removal."""
+"""Which effects a group of axes has: all that earn their place, found together.
+
+A round screens every start beside what is known (`twin.diagnose.screen`), picks a set of effects from that linear problem, fits each
+picked one and its rivals in closed loop, takes the winners, and fits all effects together. Effects that others have made superfluous
+leave. The rounds end when no effect earns its place. At the end each effect is held against its rivals once more, beside all others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
-from twin.diagnose.fit import Fit, fit_effects, no_effect, tuning_beside
-from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
+from twin.diagnose.fit import Fit, Slope, answer, fit_effects, no_effect, tuning_beside
+from twin.diagnose.imperfections import on_imperfect_machine, with_imperfections
 from twin.diagnose.observe import Group, Mapper, with_noise_about
-from twin.diagnose.plausible import is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.screen import screen
-from twin.diagnose.state import Candidate, Found, Screened, closed_share, inflation, localised_on, loud_axes, unexplained
+from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
+from twin.diagnose.screen import Gain, Screening, remembered_answer, screening
+from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, loud_axes
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import tuning_of
+from twin.diagnose.tuning import beside, tuning_of
 from twin.diagnose.unseen import unseen_effects
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
+Folds = Sequence[Sequence[int]]
 
-def search(
-    group: Group,
-    machine: Machine,
-    folds: Sequence[Sequence[int]],
-    mapper: Mapper,
-    progress: Callable[[str], None],
-    quick: bool = False,
-) -> Found:
-    """Forward selection with refit of all accepted effects, then removals.
 
-    Where something is left beside an effect, all that is there is fitted once more together before anything is added to it.
-    """
+class Fitted(NamedTuple):
+    """A candidate with the slopes of its parameters, from which all effects are fitted together."""
+
+    candidate: Candidate
+    slopes: dict[Slope, np.ndarray]
+
+
+class Pick(NamedTuple):
+    """A start picked from the screening, its setting, and the settings of its rivals, best first."""
+
+    start: int
+    setting: Setting
+    rivals: tuple[Setting, ...]
+
+
+def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False) -> Found:
+    """The last state of a group of axes: all effects that earn their place, each with the rivals that it was held against."""
+    found = _begun(group, machine, mapper)
+    t = found.thresholds
+    asked_of: Counter[Key] = Counter()
+    for _ in range(t.rounds):
+        asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
+        if not asked:
+            break
+        progress(f"{'+'.join(group.axes)}: screening beside {len(found.fit.settings)} effects")
+        starts = [s for s in starts_of(found.group, machine, found.fit.left(found.group)) if s.axis in asked and s.key not in found.keys]
+        screened = _screened(found, starts, mapper)
+        if not found.screened:
+            found = replace(found, screened=_listed(found, screened, machine))
+            if not quick:
+                found = replace(found, unseen=unseen_effects(found, starts, machine, len(folds), mapper))
+        refused = {key for key, times in asked_of.items() if times >= t.most_asked}
+        picks = _picked(found, screened, machine, refused, len(folds))
+        if not picks:
+            break
+        progress(f"{'+'.join(group.axes)}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
+        contests = _contests(found, screened, picks, machine, folds, mapper, quick)
+        found = replace(found, rounds=(*found.rounds, *(tuple(f.candidate for f in contest) for contest in contests)))
+        best = [next((f for f in contest if f.candidate.plausible), None) for contest in contests]
+        winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
+        asked_of.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
+        if not winners:
+            break
+        found = _with_effects(found, winners, machine, mapper)
+        found = _without_superfluous(found, machine, folds, mapper)
+    return found
+
+
+def _begun(group: Group, machine: Machine, mapper: Mapper) -> Found:
+    """The state before any effect: about the machine with its normal imperfections, with noise as it is there."""
     rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     group, tuning = on_imperfect_machine(group, tuning, group.residual, mapper)
@@ -47,167 +94,169 @@ def search(
         with contextlib.suppress(TwinError):  # next to unstable: as it answers as a whole
             tuning = tuning_beside(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
     retuned = no_effect(group, tuning)
-    found = Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
-    # what little is left may be of the normal imperfections, which were found one after another
-    t = group.thresholds
-    looked = not any(n.quantity in NORMAL for n in tuning.nuisances) or retuned.loss > t.little_left * group.expected_loss
-    while True:
-        if not looked and (found.fit.loss > (1.0 + t.near_noise) * found.group.expected_loss or localised_on(found)):
-            found, looked = _look_again(found, machine, mapper), True
-        asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
-        if len(found.fit.settings) == t.most_effects or not asked:
-            break
-        found, candidates = _round(found, machine, folds, mapper, progress, asked, quick)
-        best = next((c for c in candidates if c.plausible), None)
-        earned = best is not None and best.evidence >= best.needed and _closes_enough(found, best.fit)
-        if earned and not looked:
-            looked, before = True, found.fit.loss
-            found = _look_again(found, machine, mapper)
-            if before - found.fit.loss > t.evidence:
-                continue  # what is left is another matter now
-        found = replace(found, rounds=(*found.rounds, candidates))
-        if best is None or not earned:
-            break
-        first = not found.fit.settings
-        if quick and best.fit.loss < (1.0 + t.near_noise) * found.group.expected_loss and not localised_on(replace(found, fit=best.fit)):
-            found = _taken(found, best.fit)  # what is left is noise: finer sizes are all that is to be had
-            break
-        found, looked = _accepted(found, best.fit, machine, mapper), False
-        if first and found.retuned.loss - found.fit.loss < evidence_needed(found, best.setting, len(folds)):
-            found = found.doubted(np.zeros(found.group.size))
-            found = replace(found, accepted=(), fit=found.retuned)  # what is normal, seen better, explains it as well
-            break
-    return _without_superfluous(found, machine, folds, mapper)
+    return Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
 
 
-def _taken(found: Found, fit: Fit) -> Found:
-    return replace(found, fit=fit, accepted=(*found.accepted, fit)).inflated()
+def _screened(found: Found, starts: Sequence, mapper: Mapper) -> Screening:  # type: ignore[type-arg]
+    return screening(found, [s for s in starts if not is_ruled_out(found.group, s)], found.group.residual - found.fit.response, mapper)
 
 
-def _accepted(found: Found, fit: Fit, machine: Machine, mapper: Mapper) -> Found:
-    """The state with one more effect. It is trusted to a share of what it changes, and normal imperfections are found anew beside it."""
+def _listed(found: Found, screened: Screening, machine: Machine) -> tuple[Screened, ...]:
+    """All effects as they were screened, the best first."""
+    order = sorted(screened.best().items(), key=lambda item: -item[1][1].gain)
+    return tuple(Screened(key, g.gain, screened.setting(i, g, machine), closed_share(found, g.gain)) for key, (i, g) in order)
+
+
+def _picked(found: Found, screened: Screening, machine: Machine, refused: Collection[Key], folds: int) -> list[Pick]:
+    """Effects that explain what is left together, the best first: each is picked beside those before it."""
+    t = found.thresholds
+    picks: list[Pick] = []
+    first = 0.0
+    while len(picks) < t.together:
+        best = {key: item for key, item in screened.best().items() if key not in refused and key not in {p.setting.key for p in picks}}
+        if not best:
+            break
+        key, (start, gain) = max(best.items(), key=lambda item: item[1][1].gain)
+        setting = screened.setting(start, gain, machine)
+        first = first or gain.gain
+        if gain.gain < max(t.span * first, 0.5 * evidence_needed(found, setting, folds)):
+            break
+        after = screened.without(start)
+        rivals = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
+        picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in _same(screened, after, rivals, gain))))
+        screened = after
+    return picks
+
+
+def _same(screened: Screening, after: Screening, others: Sequence[tuple[int, Gain]], gain: Gain) -> list[tuple[int, Gain]]:
+    """Of other starts those that explain the same as one that gained `gain` and was eliminated `after`, at most `most_rivals`."""
+    t = screened.thresholds
+
+    def near(i: int, g: Gain) -> bool:
+        within = t.rivals_within if screened.starts[i].effect.is_linear else t.bent_within
+        return g.gain > within * gain.gain and after.gain(i).gain < t.same_gain * g.gain
+
+    return [(i, g) for i, g in others if near(i, g)][: t.most_rivals]
+
+
+def _contests(
+    found: Found, screened: Screening, picks: Sequence[Pick], machine: Machine, folds: Folds, mapper: Mapper, quick: bool
+) -> list[tuple[Fitted, ...]]:
+    """Each pick and its rivals fitted in closed loop beside what was found, the others' answers free; best first."""
+    answers = [beside(*(remembered_answer(found, x)[:, None] for x in screened.starts[p.start].settings)) for p in picks]
+
+    def contest(i: int) -> tuple[Fitted, ...]:
+        about = found.tuning.with_free(beside(found.fit.columns, *(a for j, a in enumerate(answers) if j != i)))
+        pick = picks[i]
+        return _contest(found, _about(found, about), (pick.setting, *pick.rivals), machine, folds, mapper, quick)
+
+    with ThreadPoolExecutor(2) as contests:  # each holds a wide matrix
+        return list(contests.map(contest, range(len(picks))))
+
+
+def _about(found: Found, about) -> Fit:  # type: ignore[no-untyped-def]
+    """The last fit with its effects' slopes among the free columns of the tuning."""
+    left = found.group.residual - found.fit.response
+    return Fit(found.fit.settings, [], about.loss(left), about.solve(left), found.fit.response, np.zeros((found.group.size, 0)), about)
+
+
+def _contest(
+    found: Found, base: Fit, settings: Sequence[Setting], machine: Machine, folds: Folds, mapper: Mapper, quick: bool
+) -> tuple[Fitted, ...]:
+    """Settings fitted one by one beside a fit, best first."""
+    t = found.thresholds
+    steps = t.quick_steps if quick else t.fit_steps
+    moving = {len(base.settings)}
+
+    def fitted(setting: Setting) -> Fit | None:
+        return fit_effects(found.group, machine, base.about, [*base.settings, setting], mapper, steps, moving=moving)
+
+    with ThreadPoolExecutor(len(settings)) as fitting:  # they wait for the workers' simulations
+        fits = [fit for fit in fitting.map(fitted, settings) if fit is not None]
+    healthy = loss_within(found, base, machine.parameter_tolerance)
+    # where no machine near the tolerance is like this one, parameters far off it are no rival of an effect
+    level = max(held_out_loss(found, base, folds), loss_within(found, base, t.widest * machine.parameter_tolerance))
+    fitted_ones = []
+    for fit in fits:
+        # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
+        drop = min(base.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
+        gain = min(level - held_out_loss(found, fit, folds), drop - t.price * len(fit.free))
+        evidence = gain / min(found.inflation, inflation(found.group, fit))
+        last = fit.settings[-1]
+        plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
+        needed = evidence_needed(found, last, len(folds))
+        if base.settings and last.effect.block in SET and closed_share(found, base.loss - fit.loss) < t.least_share:
+            plausible = False  # beside another effect a control is only wrong where that explains what is left
+        drop = base.loss - fit.loss
+        fitted_ones.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closed_share(found, drop), drop), fit.slopes))
+    return tuple(sorted(fitted_ones, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
+
+
+def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, mapper: Mapper) -> Found:
+    """The state with more effects, all fitted together. They are trusted to a share of what they change, and normal imperfections are
+    found anew beside them."""
+    t = found.thresholds
+    settings = [*found.fit.settings, *(w.candidate.setting for w in winners)]
+    of_all = {name: column for w in winners for name, column in w.slopes.items()} | found.fit.slopes
+    straight = {s.key for s in settings if s.effect.is_linear}  # the slopes of the others hold nowhere but where they were taken
+    known = {name: column for name, column in of_all.items() if name[0] in straight}
+    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=known)
+    if fit is None:
+        return found
     found = replace(found, fit=fit).doubted(fit.response)
-    steps = found.thresholds.refit_steps
-    fit = fit_effects(found.group, machine, found.tuning, fit.settings, mapper, steps) or found.fit
-    left = found.rigid.residual - fit.response
+    left = found.rigid.residual - found.fit.response
     tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
     group, tuning = on_imperfect_machine(found.rigid, tuning, left, mapper)
-    again = fit_effects(group, machine, tuning, fit.settings, mapper, steps) if group is not found.group else None
-    if again is not None:
-        fit, found = again, replace(found, group=group, retuned=no_effect(group, tuning), tuning=tuning)
-    return _taken(found, fit)
+    again = fit_effects(group, machine, tuning, found.fit.settings, mapper, t.refit_steps, known=found.fit.slopes)
+    if again is not None and again.loss < found.fit.loss:
+        found = replace(found, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
+    found = _retuned_beside(found, machine, mapper, straight)
+    return replace(found, accepted=(*found.accepted, found.fit)).inflated()
 
 
-def _look_again(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with effects and normal imperfections fitted together, all as they act on the machine that has them.
+def _retuned_beside(found: Found, machine: Machine, mapper: Mapper, straight: Collection[Key]) -> Found:
+    """The state with re-tuning as it acts on the machine that has the effects, where one of them bends what the others answer."""
+    if all(s.key in straight for s in found.fit.settings):
+        return found
+    try:
+        tuning = tuning_beside(found.group, found.fit, machine, mapper)
+    except TwinError:  # next to unstable: as it acts without the effects
+        return found
+    known = {name: column for name, column in found.fit.slopes.items() if name[0] in straight}
+    fit = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, found.thresholds.refit_steps, known=known)
+    return found if fit is None or fit.loss > found.fit.loss else replace(found, tuning=tuning, fit=fit)
 
-    An effect found on a machine whose drive train is not yet right is bent by that, and the drive train by the effect.
-    """
-    group, t = found.group, found.thresholds
-    for _ in range(t.looks):
-        try:
-            tuning = tuning_beside(found.group, found.fit, machine, mapper)
-        except TwinError:  # next to unstable: slopes from further off say nothing
+
+def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: Mapper) -> Found:
+    """The state without effects that the others have made superfluous: what each closes beside them must still be its evidence."""
+    while found.fit.settings:
+        missed = []
+        for i, setting in enumerate(found.fit.settings):
+            price = found.thresholds.price * sum(f.setting == i for f in found.fit.free)
+            closes = without(found, i, mapper).loss - found.fit.loss - price
+            missed.append(closes / found.inflation - evidence_needed(found, setting, len(folds)))
+        worst = int(np.argmin(missed))
+        if missed[worst] >= 0.0:
             break
-        again = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, t.refit_steps)
-        if again is None or again.loss > found.fit.loss:
+        rest = [s for j, s in enumerate(found.fit.settings) if j != worst]
+        refitted = fit_effects(found.group, machine, found.tuning, rest, mapper, 2, known=found.fit.slopes)
+        if refitted is None:
             break
-        gain = found.fit.loss - again.loss
-        found = replace(found, fit=again, tuning=tuning)
-        try:
-            nearer, tuning = moved_to(found.rigid, tuning, again.tuning, mapper)
-        except TwinError:
-            break
-        moved = fit_effects(nearer, machine, tuning, again.settings, mapper, t.refit_steps) if nearer is not found.rigid else None
-        if moved is not None and moved.loss < again.loss + t.evidence:
-            gain += again.loss - moved.loss
-            found = replace(found, fit=moved, group=nearer, tuning=tuning)
-        if gain < t.evidence:
-            break
-    if found.group is not group:
-        found = replace(found, retuned=no_effect(found.group, found.tuning))
-    return found.with_fit(found.fit).inflated()
+        found = found.with_fit(refitted).inflated()
+    return found
 
 
-def _closes_enough(found: Found, fit: Fit) -> bool:
-    left = unexplained(found)
-    return left < found.thresholds.near_noise * found.group.expected_loss or found.fit.loss - fit.loss > found.thresholds.least_share * left
+def without(found: Found, i: int, mapper: Mapper) -> Fit:
+    """The last fit without effect i, the others and the tuning fitted anew by their slopes."""
+    fit = found.fit
+    rest = [s for j, s in enumerate(fit.settings) if j != i]
+    columns = fit.columns[:, [f.setting != i for f in fit.free]]
+    about = found.tuning.with_free(columns)
+    response = answer(found.group, rest, mapper) if rest else np.zeros(found.group.size)
+    left = found.group.residual - response
+    return Fit(tuple(rest), [], about.loss(left), about.solve(left), response, np.zeros((len(left), 0)), about)
 
 
 def loud_near_tolerance(found: Found, machine: Machine) -> set[str]:
     """Axes that keep more than noise, whatever machine near the tolerance this is; what is far off it is no re-tuning."""
     return loud_axes(found.group, left_within(found, found.fit, found.thresholds.widest * machine.parameter_tolerance, normal=False))
-
-
-def _round(  # type: ignore[no-untyped-def]
-    found: Found, machine: Machine, folds, mapper, progress, asked, quick
-) -> tuple[Found, tuple[Candidate, ...]]:
-    """The state after screening, and the candidates of a round, best first: screened over all effects, the best fitted."""
-    group, tuning, t = found.group, found.tuning, found.thresholds
-    accepted, taken = found.fit.settings, found.keys
-    residual = group.residual - found.fit.response
-    left = residual - tuning.jacobian @ tuning.solve(residual)
-    every = [s for s in starts_of(group, machine, left) if s.axis in asked and s.key not in taken]  # an effect shows on its own axis
-    starts = [s for s in every if not is_ruled_out(group, s)]
-    progress(f"{'+'.join(group.axes)}: screening {len(starts)} settings")
-    target = tuning.remembered(residual)
-    best: dict[tuple[str, str, str | None], tuple[float, Setting]] = {}
-    for start, screened in zip(starts, mapper(lambda s: screen(found, s, target), starts)):
-        if screened is not None and screened[0] > best.get(start.key, (0.0,))[0]:
-            best[start.key] = screened
-    order = sorted(best.items(), key=lambda item: -item[1][0])
-    if not found.rounds:
-        screened_all = tuple(Screened(key, gain, setting, closed_share(found, gain)) for key, (gain, setting) in order)
-        unseen = None if quick else unseen_effects(found, every, machine, len(folds), mapper)
-        found = replace(found, screened=screened_all, unseen=unseen)
-    if not order or order[0][1][0] < t.evidence * 0.5:
-        order = order[:1]
-    most = t.most_fitted_quick if quick else t.most_fitted
-    top = order[0][1][0] if order else 0.0
-    near = [
-        item for i, item in enumerate(order) if i < 2 or item[1][0] > (t.rivals_within if _is_linear(item[1][1]) else t.bent_within) * top
-    ]
-    chosen = near[:most]
-    progress(f"{'+'.join(group.axes)}: fitting {', '.join(f'{k[0]} {k[1]}' for k, _ in chosen[:3])} ...")
-    steps = t.quick_steps if quick else t.fit_steps
-    with ThreadPoolExecutor(max(len(chosen), 1)) as fitting:  # they wait for the workers' simulations
-        fits = list(fitting.map(lambda item: fit_effects(group, machine, tuning, [*accepted, item[1][1]], mapper, steps), chosen))
-    healthy = loss_within(found, found.fit, machine.parameter_tolerance)
-    # where no machine near the tolerance is like this one, parameters far off it are no rival of an effect
-    base = max(held_out_loss(found, found.fit, folds), loss_within(found, found.fit, found.thresholds.widest * machine.parameter_tolerance))
-    candidates = []
-    for fit in fits:
-        if fit is None:
-            continue
-        # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
-        drop = min(found.fit.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
-        gain = min(base - held_out_loss(found, fit, folds), drop - found.thresholds.price * (len(fit.free) - len(found.fit.free)))
-        evidence = gain / min(found.inflation, inflation(group, fit))
-        last = fit.settings[-1]
-        plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
-        needed = evidence_needed(found, last, len(folds))
-        candidates.append(Candidate(fit, evidence, needed, plausible, closed_share(found, found.fit.loss - fit.loss)))
-    return found, tuple(sorted(candidates, key=lambda c: -(c.evidence - (0.0 if c.plausible else 1e9))))
-
-
-def _is_linear(setting: Setting) -> bool:
-    return setting.effect.is_linear
-
-
-def _without_superfluous(found: Found, machine: Machine, folds: Sequence[Sequence[int]], mapper: Mapper) -> Found:
-    """The state without accepted effects that the later ones have made superfluous."""
-    while len(found.fit.settings) > 1:
-        full = held_out_loss(found, found.fit, folds)
-        worst: tuple[float, Fit] | None = None
-        for i in range(len(found.fit.settings)):
-            rest = [s for j, s in enumerate(found.fit.settings) if j != i]
-            fit = fit_effects(found.group, machine, found.tuning, rest, mapper, 2)
-            if fit is None:
-                continue
-            cost = (held_out_loss(found, fit, folds) - full) / found.inflation
-            if worst is None or cost < worst[0]:
-                worst = (cost, fit)
-        if worst is None or worst[0] >= found.thresholds.evidence:
-            break
-        found = replace(found, fit=worst[1])
-    return found

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit, no_effect
+from twin.diagnose.fit import Fit, Sizes, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.tuning import Tuning
@@ -33,15 +33,16 @@ class Candidate:
     fit closes.
     """
 
-    fit: Fit
+    sizes: Sizes
     evidence: float
     needed: float
     plausible: bool
     closes: float
+    gain: float  # half the drop of the squares
 
     @property
     def setting(self) -> Setting:
-        return self.fit.settings[-1]
+        return self.sizes.settings[-1]
 
     @property
     def key(self) -> Key:
@@ -49,11 +50,10 @@ class Candidate:
 
 
 class Answer(NamedTuple):
-    """Simulated change that a start makes, with its projection on a tuning, and the weights of its rows."""
+    """Simulated change that a setting makes (row,), and the weights of its rows."""
 
-    remembered: tuple[np.ndarray, np.ndarray]
+    column: np.ndarray
     weights: np.ndarray
-    tuning: Tuning
 
 
 class Screened(NamedTuple):
@@ -82,6 +82,7 @@ class Found:
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
     unseen: Mapping[Key, float] | None = None  # effects that would not show, with the multiple of their usual size from which they would
+    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> motor encoder minus scale that is no fault [SI]
     unknown: bool = False  # is something left that no effect explains?
     memory: dict[str, Answer] = field(default_factory=dict, repr=False, compare=False)
 
@@ -95,18 +96,15 @@ class Found:
         """Effects of the final fit, each with its axis."""
         return {s.key for s in self.fit.settings}
 
-    def remembered(self, key: str, simulate: Callable[[], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """What a start changes (row,) and its projection on the tuning, simulated once and weighted as the group is now."""
+    def remembered(self, key: str, simulate: Callable[[], np.ndarray]) -> np.ndarray:
+        """What a setting changes (row,), simulated once and weighted as the group is now."""
         known = self.memory.get(key)
-        if known is None or known.weights is not self.group.weights or known.tuning is not self.tuning:
-            if known is None:
-                column = simulate().astype(np.float32)
-            elif known.weights is self.group.weights:
-                column = known.remembered[0]
-            else:
-                column = (known.remembered[0] * (self.group.weights / known.weights)).astype(np.float32)
-            known = self.memory[key] = Answer(self.tuning.remembered(column), self.group.weights, self.tuning)
-        return known.remembered
+        if known is None:
+            known = Answer(simulate().astype(np.float32), self.group.weights)
+        elif known.weights is not self.group.weights:
+            known = Answer((known.column * (self.group.weights / known.weights)).astype(np.float32), self.group.weights)
+        self.memory[key] = known
+        return known.column
 
     def with_fit(self, fit: Fit) -> Found:
         """The state with this fit as its last one, which replaces the last accepted one."""

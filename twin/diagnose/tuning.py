@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import null_space
 
 from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.machine.machine import Machine
+from twin.units import ARCSEC
+
+FREE = 1e-6
+"""Weight of zero for a column that may take any size: keeps a column that changes nothing from having one."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,46 @@ class Tuning:
     inverse: np.ndarray
     base: np.ndarray  # (nuisance,) deviations that the group's own machine has already, as fractions
     prior_weight: float = DEFAULT.prior_weight
+    further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # weight of zero of each column beyond the nuisances
+    narrower: Tuning | None = field(default=None, repr=False)  # the tuning that this one has further columns beside
+    _products: list[np.ndarray] = field(default_factory=list, repr=False, compare=False)
+
+    def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
+        """J'J over the rows of each run (run, column, column); remembered. `runs` are the rows of each run, as slices."""
+        if not self._products:
+            n = self.jacobian.shape[1]
+            known = self.narrower.products(runs) if self.narrower else np.zeros((len(runs), 0, 0))
+            k = known.shape[1]
+            out = np.zeros((len(runs), n, n))
+            for run, slices in enumerate(runs):
+                out[run, :k, :k] = known[run]
+                for rows in slices:
+                    new = self.jacobian[rows, k:]
+                    out[run, :, k:] += self.jacobian[rows].T @ new
+                out[run, k:, :k] = out[run, :k, k:].T
+            self._products.append(out)
+        return self._products[0]
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Weight of zero for each column (column,): that of the tolerance for a nuisance, next to none for what stands beside them."""
+        return np.concatenate([np.full(len(self.nuisances), self.prior_weight), self.further])
+
+    def of(self, nuisances: Sequence[Nuisance], columns: np.ndarray) -> Tuning:
+        """The tuning with these nuisances instead, which change `columns` (row, nuisance) at their spread, and the same further columns."""
+        n = len(self.nuisances)
+        return tuning_from(nuisances, beside(columns, self.jacobian[:, n:]), self.spread, self.prior_weight, self.further)
+
+    def with_free(self, columns: np.ndarray, prior: float = FREE) -> Tuning:
+        """The tuning with further columns (row, n) beside the nuisances, free to take any size: effects as they answer to a small change."""
+        if not columns.size:
+            return self
+        cross = self.jacobian.T @ columns
+        own = columns.T @ columns + prior * np.eye(columns.shape[1])
+        further = np.concatenate([self.further, np.full(columns.shape[1], prior)])
+        normal = np.block([[self.normal, cross], [cross.T, own]])
+        jacobian = beside(self.jacobian, columns)
+        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, self)
 
     def project(self, columns: np.ndarray) -> np.ndarray:
         """J' columns, for eliminating the tuning."""
@@ -34,17 +79,14 @@ class Tuning:
         """Tuning (nuisance,) in units of its spread that fits a residual best."""
         return self.inverse @ (self.jacobian.T @ residual)
 
-    def remembered(self, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A column with its projection, for inner products that are asked for again and again."""
-        return a, self.project(a)
-
-    def product(self, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
-        """a' P b of remembered columns."""
-        return float(a[0] @ b[0] - a[1] @ self.inverse @ b[1])
+    def product(self, a: np.ndarray, b: np.ndarray) -> float:
+        """a' P b of two columns (row,)."""
+        return float(a @ b - self.project(a) @ self.inverse @ self.project(b))
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a' P b with the tuning eliminated."""
-        return a.T @ b - self.project(a).T @ self.inverse @ self.project(b)
+        of_a = self.project(a)
+        return a.T @ b - of_a.T @ self.inverse @ (of_a if b is a else self.project(b))
 
     def loss(self, residual: np.ndarray) -> float:
         """Half the least square that tuning leaves of a residual."""
@@ -52,12 +94,13 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, which changes `column` (row,) at its spread."""
-        return tuning_from([*self.nuisances, nuisance], beside(self.jacobian, column[:, None]), self.spread, self.prior_weight)
+        return self.of([*self.nuisances, nuisance], beside(self.jacobian[:, : len(self.nuisances)], column[:, None]))
 
     def reweighed(self, scale: np.ndarray) -> Tuning:
         """The same tuning where every row weighs `scale` (row,) times as much."""
         return replace(
-            tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread, self.prior_weight), base=self.base
+            tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread, self.prior_weight, self.further),
+            base=self.base,
         )
 
 
@@ -66,10 +109,32 @@ def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
     nuisances = nuisances_of(machine, group.axes, group.thresholds)
     spread = machine.parameter_tolerance * UNIFORM
     if spread <= 0.0 or not nuisances:
-        return Tuning((), np.zeros((group.size, 0)), 0.0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), group.thresholds.prior_weight)
+        return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight), group)
     step = max(group.thresholds.nearby, spread)
     columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + step), axes=n.axes(group.axes)), nuisances))
-    return tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
+    plain = tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
+    return _with_zeros(plain, group)
+
+
+def _with_zeros(tuning: Tuning, group: Group) -> Tuning:
+    """The tuning with a constant of each run between motor encoder and scale as a further column: encoders have no common zero.
+
+    An effect whose law starts at zero in each run and one that carries its phase on differ by that constant alone.
+    """
+    blocks = []
+    for axis in group.axes:
+        channels = [c for c in group.channels if (c.axis, c.name) == (axis, "motor_minus_scale")]
+        if not channels:
+            continue
+        rotary = group.views[channels[0].run].machine.axis(axis).kind == "rotary"
+        each = np.zeros((group.size, len(channels)))
+        for i, channel in enumerate(channels):
+            each[channel.rows, i] = (ARCSEC if rotary else 1e-6) * channel.weight
+        # what goes on from run to run is a screw that grows, not the zero of an encoder
+        when = np.array([[0.0 if rotary else group.views[c.run].started_at for c in channels]])
+        when -= when.mean()
+        blocks.append(each @ (null_space(when) if when.any() else np.eye(len(channels))))
+    return tuning.with_free(beside(*blocks), 1.0) if blocks else tuning
 
 
 class Trial(NamedTuple):
@@ -83,8 +148,7 @@ class Trial(NamedTuple):
 
 def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     """What a nuisance that changes `column` (row,) at its spread would explain of a residual (row,) beside the tuning."""
-    new = tuning.remembered(column)
-    slope, curvature = tuning.product(new, tuning.remembered(residual)), tuning.product(new, new) + tuning.prior_weight
+    slope, curvature = tuning.product(column, residual), tuning.product(column, column) + tuning.prior_weight
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
 
 
@@ -98,7 +162,20 @@ def beside(*blocks: np.ndarray) -> np.ndarray:
     return out
 
 
-def tuning_from(nuisances: Sequence[Nuisance], jacobian: np.ndarray, spread: float, prior_weight: float = DEFAULT.prior_weight) -> Tuning:
-    """The tuning of these nuisances; `jacobian` (row, nuisance) is what each changes at its spread, weighted."""
-    normal = jacobian.T @ jacobian + prior_weight * np.eye(len(nuisances))
-    return Tuning(tuple(nuisances), jacobian, spread, normal, np.linalg.inv(normal), np.zeros(len(nuisances)), prior_weight)
+def tuning_from(
+    nuisances: Sequence[Nuisance],
+    jacobian: np.ndarray,
+    spread: float,
+    prior_weight: float = DEFAULT.prior_weight,
+    further: np.ndarray | None = None,
+) -> Tuning:
+    """The tuning of these nuisances; `jacobian` (row, column) is what each changes at its spread, weighted. Further columns are free."""
+    further = np.zeros(0) if further is None else further
+    normal = jacobian.T @ jacobian + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
+    return Tuning(tuple(nuisances), jacobian, spread, normal, _inverse(normal), np.zeros(len(nuisances)), prior_weight, further)
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a positive definite matrix whose columns may differ in size by many powers of ten."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-13, hermitian=True) * scale)

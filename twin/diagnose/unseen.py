@@ -59,5 +59,5 @@ def _share(found: Found, settings: Sequence[Setting], folds: int) -> float:
         answers = [remembered_answer(found, s) for s in settings]
     except TwinError:
         return math.inf
-    left = [column - tuning.jacobian @ (tuning.inverse @ projected) for column, projected in answers]
+    left = [column - tuning.jacobian @ tuning.solve(column) for column in answers]
     return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, settings[0], folds)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
-from twin.diagnose.observe import Mapper
+from twin.diagnose.fit import no_effect
+from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.sizes import sized, without_implausible
-from twin.diagnose.state import Candidate, Found, closed, excess_of, expected_of, is_cut, is_systematic, localised_on
+from twin.diagnose.state import Candidate, Found, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
@@ -35,17 +36,17 @@ def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in found:
-        t = f.thresholds
-        trust = t.stands_in if f.unknown else 1.0
+        left = excess_of(f.group, f.fit)
         for setting in f.fit.settings:
-            probability = t.confidence
+            probability, gain = f.thresholds.confidence, math.inf
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
-                        probability = p
-            out.append((setting, f, probability * trust))
-    strength = {id(f): closed(f) for f in found}
-    return sorted(out, key=lambda item: -strength[id(item[1])])
+                        probability, gain = p, candidate.gain
+            # what stands in for an unlisted law leaves about as much as it explains
+            over = max(left[setting.axis], 0.0) if f.unknown else 0.0
+            out.append((setting, f, probability * (gain / (gain + over) if math.isfinite(gain) else 1.0), gain))
+    return [(s, f, p) for s, f, p, gain in sorted(out, key=lambda item: -item[3])]
 
 
 def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) -> Found:
@@ -53,11 +54,27 @@ def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) 
     found = without_implausible(found, machine, mapper)
     unknown = is_unknown(found)
     if quick:
-        return replace(found, unknown=unknown)
+        return with_zeros_out(replace(found, unknown=unknown))
     final = sized(found, machine, mapper)
     if len(final.fit.settings) < len(found.fit.settings):  # what was explained by one that is gone is left again
         unknown = unknown or is_unknown(final)
-    return replace(final, unknown=unknown)
+    return with_zeros_out(replace(final, unknown=unknown))
+
+
+def with_zeros_out(found: Found) -> Found:
+    """The state about records whose encoders have a common zero: a constant of each run between them is fitted, never a fault."""
+    group, known = found.group, len(found.tuning.nuisances)
+    columns, theta = found.tuning.jacobian[:, known:], found.fit.tuning[known:]
+    offset = columns @ theta / group.weights
+    zeros = {(c.axis, c.run): float(offset[c.rows][0]) for c in group.channels if c.name == "motor_minus_scale"}
+
+    def shifted(of: Group) -> Group:
+        return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
+
+    group, rigid = shifted(found.group), shifted(found.rigid)
+    tuning = np.concatenate([found.fit.tuning[:known], np.zeros(len(theta))])
+    fit = replace(found.fit, tuning=tuning, loss=found.tuning.loss(group.residual - found.fit.response))
+    return replace(found, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, found.tuning), zeros=zeros)
 
 
 def is_unknown(f: Found) -> bool:

@@ -28,6 +28,7 @@ class RunView:
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
     started_at: float
+    feedforward: str | None = None  # of this run
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
     own_zeros: frozenset[str] = frozenset()  # axes whose two encoders have no common zero (`encoder_zeros`)
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
@@ -82,7 +83,7 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
         )
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = _motion(position, setpoints.period)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, thresholds)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds)
 
 
 def _motion(position: np.ndarray, period: float) -> Motion:

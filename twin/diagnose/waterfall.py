@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.fit import Fit
-from twin.diagnose.state import Found
+from twin.diagnose.state import Found, Key
 from twin.diagnose.wording import effect_title
 
 Ends = Mapping[str, tuple[float, float]]
@@ -68,12 +68,16 @@ def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]
 
 
 def _accepted(found: Found) -> list[tuple[str, Fit]]:
-    """The fits by which effects came in, one after another; the last is the final one."""
+    """The fits of the rounds by which effects came in; the last is the final one."""
     steps: list[tuple[str, Fit]] = []
+    known: set[Key] = set()
     for fit in found.accepted:
-        last = fit.settings[-1]
-        if last.key in found.keys:
-            steps.append((effect_title({"effect": last.effect.name, "axis": last.axis, "from_axis": last.from_axis}), fit))
+        new = [s for s in fit.settings if s.key in found.keys - known]
+        known |= {s.key for s in fit.settings}
+        if not new:
+            continue
+        title = effect_title({"effect": new[0].effect.name, "axis": new[0].axis, "from_axis": new[0].from_axis})
+        steps.append((title if len(new) == 1 else f"{title} and {len(new) - 1} more", fit))
     return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
 
 
@@ -83,7 +87,7 @@ def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
     if fit is not None:
         left -= fit.response
         # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
-        known = len(fit.tuning) == len(found.tuning.nuisances)
+        known = len(fit.tuning) == found.tuning.jacobian.shape[1]
         left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
     squares: dict[str, list[float]] = {}
     for channel in found.group.channels:

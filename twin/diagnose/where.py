@@ -62,6 +62,32 @@ def places(
     return sorted(listed, key=lambda p: -p["share"])
 
 
+CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}
+"""Block of which a channel shows the law; the others show the mechanics in closed loop."""
+
+
+def left_of(found: Found, axis: str) -> tuple[str, str]:
+    """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
+    group = found.group
+    left = found.fit.left(group) / group.weights
+    parts: dict[str, list[BlockResidual]] = {}
+    for c in group.channels:
+        if c.axis != axis or c.name in ("position", "velocity"):
+            continue  # they follow what the others show
+        view = group.views[c.run]
+        if c.name == "controller":
+            index = np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
+        else:
+            index = np.flatnonzero(view.reference(axis)[2])
+        if len(index) == len(left[c.rows]):
+            block = CHANNEL_SHOWS.get(c.name, "mechanics")
+            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, left[c.rows], float(np.mean(c.sigma)), index))
+    if not parts:
+        return "mechanics", "-"
+    block = max(parts, key=lambda b: sum(p.excess for p in parts[b]))
+    return block, _scales_with(group, axis, parts[block])
+
+
 def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
     """Assign a listed place to the block of a found effect.
 
@@ -86,6 +112,8 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
                 place["block"] = block
                 place["effect"] = setting.effect.name
                 return
+    if any(place["block"] == block for place in mine):
+        return  # a larger effect leads there
     listed.append(
         {
             "axis": axis,

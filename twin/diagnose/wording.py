@@ -28,6 +28,9 @@ _BY_UNIT: dict[str, tuple[str, float]] = {
 MANY = 10
 """Effects of one axis from which they are no longer listed one by one."""
 
+FEW = 3
+"""Effects that a sentence names; of more it names so many, the largest."""
+
 FEWEST_DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of one with a narrow interval."""
 
@@ -95,7 +98,11 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The answer in one sentence; `numbers`: with the first parameter of each effect."""
     if document["verdict"] == "none":
         return "No effect: within its tolerance and noise the machine does what its file says."
-    names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in document["effects"]])
+    effects = document["effects"]
+    named = effects[: FEW if len(effects) > FEW else None]
+    names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in named])
+    if len(effects) > FEW:
+        names = f"{len(effects)} effects, at the tool point most of all {names}"
     if document["verdict"] == "effect":
         return f"The gap comes from {names}."
     laws = listed([law["sentence"] for law in document.get("laws", ())])

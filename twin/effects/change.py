@@ -203,7 +203,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
 def with_effects(machine: Machine, effects: Sequence[Setting | dict[str, Any]]) -> Machine:
     """The machine with exactly these effects, as Settings or as tables {name, axis, parameters}."""
     tables = [e.table() if isinstance(e, Setting) else dict(e) for e in effects]
-    changed = machine.with_values({"effect": tables})
+    changed = machine.with_effect_tables(tables)
     settings_of(changed)
     return changed
 

@@ -163,7 +163,7 @@ class Machine:
         """The same machine with only these axes driven (`driven_axes` of the file); the others stand still."""
         for name in names:
             self.axis(name)
-        return self._changed({"driven_axes": [name for name in self.axis_names if name in names]})
+        return self._changed({"driven_axes": [name for name in self.axis_names if name in names]}, checked=False)
 
     def with_axis(self, name: str, **numbers: Any) -> Machine:
         """A variant by typed fields of one axis, its motor or loops, in SI: with_axis("X", max_velocity=0.5, peak_current_a=20.0).
@@ -203,6 +203,10 @@ class Machine:
         machine file has and for a value that is impossible.
         """
         return self._changed(values)
+
+    def with_effect_tables(self, tables: Sequence[Mapping[str, Any]]) -> Machine:
+        """A variant with exactly these `[[effect]]` tables, unchecked; `twin.effects.with_effects` checks them."""
+        return self._changed({"effect": list(tables)}, checked=False)
 
     def _changed(self, values: Mapping[str, Any], checked: bool = True) -> Machine:
         document = changed(self.document, values, self.name)

@@ -128,16 +128,27 @@ def files_of(path: Path) -> list[Path]:
 
 def state_of_model(path: Path) -> bytes:
     """Digest of an MJCF and of all that it names: equal as long as no content changed. Meshes count by their size and time."""
-    text = path.read_bytes() if path.is_file() else b""
+    text = _read(path) if path.is_file() else b""
     digest = hashlib.sha256(text)
     for file in _named_in(path, text):
         whole = path.parent / file
         if file.suffix.lower() == ".xml" and whole.is_file():
-            digest.update(whole.read_bytes())
+            digest.update(_read(whole))
         elif whole.is_file():
             about = whole.stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
     return digest.digest()
+
+
+def _read(path: Path) -> bytes:
+    """The content of a file; read again where size, time or place of it changed. A fit asks for it at every simulation."""
+    about = path.stat()
+    return _content(path, about.st_mtime_ns, about.st_size, about.st_ino)
+
+
+@functools.lru_cache(maxsize=32)
+def _content(path: Path, changed_ns: int, size: int, place: int) -> bytes:
+    return path.read_bytes()
 
 
 @functools.lru_cache(maxsize=32)

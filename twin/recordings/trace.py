@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 # what a signal is, so that a wrong unit is noticed and the right one is written
-POSITIONS = ("setpoint", "position", "motor_position")
+POSITIONS = ("setpoint", "position", "motor_position", "load_position")
 SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
 ACCELERATIONS = ("acceleration",)
 DISTURBANCES = {"V": "disturbance_voltage", "A": "disturbance_current", "Nm": "disturbance_torque", "N": "disturbance_force"}

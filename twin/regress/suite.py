@@ -48,6 +48,7 @@ SIGNAL_UNITS = {
     "setpoint": "um, arcsec",
     "position": "um, arcsec",
     "motor_position": "um, arcsec",
+    "load_position": "um, arcsec",
     "velocity": "mm/s, deg/s",
     "velocity_setpoint": "mm/s, deg/s",
     "drive_velocity_setpoint": "mm/s, deg/s",

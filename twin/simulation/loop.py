@@ -67,6 +67,7 @@ class Record(NamedTuple):
 
     position: np.ndarray  # measuring system at the load
     motor_position: np.ndarray  # motor encoder, axis units
+    load_position: np.ndarray  # where the load truly is: no encoder shows it
     velocity: np.ndarray  # of the motor, axis units
     velocity_setpoint: np.ndarray  # as the position controller of the NC computes it
     current: np.ndarray  # A, or the command of an axis without current loop
@@ -310,6 +311,7 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
     """Encoders and drive of axis `a` at the tick, after its controllers."""
     record.position[row, a] = signals[a, X_SCALE]
     record.motor_position[row, a] = signals[a, X_MOTOR_POSITION]
+    record.load_position[row, a] = signals[a, X_LOAD_POSITION]
     record.velocity_setpoint[row, a] = state.commanded_speed[a] * drives.ratio[a]
     record.drive_velocity_setpoint[row, a] = state.speed_setpoint[a] * drives.ratio[a]
     record.current[row, a] = state.current[a]

@@ -14,7 +14,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, gap_of, predict_each
+from twin.simulation.gap import REALISATIONS, Job, predict_each
 
 ALL_BUT = 0.1
 """Share of the gap that may stay unexplained where the verdict is 'law'."""
@@ -34,21 +34,19 @@ def laws_beside(
         return None
 
 
-def gaps_with(
+def predictions_with(
     laws: Laws,
     held_out: HeldOut,
     runs: Sequence[MeasuredRun],
     motions: Sequence[Motion],
-    machine: Machine,
     folds: Sequence[Sequence[int]],
     engine: bool,
     threads: int,
 ) -> HeldOut:
-    """The gaps after correction with the laws, each run by the machine fitted without it."""
+    """What is predicted after correction with the laws, each run by the machine fitted without it."""
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     jobs = [
         Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold
     ]
     predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
-    after = {run.name: gap_of(machine, run, predictions[run.name]) for run in runs}
-    return replace(held_out, gaps={**held_out.gaps, "after": after}, predictions={**held_out.predictions, "after": predictions})
+    return replace(held_out, predictions={**held_out.predictions, "after": predictions})

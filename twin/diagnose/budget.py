@@ -1,0 +1,356 @@
+"""The gap budget: what each effect, each re-tuned parameter and each normal imperfection is worth on its own.
+
+A row answers "what would the corrected machine do without this?". The corrected machine is simulated with and without it, and the
+difference is read in several currencies:
+
+    tool point    true tool point in the part frame: what the part sees, also where no encoder sees it
+    position      true position of the row's axis
+    signals       what the record of the axis shows: position, motor position, current
+    times noise   RMS over all axes, runs and these signals, in multiples of what noise makes
+
+Contributions overlap. `alone` is the same asked from the other end: the nominal machine with this effect and no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twin.diagnose.corrected import corrected_machine, normal_imperfections, within
+from twin.diagnose.observe import Mapper, in_turn, simulate_group
+from twin.diagnose.state import Found
+from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.view import RunView
+from twin.effects import Setting, settings_of, with_effects
+from twin.errors import InputError, TwinError
+from twin.geometry.kinematics import Kinematics, kinematics_of
+from twin.geometry.tool_path import AXIS_ORDER
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
+from twin.simulation.gap import LEAST_NOISE, is_moving, sensor_noise
+
+SIGNALS = ("position", "motor_position", "current")
+"""Signals of a row, and those over which its multiple of noise is taken."""
+
+ROBUST = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+ROUGHNESS = 6.0**0.5
+"""Standard deviation of second differences of white noise over its own: the root of 1 + 4 + 1."""
+
+UNIT = "um at the tool point, RMS"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One contribution: RMS over all runs, SI. `largest` [m] at the tool point, in run `run` at `at_s`; the interval is that of
+    `tool_point`, from the interval of the effect's size."""
+
+    kind: str  # effect, re-tuned or normal
+    name: str
+    axis: str
+    tool_point: float
+    alone: float
+    position: float
+    signals: dict[str, float]
+    times_noise: float
+    largest: float
+    run: str
+    at_s: float
+    setting: Setting | None = None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Contributions, largest at the tool point first, and the tool-point gap [m] that they make up: of the corrected machine from the
+    nominal one (`explained`), what is left on runs left out (`left`) and what noise makes (`floor`)."""
+
+    rows: tuple[Row, ...]
+    explained: float
+    left: float
+    floor: float
+    left_by_axis: dict[str, float]
+
+    @property
+    def before(self) -> float:
+        """Tool-point gap of the nominal machine: what is explained and what is left, which have nothing to do with each other."""
+        return float(np.hypot(self.explained, self.left))
+
+
+class _Part(NamedTuple):
+    """Something that can be taken out of the corrected machine."""
+
+    kind: str
+    name: str
+    axis: str
+    moved: tuple[str, ...]  # axes whose motion it changes
+    without: Machine
+    alone: Machine | None  # asked of effects only
+    setting: Setting | None
+
+
+class _Change(NamedTuple):
+    """Squares that a change makes in one run: of the tool point and the axis' true position, by signal; and the largest at the tool."""
+
+    tool: float
+    position: float
+    signals: dict[tuple[str, str], float]
+    largest: float
+    at_s: float
+
+
+def budget_of(
+    machine: Machine,
+    found: Sequence[Found],
+    views: Sequence[RunView],
+    left: Sequence[Trace | None],
+    noise: Mapping[tuple[str, str], float],
+    mapper: Mapper = in_turn,
+) -> Budget:
+    """The budget over the motion of `views`; `left` is what the corrected machine leaves of each run's record (None: not measured), `noise`
+    is that of each axis and signal [SI]."""
+    corrected = corrected_machine(machine, found)
+    parts = list(_parts(machine, corrected, found))
+    tool = _ToolPoint(machine)
+    plan: dict[int, Trace] = dict(enumerate(mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)))
+    nominal = dict(enumerate(mapper(lambda v: _simulated(v, machine, machine.axis_names), views)))
+    jobs = [(part, run) for part in parts for run in range(len(views))]
+
+    def asked(job: tuple[_Part, int]) -> tuple[_Change, _Change]:
+        part, run = job
+        view = views[run]
+        out = _change(machine, tool, view, plan[run], _simulated(view, part.without, part.moved), part)
+        if part.alone is None:
+            return out, _Change(0.0, 0.0, {}, 0.0, 0.0)
+        return out, _change(machine, tool, view, nominal[run], _simulated(view, part.alone, part.moved), part)
+
+    changes = mapper(asked, jobs)
+    samples = np.array([len(view.trace.time) for view in views], float)
+    names = [view.name for view in views]
+    rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], samples, names, noise) for part in parts]
+    explained = _rms([tool.squares(plan[r], nominal[r], machine.axis_names) for r in range(len(views))], samples)
+    measured = [r for r, trace in enumerate(left) if trace is not None]
+    by_axis = {axis: _rms([tool.squares_of(plan[r], left[r], (axis,)) for r in measured], samples[measured]) for axis in machine.axis_names}
+    floor = _rms([tool.noise_squares(plan[r]) for r in range(len(views))], samples)
+    whole = _rms([tool.squares_of(plan[r], left[r], machine.axis_names) for r in measured], samples[measured])
+    order = sorted(rows, key=lambda row: (-row.tool_point, row.axis, row.name))
+    return Budget(tuple(order), explained, whole, floor, by_axis)
+
+
+def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iterable[_Part]:
+    """Everything by which the corrected machine differs from the nominal one."""
+    rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
+    settings = list(settings_of(corrected))
+    for f in found:
+        for setting in f.fit.settings:
+            rest = [s for s in settings if s.key != setting.key]
+            moved = rotary if setting.effect.edits_bodies else (setting.axis,)
+            own = next(s for s in settings if s.key == setting.key)
+            yield _Part(
+                "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, rest), with_effects(machine, [own]), setting
+            )
+    effects = {s.key for f in found for s in f.fit.settings}
+    for own in normal_imperfections(machine, found):
+        if own.key in effects:
+            continue  # in series with the effect of the same name: one row
+        rest = [s for s in settings if s.key != own.key]
+        yield _Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
+    for f in found:
+        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+            if nuisance.quantity in NORMAL or abs(float(deviation)) < 1e-6:
+                continue
+            name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
+            moved = rotary if nuisance.quantity == "body" else (nuisance.owner,)
+            back = nuisance.apply(corrected, 1.0 / (1.0 + float(deviation)))
+            yield _Part("re-tuned", name, nuisance.owner, moved, back, None, None)
+
+
+def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
+    """True motion and signals of those axes that move in a run, without noise; None where none does, or the machine cannot run."""
+    moving = tuple(a for a in axes if view.moves(a))
+    if not moving:
+        return None
+    sources = [s.from_axis for s in settings_of(machine) if s.from_axis and s.axis in moving]
+    own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
+    try:
+        return simulate_group(view, moving, lambda _: own, also=sources).without_noise
+    except TwinError:
+        return None
+
+
+def _change(machine: Machine, tool: _ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
+    """What a run's motion changes by."""
+    if base is None or other is None:
+        return _Change(0.0, 0.0, {}, 0.0, 0.0)
+    shown = [a for a in part.moved if other.has(a, "load_position") and base.has(a, "load_position")]
+    distance = tool.distance(base, other, shown)
+    signals = {}
+    for axis in shown:
+        own = machine.axis(axis)
+        for signal in SIGNALS:
+            name = own.effort if signal == "current" else signal
+            difference = other.get(axis, name) - base.get(axis, name)
+            if signal == "current":
+                difference = difference[is_moving(view.trace, own)]
+            signals[axis, signal] = float(np.mean(difference**2)) if difference.size else 0.0
+    own_axis = part.axis if part.axis in shown else (shown[0] if shown else "")
+    position = float(np.mean((other.get(own_axis, "load_position") - base.get(own_axis, "load_position")) ** 2)) if own_axis else 0.0
+    at = int(np.argmax(distance)) if distance.size else 0
+    largest = float(distance[at]) if distance.size else 0.0
+    return _Change(float(np.mean(distance**2)) if distance.size else 0.0, position, signals, largest, float(view.trace.time[at]))
+
+
+def _row(
+    machine: Machine,
+    part: _Part,
+    changes: Sequence[tuple[_Change, _Change]],
+    samples: np.ndarray,
+    names: Sequence[str],
+    noise: Mapping[tuple[str, str], float],
+) -> Row:
+    out = [o for o, _ in changes]
+    worst = max(range(len(out)), key=lambda i: out[i].largest)
+    axis = part.axis if part.axis in machine.axis_names else part.moved[0]
+    signals = {signal: float(np.sqrt(np.average([c.signals.get((axis, signal), 0.0) for c in out], weights=samples))) for signal in SIGNALS}
+    over_noise = [square / _noise(machine, noise, a, signal) ** 2 for c in out for (a, signal), square in c.signals.items()]
+    places = len(machine.axes) * len(SIGNALS) * len(out)
+    return Row(
+        kind=part.kind,
+        name=part.name,
+        axis=part.axis,
+        tool_point=_rms([o.tool for o in out], samples),
+        alone=_rms([a.tool for _, a in changes], samples),
+        position=_rms([o.position for o in out], samples),
+        signals=signals,
+        times_noise=float(np.sqrt(sum(over_noise) / places)),
+        largest=out[worst].largest,
+        run=names[worst],
+        at_s=out[worst].at_s,
+        setting=part.setting,
+    )
+
+
+def scatter_of(runs: Sequence[Trace], predicted: Sequence[Trace], machine: Machine) -> dict[tuple[str, str], float]:
+    """Standard deviation [SI] of the noise in each signal of each axis, the median over the runs that move it.
+
+    From second differences of what a prediction leaves, which slow faults leave alone; not below the resolution of a motor encoder.
+    """
+    found: dict[tuple[str, str], float] = {}
+    for axis in machine.axes:
+        for signal in SIGNALS:
+            name = axis.effort if signal == "current" else signal
+            levels = [
+                ROBUST * float(np.median(np.abs(np.diff(run.get(axis.name, name) - of_twin.get(axis.name, name), 2)))) / ROUGHNESS
+                for run, of_twin in zip(runs, predicted)
+                if run.has(axis.name, name) and run.moves(axis.name) and len(run.time) > 2
+            ]
+            if levels:
+                least = machine.noise(axis).motor_resolution if signal == "motor_position" else 0.0
+                found[axis.name, signal] = max(float(np.median(levels)), least)
+    return found
+
+
+def _noise(machine: Machine, noise: Mapping[tuple[str, str], float], axis: str, signal: str) -> float:
+    """Noise of a signal [SI]; of one that was not recorded, or shows none, what its sensor would add."""
+    own = machine.axis(axis)
+    name = own.effort if signal == "current" else signal
+    return noise.get((axis, signal)) or sensor_noise(machine, own, name) or LEAST_NOISE.get(name, LEAST_NOISE["current"])
+
+
+def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
+    return float(np.sqrt(np.average(squares, weights=samples))) if len(squares) and samples.sum() > 0 else 0.0
+
+
+class _ToolPoint:
+    """Distances at the tool in the part frame; where a machine has no such chain, the root of the squares of its linear axes."""
+
+    def __init__(self, machine: Machine):
+        self.machine = machine
+        try:
+            self.kinematics: Kinematics | None = kinematics_of(machine)
+        except InputError:
+            self.kinematics = None
+
+    def distance(self, base: Trace, other: Trace, axes: Sequence[str], signal: str = "load_position") -> np.ndarray:
+        """Distance (sample,) [m] between the tool points of a motion and of the same one with other positions of these axes."""
+        return self._moved_by(base, {a: other.get(a, signal) - base.get(a, signal) for a in axes if other.has(a, signal)})
+
+    def squares(self, base: Trace | None, other: Trace | None, axes: Sequence[str]) -> float:
+        """Mean square [m2] of that distance."""
+        if base is None or other is None:
+            return 0.0
+        return float(np.mean(self.distance(base, other, axes) ** 2))
+
+    def squares_of(self, base: Trace | None, left: Trace | None, axes: Sequence[str]) -> float:
+        """Mean square [m2] that deviations of positions (a trace of `position`) make at the tool."""
+        if base is None or left is None:
+            return 0.0
+        return float(np.mean(self._moved_by(base, {a: left.get(a, "position") for a in axes if left.has(a, "position")}) ** 2))
+
+    def noise_squares(self, base: Trace | None) -> float:
+        """Mean square [m2] that the noise of the position sensors of the moving axes makes at the tool."""
+        if base is None:
+            return 0.0
+        total = 0.0
+        for axis in base.axes:
+            sigma = sensor_noise(self.machine, self.machine.axis(axis), "position")
+            total += float(np.mean(self._moved_by(base, {axis: np.full(len(base.time), sigma)}) ** 2))
+        return total
+
+    def _moved_by(self, base: Trace, by: dict[str, np.ndarray]) -> np.ndarray:
+        if not by:
+            return np.zeros(len(base.time))
+        if self.kinematics is None:
+            linear = [d**2 for a, d in by.items() if self.machine.axis(a).kind == "linear"]
+            return np.asarray(np.sqrt(np.sum(linear, axis=0))) if linear else np.zeros(len(base.time))
+        at = np.column_stack([self._column(base, name) for name in AXIS_ORDER])
+        moved = at.copy()
+        for axis, difference in by.items():
+            moved[:, AXIS_ORDER.index(axis)] += difference
+        return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - self.kinematics.forward(at)[0], axis=1))
+
+    def _column(self, base: Trace, name: str) -> np.ndarray:
+        if base.has(name, "load_position"):
+            return base.get(name, "load_position")
+        return np.zeros(len(base.time))
+
+
+def document_of(budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float]) -> dict[str, Any]:
+    """The contract's `budget`. `probability` and `halves`, half the interval of the size as a share of it, by effect and axis."""
+
+    def row(r: Row) -> dict[str, Any]:
+        key = r.setting.key if r.setting else None
+        half = min(halves.get(key, 0.0), 1.0)
+        linear = r.axis not in machine.axis_names or machine.axis(r.axis).kind == "linear"
+        to = 1e6 if linear else float(np.degrees(3600.0))
+        return {
+            "effect": r.name,
+            "axis": r.axis,
+            "kind": r.kind,
+            **({"from_axis": r.setting.from_axis} if r.setting and r.setting.from_axis else {}),
+            "probability": probability.get(key, 1.0) if r.setting else 1.0,
+            "tool_point": 1e6 * r.tool_point,
+            "alone": 1e6 * r.alone,
+            "position": to * r.position,
+            "position_unit": "um" if linear else "arcsec",
+            "scale": to * r.signals["position"],
+            "motor": to * r.signals["motor_position"],
+            "current": r.signals["current"],
+            "times_noise": r.times_noise,
+            "low": 1e6 * r.tool_point * (1.0 - half),
+            "high": 1e6 * r.tool_point * (1.0 + half),
+            "largest": 1e6 * r.largest,
+            "run": r.run,
+            "at_s": r.at_s,
+        }
+
+    return {
+        "unit": UNIT,
+        "before": 1e6 * budget.before,
+        "after": 1e6 * budget.left,
+        "floor": 1e6 * budget.floor,
+        "rows": [row(r) for r in budget.rows],
+    }
