@@ -43,13 +43,13 @@ def test_the_circle_of_a_worn_machine(tmp_path: Path, mikron: Machine) -> None:
 
 @pytest.mark.slow
 def test_a_measured_surface_beside_the_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The script cuts corner.mpf by corner.toml; the measured mark is deeper than that of the nominal twin."""
+    """The script cuts dip.mpf by dip.toml; the measured mark is shallower than that of the nominal twin."""
     carried_out("examples/measured_surface/run.py", tmp_path)
     said = capsys.readouterr().out
     simulated, measured = (float(said.split(f"{word} ")[1].split(" um")[0]) for word in ("simulated", "um, measured"))
     true = float(said.split("worn machine is ")[1].split(" um")[0])
-    assert measured == pytest.approx(true, abs=1.0)
-    assert measured > 1.1 * simulated
+    assert measured == pytest.approx(true, abs=1.5)
+    assert simulated > measured + 1.0
     assert (tmp_path / "cut.rrd").is_file()
 
 
