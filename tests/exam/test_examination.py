@@ -28,7 +28,7 @@ from twin.exam.session import draw, is_answered, same_examination, seal, sit, un
 from twin.machine.machine import default_machine_path, load_machine
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
-PLANT = [*sorted((PACKAGE / "plant").glob("*.py")), *(PACKAGE / f"{name}.py" for name in ("draw", "paths", "programme"))]
+PLANT = [*sorted((PACKAGE / "plant").glob("*.py")), *(PACKAGE / f"{name}.py" for name in ("budget", "draw", "paths", "programme"))]
 
 
 def test_the_plant_imports_nothing_of_the_twin() -> None:

@@ -1,6 +1,6 @@
 """Draws cases and writes their campaigns without truth.
 
-    case = draw_case(seed, "single", machine)            # or pair, triple, healthy, outside
+    case = draw_case(seed, "single", machine)            # or pair, triple, healthy, outside, everyday
     write_campaign(case, folder, machine)                # Parquet + campaign.toml, nothing that gives the truth away
     truth = truth_of(case)                               # for the sealed file, kept elsewhere
 
@@ -30,9 +30,29 @@ from .plant.plant import SUBSTEPS, PlantError, Trace, run
 from .plant.richness import apply_richness
 from .programme import TestRun, programme
 
-KINDS = ("single", "pair", "triple", "healthy", "outside")
+COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # effects of a kind of case
+KINDS = (*COUNTS, "everyday")
 EFFECTS = LIBRARY | OUTSIDE
 SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
+BACKGROUND = tuple(
+    (name, axis)
+    for name in (
+        "viscous_asymmetry",
+        "position_dependent_friction",
+        "constant_force",
+        "torque_ripple",
+        "stribeck",
+        "cyclic_error",
+        "lead_error",
+        "thermal_drift",
+        "encoder_eccentricity",
+    )
+    for axis in LIBRARY[name].axes
+)
+"""What an everyday machine has on every axis that can have it."""
+BACKGROUND_SCALE = (0.03, 0.15)  # of the usual size, drawn for each
+MOST_MAIN = 3  # effects of usual size beside a background
+ZEROS = ("each run", "kept")
 RICH = Richness()
 # run set -> kinds or names of the runs in it
 RUN_SETS = {
@@ -74,6 +94,9 @@ class Case:
     richness: Richness = field(default_factory=Richness)
     noise: bool = True
     noise_seed: int | None = None  # another recording of the same machine
+    wide: bool = False  # sizes and shapes from ranges three times as wide
+    encoder_zero: str = "each run"  # lead and cyclic error are zero where a run starts; "kept": the encoder keeps its zero
+    budget: tuple[dict, ...] = ()  # what each effect changes, see budget.py
 
 
 def draw_case(
@@ -87,22 +110,31 @@ def draw_case(
     spread: float | None = None,
     richness: Richness = RICH,
     run_set: str = "all",
+    wide: bool = False,
 ) -> Case:
     """A case from its seed.
 
     effect, axis: fixes them for kinds "single" and "outside" (drawn otherwise). scale: 1 = usual size, 0.2 = a fifth.
     spread: of the parameters, default the machine file's parameter_tolerance. run_set: the runs whose speeds and
-    currents sizes are measured against (current_limit must be reached where it is looked for)."""
+    currents sizes are measured against (current_limit must be reached where it is looked for). wide: sizes and shapes from
+    ranges three times as wide. Everyday and wide machines may have motor encoders that keep their zero from run to run."""
     if kind not in KINDS:
         raise ValueError(f"no kind {kind!r}; there are: {', '.join(KINDS)}")
     of_factors, of_effects = (np.random.default_rng(child) for child in np.random.SeedSequence([seed, 10]).spawn(2))
     factors = draw_factors(of_factors, machine["parameter_tolerance"] if spread is None else spread)
     peaks = peaks_of(machine, factors, runs_of(machine, seed, run_set))
+    both = kind == "everyday" or wide
+    zero = ZEROS[np.random.default_rng(np.random.SeedSequence([seed, 16])).integers(2)] if both else ZEROS[0]
     for _ in range(20):
-        chosen = _choose(kind, of_effects, effect, axis)
+        if kind == "everyday":
+            chosen = _everyday(of_effects)
+        else:
+            chosen = [(name, on, scale) for name, on in _choose(kind, COUNTS[kind], of_effects, effect, axis)]
         s = settings_of(machine, factors)
-        effects = tuple(draw_effect(name, on, DrawContext(of_effects, AXES.index(on), scale, s, *peaks), EFFECTS) for name, on in chosen)
-        case = Case(seed, kind, scale, effects, factors, richness)
+        effects = tuple(
+            draw_effect(name, on, DrawContext(of_effects, AXES.index(on), size, s, *peaks, wide), EFFECTS) for name, on, size in chosen
+        )
+        case = Case(seed, kind, scale, effects, factors, richness, wide=wide, encoder_zero=zero)
         if not effects or behaves(case, machine):
             return case
     raise PlantError(
@@ -116,10 +148,17 @@ def runs_of(machine: dict, seed: int, run_set: str) -> list[TestRun]:
     return [r for r in programme(machine, seed) if r.kind in RUN_SETS[run_set] or r.name in RUN_SETS[run_set]]
 
 
-def _choose(kind: str, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
+def _everyday(rng: np.random.Generator) -> list[tuple[str, str, float]]:
+    """Names, axes and scales: none to three effects of usual size, then the background, of which they replace their own kind."""
+    main = _choose("everyday", int(rng.integers(MOST_MAIN + 1)), rng, None, None)
+    low, high = BACKGROUND_SCALE
+    scales = low + (high - low) * rng.random(len(BACKGROUND))
+    return [(*m, 1.0) for m in main] + [(*b, float(scale)) for b, scale in zip(BACKGROUND, scales) if b not in main]
+
+
+def _choose(kind: str, count: int, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
     """Names and axes: every effect equally often, then every axis it can have."""
     library = OUTSIDE if kind == "outside" else LIBRARY
-    count = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}[kind]
     chosen: list[tuple[str, str]] = []
     while len(chosen) < count:
         names = [n for n in library if (effect in (None, n)) and (axis is None or axis in library[n].axes)]
@@ -137,6 +176,7 @@ def _choose(kind: str, rng: np.random.Generator, effect: str | None, axis: str |
 def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque") -> Settings:
     """Settings of the plant for this case: factors, effects, richness, and the feedforward that a run has on."""
     s = settings_of(machine, case.factors)
+    s.zero_kept = case.encoder_zero == "kept"
     for effect in case.effects:
         apply_effect(s, effect, EFFECTS)
     apply_richness(s, case.richness, np.random.default_rng(np.random.SeedSequence([case.seed, 15])))
@@ -207,14 +247,15 @@ def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndar
 
 
 def truth_of(case: Case) -> dict:
-    """The sealed answer: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case]."""
+    """The sealed answer: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case], [[budget]] where there is one."""
     known = [dict(e) for e in case.effects if e["name"] in LIBRARY]
     other = [dict(e, block=OUTSIDE[e["name"]].block) for e in case.effects if e["name"] in OUTSIDE]
     return {
-        "case": {"seed": case.seed, "kind": case.kind, "scale": case.scale},
+        "case": {"seed": case.seed, "kind": case.kind, "scale": case.scale, "wide": case.wide, "encoder_zero": case.encoder_zero},
         "effect": known,
         "outside": other,
         "parameter": {name: dict(table) for name, table in case.factors.items()},
+        **({"budget": [dict(row) for row in case.budget]} if case.budget else {}),
     }
 
 
@@ -222,6 +263,8 @@ def truth_toml(truth: dict) -> str:
     """A truth as TOML text, in the form of the truth.toml of recorded campaigns."""
 
     def value(v: object) -> str:
+        if isinstance(v, bool):
+            return str(v).lower()
         return f'"{v}"' if isinstance(v, str) else repr(v) if isinstance(v, int) else f"{v:.9g}"
 
     def table(head: str, entries: dict) -> str:
@@ -229,6 +272,7 @@ def truth_toml(truth: dict) -> str:
 
     parts = [table("[case]", truth["case"])]
     parts += [table(f"[[{kind}]]", e) for kind in ("effect", "outside") for e in truth[kind]] or ["# no effect\n"]
+    parts += [table("[[budget]]", row) for row in truth.get("budget", ())]
     parts += [table(f"[parameter.{name}]", t) for name, t in truth["parameter"].items()]
     return "\n".join(parts)
 

@@ -23,6 +23,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 
 from .draw import Case, truth_of, write_campaign
+from .mark_budget import VISIBLE, mark_budget, what_of
 from .questions import Question
 
 REALISATIONS = 2
@@ -35,6 +36,7 @@ NOT_DIAGNOSED: dict[str, Any] = {
     "probabilities": [],
     "parameters": [],
     "baselines": {},
+    "budget": None,
 }
 """The mark of a case that could not be diagnosed: wrong in everything."""
 
@@ -57,7 +59,8 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     }
     failure = place / "answer" / "failed.txt"
     if failure.exists():
-        result |= {**NOT_DIAGNOSED, "failed": failure.read_text(encoding="utf-8").strip()}
+        nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
+        result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8").strip()}
     else:
         answer = json.loads((place / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
         result |= mark_answer(truth, answer)
@@ -72,16 +75,20 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
 
 def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     """What a `diagnosis.json` says against a truth."""
-    true = [_what(e) for e in truth["effect"]]
-    named = [_what(e) for e in answer["effects"]]
+    true = [what_of(e) for e in truth["effect"]]
+    named = [what_of(e) for e in answer["effects"]]
     if truth["outside"]:
         right = answer["verdict"] in ("unknown", "law")
         places = {(e["axis"], e["block"]) for e in truth["outside"]}
+    elif "budget" in truth:
+        visible = {what_of(row) for row in truth["budget"] if row["times_noise"] >= VISIBLE}
+        right = answer["verdict"] == ("effect" if visible else "none") and visible <= set(named) <= set(true)
+        places = {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
     else:
         right = answer["verdict"] == ("effect" if true else "none") and sorted(named) == sorted(true)
         places = {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
     rivals = [
-        _what(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
+        what_of(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
     ]
     # one effect was named, and the true one listed among its rivals
     rightly_ambiguous = answer["verdict"] == "effect" and len(named) == 1 and any(r in true for r in rivals)
@@ -96,15 +103,11 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
         "first_or_ambiguous": bool(right or rightly_ambiguous) if true else right,
         "exact": bool(right),
         "place": bool(located and located[0] in places) if places else right,
-        "probabilities": [[e["probability"], _what(e) in true] for e in answer["effects"]],
+        "probabilities": [[e["probability"], what_of(e) in true] for e in answer["effects"]],
         "parameters": _parameters(truth, answer),
         "retuning_share": answer["gap"].get("retuning_share"),
+        "budget": mark_budget(truth, answer) if "budget" in truth else None,
     }
-
-
-def _what(e: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Effect, axis, and the axis that it comes from ('' where it is its own)."""
-    return e.get("effect") or e["name"], e["axis"], e.get("from_axis", "")
 
 
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -112,7 +115,7 @@ def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dic
     rows = []
     for said in answer["effects"]:
         for e in truth["effect"]:
-            if _what(e) != _what(said):
+            if what_of(e) != what_of(said):
                 continue
             for parameter in EFFECTS[e["name"]].parameters:
                 if parameter.shape or parameter.name not in e or parameter.name not in said["parameters"]:
@@ -152,7 +155,8 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     """Gap on the exam's own runs, in multiples of what noise makes of the nominal twin's prediction: `before` and `after` correction.
 
     `floor` is what two records of this very machine differ by (over sqrt 2: one of them), `true_effects` what is left with the true
-    parameters and effects in the twin, `size` what the effects alone change of the twin. Where the corrected machine cannot be
+    parameters and effects in the twin (not asked where encoders keep their zero, which the twin's laws do not), `size` what the effects
+    alone change of the twin. Where the corrected machine cannot be
     simulated there is no `after`.
     """
     machine = load_machine(machine_file)
@@ -173,7 +177,7 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     if answer.exists():
         with contextlib.suppress(TwinError):
             out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
-    if not truth["outside"]:
+    if not truth["outside"] and case.encoder_zero == "each run":
         exact = gaps_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
         out |= {"true_effects": _level(exact), "true_effects_position": _position_um(exact)}
     if truth["effect"]:

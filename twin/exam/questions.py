@@ -7,6 +7,9 @@ programs only     one effect, three part programs and no test run
 two, three        effects at once
 healthy           no effect
 outside           one effect that the library does not have
+everyday          a background of 3 to 15 % of usual sizes on every axis, none to three effects of usual size beside
+
+A tenth of all kinds is drawn wide: sizes and shapes from ranges three times as wide as the usual ones.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ from .plant.parameters import Richness
 RICHNESS = {"off": Richness.off(), "small": Richness.small(), "full": Richness()}
 
 
+WIDE = 10
+"""One case in this many, of every kind, is drawn wide."""
+
+
 @dataclass(frozen=True)
 class Stratum:
     """A kind of case: how it is drawn, and its share of an examination."""
@@ -36,14 +43,15 @@ class Stratum:
 
 
 STRATA = (
-    Stratum("usual", "single", 29 / 100),
-    Stratum("a fifth", "single", 17 / 100, scale=0.2),
-    Stratum("scale and current", "single", 10 / 100, signals="scale and current"),
-    Stratum("programs only", "single", 9 / 100, runs="program"),
-    Stratum("two", "pair", 10 / 100),
+    Stratum("usual", "single", 26 / 100),
+    Stratum("a fifth", "single", 15 / 100, scale=0.2),
+    Stratum("scale and current", "single", 9 / 100, signals="scale and current"),
+    Stratum("programs only", "single", 8 / 100, runs="program"),
+    Stratum("two", "pair", 9 / 100),
     Stratum("three", "triple", 2 / 100),
-    Stratum("healthy", "healthy", 13 / 100),
-    Stratum("outside", "outside", 10 / 100),
+    Stratum("healthy", "healthy", 12 / 100),
+    Stratum("outside", "outside", 9 / 100),
+    Stratum("everyday", "everyday", 10 / 100),
 )
 
 
@@ -55,6 +63,7 @@ class Question:
     stratum: Stratum
     seed: int
     effect: str | None = None
+    wide: bool = False
 
     @property
     def name(self) -> str:
@@ -70,8 +79,9 @@ def questions_of(seed: int, cases: int, short: bool = False, only: str | None = 
     chosen = [(stratum, effect) for stratum, count in zip(asked, _counts(asked, cases)) for effect in _effects(stratum, count, rng)]
     order = rng.permutation(len(chosen))
     seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
+    first = int(np.random.default_rng(np.random.SeedSequence([seed, 52])).integers(WIDE))
     strata = {s: replace(s, runs="short") if short and s.runs == "all" else s for s in STRATA}
-    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1]) for i, k in enumerate(order)]
+    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1], k % WIDE == first) for i, k in enumerate(order)]
 
 
 def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:

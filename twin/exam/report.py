@@ -11,9 +11,13 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 
+from .mark_budget import VISIBLE
 from .score import label_of, singles, target_text
 
 Document = Mapping[str, Any]
+
+LISTED = 5
+"""Effects of a case that are listed by name."""
 
 
 def write_exam_report(document: Document, path: Path) -> None:
@@ -55,6 +59,11 @@ def sections_of(document: Document) -> list[Section]:
     sections.append(Section("How far the gap shrinks", figures=[_gaps(marks)]))
     if s["calibration"]:
         sections.append(Section("Whether a probability can be believed", figures=[_calibration(s["calibration"])]))
+    everyday = [m for m in marks if m.get("budget")]
+    if everyday:
+        text = "A little of everything on every axis: what each effect changes of the campaign, in multiples of noise, RMS over all axes, runs and signals."
+        figures = [_budgets(everyday)] + ([_calibration(s["candidates"])] if s.get("candidates") else [])
+        sections.append(Section("Everyday machines", [text], figures=figures))
     wrong = [m for m in document["marks"] if "failed" in m or not m["exact"]]
     sections.append(
         Section("Cases that are not exactly right", tables=[_wrong(wrong)] if wrong else [], paragraphs=[] if wrong else ["None."])
@@ -198,6 +207,28 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     return Figure(figure_svg(figure), text)
 
 
+def _budgets(marks: Sequence[Document]) -> Figure:
+    rows = [c for m in marks for c in m["budget"]["contributions"] if c["true"] > 0]
+    named = [c for c in rows if c["said"]]
+    missed = [c for c in rows if not c["said"]]
+    figure, panels = new_figure(1, 1, width=6.5, height=4.0)
+    ax = panels[0, 0]
+    low, high = 0.5 * min((c["true"] for c in rows), default=0.1), 2.0 * max((c["true"] for c in rows), default=10.0)
+    ax.plot([low, high], [low, high], color=SOFT, linewidth=1)
+    ax.axvline(VISIBLE, color="#1c2430", linewidth=1)
+    ax.plot([c["true"] for c in named], [c["said"] for c in named], "o", color=BLUE, markersize=4, label=f"named ({len(named)})")
+    ax.plot([c["true"] for c in missed], [low] * len(missed), "x", color=RED, label=f"not named ({len(missed)})")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel("true contribution, times noise")
+    ax.set_ylabel("stated contribution, times noise")
+    ax.legend(loc="upper left")
+    return Figure(
+        figure_svg(figure),
+        f"Every effect of the everyday machines; not named ones at the foot. Right of the black line ({VISIBLE:.0f} x noise) each must be named.",
+    )
+
+
 def _calibration(bins: Sequence[Document]) -> Figure:
     figure, panels = new_figure(1, 1, width=5.0, height=3.2)
     ax = panels[0, 0]
@@ -216,14 +247,20 @@ def _calibration(bins: Sequence[Document]) -> Figure:
     )
 
 
+def _many(effects: Sequence[Sequence[str]]) -> str:
+    """Effects in words, the first few of many."""
+    few = ", ".join(f"{e[0]} {e[1]}" for e in effects[:LISTED])
+    return few + (f" and {len(effects) - LISTED} more" if len(effects) > LISTED else "")
+
+
 def _wrong(marks: Sequence[Document]) -> Table:
     rows = []
     for m in marks:
-        there = ", ".join(f"{n} {a}" for n, a in m["true"]) or ", ".join(f"{n} {a} ({b})" for n, a, b in m["outside"]) or "nothing"
+        there = _many(m["true"]) or ", ".join(f"{n} {a} ({b})" for n, a, b in m["outside"]) or "nothing"
         if "failed" in m:
             rows.append([m["case"], m["stratum"], there, f"not diagnosed: {m['failed']}", ""])
             continue
-        named = ", ".join(f"{n} {a}" for n, a in m["named"])
+        named = _many(m["named"])
         said = f"{m['verdict']}{': ' + named if named else ''}"
         size = f"{m['gap']['size']:.2g}" if "size" in m["gap"] else ""
         rows.append([m["case"], m["stratum"], there, said, size])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import itertools
 import math
 from typing import Any
 
 import numpy as np
+
+from .mark_budget import VISIBLE
 
 Mark = Mapping[str, Any]
 
@@ -26,10 +28,21 @@ TARGETS = (
     ("intervals cover the truth", (0.88, 0.99)),
     ("gap after over floor, median", -1.3),
     ("Brier score", -0.08),
+    ("everyday: named effects that are there", 0.95),
+    ("everyday: effects of at least 3 x noise that are named", 0.90),
+    ("everyday: largest contribution named", 1.0),
+    ("everyday: order of the five largest, 1 - Kendall tau, mean", -0.2),
+    ("everyday: relative error of a contribution, median", -0.15),
+    ("everyday: gap after over floor, median", -1.5),
+    ("everyday: Brier score of the candidates", -0.05),
 )
+"""Those of everyday machines stand by themselves: the others are of all kinds but these."""
 
 FULL = ("usual", "a fifth")
 """Strata of single effects whose campaigns hold all signals and runs."""
+
+EVERYDAY = "everyday"
+"""The stratum whose machines have a little of everything."""
 
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 
@@ -51,10 +64,10 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         rows = of.get(stratum, [])
         return _share(sum(m[key] for m in rows), len(rows)) if rows else None
 
-    parameters = [p for m in marks for p in m["parameters"]]
-    # where nothing could be diagnosed, or what was said cannot be simulated, nothing shrinks
-    ratios = [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
-    probabilities = [(p, right) for m in marks for p, right in m["probabilities"]]
+    one_fault = [m for m in marks if m["stratum"] != EVERYDAY]
+    parameters = [p for m in one_fault for p in m["parameters"]]
+    ratios = _shrunk(one_fault)
+    probabilities = [(p, right) for m in one_fault for p, right in m["probabilities"]]
     values: dict[str, Any] = {
         "first named right, usual size": share("usual", "first"),
         "exactly right, usual size": share("usual", "exact"),
@@ -64,14 +77,11 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "both right, two effects": share("two", "exact"),
         "healthy recognised": share("healthy", "exact"),
         "outside the library recognised": share("outside", "exact"),
-        "median parameter error": {"value": float(np.median([p["error"] for p in parameters])), "of": len(parameters)}
-        if parameters
-        else None,
+        "median parameter error": _value(np.median, [p["error"] for p in parameters]),
         "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
-        "gap after over floor, median": {"value": float(np.median(ratios)), "of": len(ratios)} if ratios else None,
-        "Brier score": {"value": float(np.mean([(p - right) ** 2 for p, right in probabilities])), "of": len(probabilities)}
-        if probabilities
-        else None,
+        "gap after over floor, median": _value(np.median, ratios),
+        "Brier score": _value(np.mean, [(p - right) ** 2 for p, right in probabilities]),
+        **_everyday(of.get(EVERYDAY, [])),
     }
     return {
         "cases": len(marks),
@@ -90,11 +100,48 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "macro_f1": macro_f1(marks),
         "confusion": confusion(marks),
         "calibration": calibration(probabilities),
+        "candidates": calibration(_candidates(of.get(EVERYDAY, []))),
         "by_size": by_size(marks),
         "detection": detection(marks),
         "gap": _gaps(marks),
         "same_parameters": _same_parameters(marks),
     }
+
+
+def _everyday(marks: Sequence[Mark]) -> dict[str, dict[str, Any] | None]:
+    """The values of everyday machines, over all their cases together."""
+    budgets = [m["budget"] for m in marks]
+
+    def counted(key: str) -> dict[str, Any] | None:
+        right, of = (sum(b[key][i] for b in budgets) for i in (0, 1))
+        return _share(right, of) if of else None
+
+    largest = [b["largest"] for b in budgets if b["largest"] is not None]
+    named = [c for b in budgets for c in b["contributions"] if c["said"] is not None and c["true"] >= VISIBLE]
+    return {
+        "everyday: named effects that are there": counted("precision"),
+        "everyday: effects of at least 3 x noise that are named": counted("recall"),
+        "everyday: largest contribution named": _share(sum(largest), len(largest)) if largest else None,
+        "everyday: order of the five largest, 1 - Kendall tau, mean": _value(
+            np.mean, [1.0 - b["order"] for b in budgets if b["order"] is not None]
+        ),
+        "everyday: relative error of a contribution, median": _value(np.median, [abs(c["said"] / c["true"] - 1.0) for c in named]),
+        "everyday: gap after over floor, median": _value(np.median, _shrunk(marks)),
+        "everyday: Brier score of the candidates": _value(np.mean, [(p - there) ** 2 for p, there in _candidates(marks)]),
+    }
+
+
+def _candidates(marks: Sequence[Mark]) -> list[tuple[float, bool]]:
+    return [(p, there) for m in marks for p, there in m["budget"]["candidates"]]
+
+
+def _shrunk(marks: Sequence[Mark]) -> list[float]:
+    """Gap after over floor of cases with effects; infinite where nothing was diagnosed, or what was said cannot be simulated."""
+    return [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
+
+
+def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:
+    return {"value": float(of(values)), "of": len(values)} if values else None
 
 
 def _baselines(marks: Sequence[Mark]) -> list[str]:

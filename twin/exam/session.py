@@ -24,6 +24,7 @@ from typing import Any
 from twin.errors import InputError
 from twin.files import write_whole
 
+from .budget import with_budget
 from .draw import Case, draw_case, truth_of, write_campaign
 from .plant.plant import PlantError
 from .questions import RICHNESS, Question
@@ -37,9 +38,17 @@ def draw(question: Question, machine_file: str, richness: str) -> Case | str:
     s = question.stratum
     for attempt in range(5):  # an axis on which the effect cannot be had stably: another one
         try:
-            return draw_case(
-                question.seed + attempt, s.kind, machine, effect=question.effect, scale=s.scale, richness=RICHNESS[richness], run_set=s.runs
+            case = draw_case(
+                question.seed + attempt,
+                s.kind,
+                machine,
+                effect=question.effect,
+                scale=s.scale,
+                richness=RICHNESS[richness],
+                run_set=s.runs,
+                wide=question.wide,
             )
+            return with_budget(case, machine, s.runs) if s.kind == "everyday" else case
         except PlantError as error:
             reason = str(error)
     return reason

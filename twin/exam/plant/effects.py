@@ -3,6 +3,7 @@
 An effect is a dict as in a truth.toml: {"name": ..., "axis": ..., **parameters}. `apply_effect` changes settings
 (parameters.settings_of) in place; `draw_effect` draws one. `scale` 1 is the usual range of effects.md, smaller is smaller:
 deviations of factors, amplitudes, times, and compliances (1 / stiffness) are multiplied by it, shapes are not.
+A `wide` draw takes every size and shape from a range three times as wide: of low to high, low^2 / high to high^2 / low.
 Rotary ranges that effects.md gives only in mm are taken at equal motor angle.
 """
 
@@ -19,6 +20,8 @@ from .parameters import AXES, LINEAR, Settings, load_of
 ARCSEC = math.pi / 180.0 / 3600.0
 SCREW = 0.010 / (2.0 * math.pi)  # m/rad of the screws that the ranges in mm stand for
 
+LEAST_FACTOR, MOST_FRACTION = 0.3, 0.95  # no wide draw takes more from a gain or a friction: the twin accepts no more
+
 
 class DrawContext(NamedTuple):
     """What sizes are measured against on axis `k`."""
@@ -29,8 +32,11 @@ class DrawContext(NamedTuple):
     s: Settings  # settings with this machine's spread, no effects
     peak_current: np.ndarray  # A, what the programme asks of each axis
     peak_speed: np.ndarray  # axis units per s, likewise
+    wide: bool = False  # ranges three times as wide, on a logarithmic scale
 
     def within(self, low: float, high: float) -> float:
+        if self.wide:
+            return low * (high / low) ** (3.0 * self.rng.random() - 1.0)
         return low + (high - low) * self.rng.random()
 
     def sign(self) -> float:
@@ -40,7 +46,11 @@ class DrawContext(NamedTuple):
         return self.scale * self.within(low, high)
 
     def phase(self) -> float:
-        return self.within(0.0, 2.0 * math.pi)
+        return 2.0 * math.pi * self.rng.random()
+
+    def whole(self, low: int, high: int) -> float:
+        """A whole number from low to high."""
+        return float(self.rng.integers(1, 3 * high + 1) if self.wide else self.rng.integers(low, high + 1))
 
     @property
     def linear(self) -> bool:
@@ -87,14 +97,17 @@ def _add(**fields: str) -> Callable:
 def _factor(low: float, high: float, signs: str = "both") -> Callable:
     def draw(d: DrawContext) -> dict:
         sign = {"both": d.sign, "less": lambda: -1.0}[signs]()
-        return {"factor": 1.0 + sign * d.size(low, high)}
+        return {"factor": max(1.0 + sign * d.size(low, high), LEAST_FACTOR)}
 
     return draw
 
 
 def _tn_factor(d: DrawContext) -> dict:
-    wide = d.within(1.4, 2.2) if d.rng.random() < 0.5 else d.within(0.5, 0.75)
-    return {"factor": 1.0 + d.scale * (wide - 1.0)}
+    return {"factor": 1.0 + d.size(0.4, 1.2) if d.rng.random() < 0.5 else max(1.0 - d.size(0.5, 0.25), LEAST_FACTOR)}
+
+
+def _delay(d: DrawContext) -> dict:
+    return {"delay_s": max(d.sign() * d.size(0.25e-3, 0.75e-3), -d.s.position_delay[d.k])}  # nothing arrives before it is sent
 
 
 def _limit(d: DrawContext) -> dict:
@@ -112,7 +125,7 @@ def _presliding(d: DrawContext) -> dict:
 
 
 def _position_friction(d: DrawContext) -> dict:
-    return {"fraction": d.size(0.25, 0.5), "wavelength": d.within(0.03, 0.12) if d.linear else d.within(0.35, 1.2)}
+    return {"fraction": min(d.size(0.25, 0.5), MOST_FRACTION), "wavelength": d.within(0.03, 0.12) if d.linear else d.within(0.35, 1.2)}
 
 
 def _set_position_friction(s: Settings, k: int, p: dict) -> None:
@@ -170,7 +183,7 @@ def _set_frame(s: Settings, k: int, p: dict) -> None:
 def _ripple(d: DrawContext) -> dict:
     return {
         "amplitude_nm": d.size(0.08, 0.3) if d.linear else d.size(0.04, 0.15),
-        "periods_per_rev": float(d.rng.integers(4, 13)),
+        "periods_per_rev": d.whole(4, 12),
         "phase_rad": d.phase(),
     }
 
@@ -210,9 +223,7 @@ LIBRARY: dict[str, Effect] = {
     "position_gain": Effect("position controller", ALL, ("factor",), _factor(0.06, 0.15), _scale("kv")),
     "velocity_feedforward": Effect("position controller", ALL, ("factor",), _factor(0.015, 0.05), _scale("velocity_weight")),
     "torque_feedforward": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.5), _scale("torque_weight")),
-    "loop_delay": Effect(
-        "position controller", ALL, ("delay_s",), lambda d: {"delay_s": d.sign() * d.size(0.25e-3, 0.75e-3)}, _add(position_delay="delay_s")
-    ),
+    "loop_delay": Effect("position controller", ALL, ("delay_s",), _delay, _add(position_delay="delay_s")),
     "speed_gain": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.4), _scale("kp")),
     "speed_integral_time": Effect("speed controller", ALL, ("factor",), _tn_factor, _scale("tn")),
     "set_point_filter": Effect(

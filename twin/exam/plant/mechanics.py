@@ -71,7 +71,8 @@ DEAD_TIME_A = 0.2  # current at which an inverter's dead time has taken most of 
     LEAD,
     CYCLIC,
     CYCLIC_PHASE,
-) = range(40)
+    ZERO_KEPT,  # 1: the motor encoder keeps its zero from run to run, 0: lead and cyclic error are zero where a run starts
+) = range(41)
 
 
 @compiled(inline=True)
@@ -91,10 +92,11 @@ def drive_force(m: np.ndarray, k: int, d: float, speed: float) -> float:
 
 @compiled(inline=True)
 def motor_position(m: np.ndarray, k: int, q: float, q0: np.ndarray) -> float:
-    """What the motor encoder shows, in axis units: lead and cyclic error are zero at q0."""
-    shown = q - m[LEAD, k] * (q - q0)
+    """What the motor encoder shows, in axis units: lead and cyclic error are zero at q0, or, with a zero that is kept, where they may be."""
+    start = 1.0 - m[ZERO_KEPT, k]
+    shown = q - m[LEAD, k] * (q - start * q0)
     if m[CYCLIC, k] != 0.0:
-        shown -= m[CYCLIC, k] * (math.sin(q / m[RATIO, k] + m[CYCLIC_PHASE, k]) - math.sin(q0 / m[RATIO, k] + m[CYCLIC_PHASE, k]))
+        shown -= m[CYCLIC, k] * (math.sin(q / m[RATIO, k] + m[CYCLIC_PHASE, k]) - start * math.sin(q0 / m[RATIO, k] + m[CYCLIC_PHASE, k]))
     return shown
 
 

@@ -232,6 +232,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     for key in (*ZERO_IN_LIBRARY, *ZERO_OUTSIDE):
         setattr(s, key, np.zeros(len(AXES)))
     s.stribeck_velocity = np.full(len(AXES), 1e-3)
+    s.zero_kept = False  # of the motor encoders, see mechanics.motor_position
     s.speed_clip = np.full(len(AXES), FREE)
     s.coupling = np.zeros((len(AXES), len(AXES)))  # [this, from]: mass
     s.crosstalk = np.zeros((len(AXES), len(AXES)))  # [this, from]: axis units per axis unit, outside the library

@@ -44,6 +44,7 @@ from .parameters import AXES, Settings, load_of, pair_of
 from .tilting_pair import holding_torque
 
 SUBSTEPS = 8  # RK4 steps per 125 us tick: 450 Hz contact and 250 Hz modes to far below a nanometre
+RING = 256  # ticks of current that are remembered: 32 ms
 CONTACT_HZ, CONTACT_DAMPING_RATIO = 450.0, 0.3  # effects.md, default of backlash
 
 
@@ -126,6 +127,7 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
             s.lead,
             s.cyclic,
             s.cyclic_phase,
+            np.full(len(s.linear), float(s.zero_kept)),
         ],
         dtype=float,
     ), pair
@@ -165,7 +167,7 @@ def _simulate(
     samples = out.shape[1]
     voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
     work = np.zeros((8, STATES, 5))
-    ring = np.zeros((128, 5))
+    ring = np.zeros((RING, 5))
     past = np.zeros((5, int(c.transport.max()) + 2, 3))
     for n in range((samples - 1) * sample_ticks + 1):
         t = n * tick
@@ -200,14 +202,14 @@ def _simulate(
                 drive_cycle(c, state, k, n, x, past)
             voltage[k] = current_cycle(c, state, k, w, current)
             # record
-            ring[n % 128, k] = current
+            ring[n % RING, k] = current
             if sampled:
                 shown = motor_position(m, k, y[QM, k], q0[k])
                 out[0, row, k] = x
                 out[1, row, k] = round(shown / sensors.motor_step[k]) * sensors.motor_step[k]
                 out[2, row, k] = w * m[RATIO, k]
                 out[3, row, k] = state[k, W_SENT] * m[RATIO, k]
-                out[4, row, k] = ring[max(n - sensors.skew[k], 0) % 128, k]
+                out[4, row, k] = ring[max(n - sensors.skew[k], 0) % RING, k]
                 out[5, row, k] = y[Q, k]
                 out[6, row, k] = y[CURRENT, k]
                 if not abs(y[V, k]) < 1e3:

@@ -1,0 +1,119 @@
+"""The true budget of a case: what the second plant would do without each of its effects.
+
+    case = with_budget(case, machine, "all")        # case.budget: one row an effect, largest first
+
+A row has the form of the recorded campaigns' budget.json: effect, axis, `times_noise` and `true_position_rms`.
+    times_noise         RMS over all axes, runs and the signals position, motor position, current of what changes when this effect
+                        alone is taken away, in multiples of what measuring noise makes of that signal in that run
+    true_position_rms   RMS over all runs of what changes of where the load of its axis truly is [m or rad]
+Both are simulated without noise and rounding. The current counts where the set point moves: that of an axis that sticks is history.
+
+Axes that do not push each other are asked in one run: from each group of coupled axes one effect is taken away at a time, and only
+this group's signals are read. A and C are one group (they share a mass matrix), and so are axes joined by a coupling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from .draw import PAUSE_S, Case, runs_of, simulate
+from .plant.measurement import sensors_of
+from .plant.parameters import AXES, settings_of
+from .plant.plant import Trace
+from .programme import TestRun
+
+SIGNALS = ("position", "motor_position", "current")
+SUBSTEPS = 2  # RK4 steps a tick: of two runs only the difference counts
+MOVING = (0.2e-3, math.radians(0.2))  # speed of set points [m/s, rad/s] from which a current is compared
+DIGITS = 4  # of a row: the seal must hold on another computer
+
+
+def with_budget(case: Case, machine: dict, run_set: str) -> Case:
+    """The case with its budget over the runs of a run set."""
+    return replace(case, budget=budget_of(case, machine, runs_of(machine, case.seed, run_set)))
+
+
+def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict, ...]:
+    """One row for each effect, largest times_noise first."""
+    groups = groups_of(case)
+    queues = [[i for i, e in enumerate(case.effects) if e["axis"] in group] for group in groups]
+    squares, travel = np.zeros(len(case.effects)), np.zeros(len(case.effects))
+    exact = _without_rounding(machine)
+    still = replace(case, noise=False)
+    at = 0.0
+    for test in runs:
+        base = simulate(still, exact, test, at, SUBSTEPS)
+        noise = _noise_of(case, machine, test, at, base)
+        for taken in _rounds(queues):
+            rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
+            other = simulate(replace(still, effects=rest), exact, test, at, SUBSTEPS)
+            changed = _mean_squares(base, other)
+            moved = np.mean((other.load - base.load) ** 2, axis=0)
+            for g, i in taken.items():
+                axes = [AXES.index(a) for a in groups[g]]
+                squares[i] += (changed[:, axes] / noise[:, axes] ** 2).sum()
+                travel[i] += moved[AXES.index(case.effects[i]["axis"])]
+        at = round(at + len(base.time) * 1e-3 + PAUSE_S, 3)
+    places = len(runs) * len(AXES) * len(SIGNALS)
+    rows = [
+        {
+            "effect": e["name"],
+            "axis": e["axis"],
+            **({"from_axis": e["from_axis"]} if "from_axis" in e else {}),
+            "times_noise": _short(math.sqrt(squares[i] / places)),
+            "true_position_rms": _short(math.sqrt(travel[i] / len(runs))),
+        }
+        for i, e in enumerate(case.effects)
+    ]
+    return tuple(sorted(rows, key=lambda row: -row["times_noise"]))
+
+
+def groups_of(case: Case) -> list[tuple[str, ...]]:
+    """Axes that push each other or read each other, in machine order."""
+    groups = [{"X"}, {"Y"}, {"Z"}, {"A", "C"}]
+    for e in case.effects:
+        if "from_axis" in e:
+            joined = [g for g in groups if g & {e["axis"], e["from_axis"]}]
+            groups = [g for g in groups if g not in joined] + [set().union(*joined)]
+    return sorted((tuple(a for a in AXES if a in g) for g in groups), key=lambda g: AXES.index(g[0]))
+
+
+def _rounds(queues: Sequence[Sequence[int]]) -> list[dict[int, int]]:
+    """Effects that are taken away together: group -> effect, the n-th of each group in round n."""
+    return [{g: queue[n] for g, queue in enumerate(queues) if n < len(queue)} for n in range(max(map(len, queues), default=0))]
+
+
+def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
+    """Mean square difference [signal, axis]; of the current where the set point moves."""
+    speed = np.abs(np.gradient(one.setpoint, one.time, axis=0))
+    moving = speed > np.array([MOVING[0]] * 3 + [MOVING[1]] * 2)
+    rows = []
+    for signal in SIGNALS:
+        square = (getattr(other, signal) - getattr(one, signal)) ** 2
+        weight = moving if signal == "current" else np.ones_like(moving)
+        rows.append((square * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1))
+    return np.array(rows)
+
+
+def _noise_of(case: Case, machine: dict, test: TestRun, at: float, base: Trace) -> np.ndarray:
+    """Standard deviation [signal, axis] that noise and rounding make of a run, at least what a sensor adds by itself."""
+    made = np.sqrt(_mean_squares(base, simulate(replace(case, noise=True), machine, test, at, SUBSTEPS)))
+    sensors = sensors_of(settings_of(machine, case.factors))
+    least = np.array(
+        [np.hypot(sensors.scale_noise, sensors.scale_step / math.sqrt(12.0)), sensors.motor_step / math.sqrt(12.0), sensors.current_noise]
+    )
+    return np.maximum(made, least)
+
+
+def _without_rounding(machine: dict) -> dict:
+    """The machine with encoders so fine that rounding changes nothing."""
+    measurement = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}
+    return {**machine, "measurement": measurement}
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
