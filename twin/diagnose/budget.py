@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.diagnose.corrected import corrected_machine, normal_imperfections, within
+from twin.diagnose.corrected import normal_imperfections, within
 from twin.diagnose.observe import Mapper, in_turn, simulate_group
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL
@@ -49,7 +49,7 @@ class Row:
     """One contribution: RMS over all runs, SI. `largest` [m] at the tool point, in run `run` at `at_s`; the interval is that of
     `tool_point`, from the interval of the effect's size."""
 
-    kind: str  # effect, re-tuned or normal
+    kind: str  # effect, law, re-tuned or normal
     name: str
     axis: str
     tool_point: float
@@ -104,6 +104,7 @@ class _Change(NamedTuple):
 
 def budget_of(
     machine: Machine,
+    corrected: Machine,
     found: Sequence[Found],
     views: Sequence[RunView],
     left: Sequence[Trace | None],
@@ -112,7 +113,6 @@ def budget_of(
 ) -> Budget:
     """The budget over the motion of `views`; `left` is what the corrected machine leaves of each run's record (None: not measured), `noise`
     is that of each axis and signal [SI]."""
-    corrected = corrected_machine(machine, found)
     parts = list(_parts(machine, corrected, found))
     tool = _ToolPoint(machine)
     plan: dict[int, Trace] = dict(enumerate(mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)))
@@ -148,11 +148,18 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
         for setting in f.fit.settings:
             rest = [s for s in settings if s.key != setting.key]
             moved = rotary if setting.effect.edits_bodies else (setting.axis,)
-            own = next(s for s in settings if s.key == setting.key)
+            own = next((s for s in settings if s.key == setting.key), None)
+            if own is None:
+                continue
             yield _Part(
                 "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, rest), with_effects(machine, [own]), setting
             )
     effects = {s.key for f in found for s in f.fit.settings}
+    usual = {s.key for s in normal_imperfections(machine, found)}
+    for own in settings:  # what stands in no list: laws that were measured
+        if own.key not in effects | usual:
+            rest = [s for s in settings if s is not own]
+            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
     for own in normal_imperfections(machine, found):
         if own.key in effects:
             continue  # in series with the effect of the same name: one row

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import Budget, budget_of, document_of, scatter_of
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
 from twin.diagnose.fit import Sizes
@@ -338,8 +338,11 @@ def diagnose(
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     if laws and laws.laws:
-        corrected = laws.corrected
-        held_out = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
+        with_laws = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
+        if _level_of(machine, campaign.runs, with_laws) < _level_of(machine, campaign.runs, held_out):
+            corrected, held_out = laws.corrected, with_laws
+        else:
+            laws = None  # what does not shrink the gap on runs left out is no law of this machine
     after = {name: p.trace for name, p in held_out.predictions["after"].items()}
     runs = at_rest_without_zeros(runs, machine_without, after, fitted_zeros)
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
@@ -373,6 +376,7 @@ def diagnose(
     with ThreadPoolExecutor(threads) as pool:
         diagnosis.budget = budget_of(
             machine,
+            corrected,
             found,
             views,
             left,
@@ -380,12 +384,19 @@ def diagnose(
             lambda function, items: list(pool.map(function, items)),
         )
     order = [row.setting.key for row in diagnosis.budget.rows if row.setting is not None]
-    diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key))
+    diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")
         diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
     return diagnosis
+
+
+def _level_of(machine: Machine, runs: Sequence[MeasuredRun], held_out: HeldOut) -> float:
+    """Mean square of the gap over noise after correction, over runs, axes and signals."""
+    gaps = [gap_of(machine, run, held_out.predictions["after"][run.name]) for run in runs]
+    squares = [(g.rms / g.noise) ** 2 for of_run in gaps for signals in of_run.values() for g in signals.values() if g.noise > 0.0]
+    return float(np.mean(squares)) if squares else 0.0
 
 
 def _left(run: MeasuredRun, prediction: Trace, machine: Machine) -> Trace:

@@ -74,8 +74,8 @@ BUDGET_SHOWN = 12
 
 def budget_figure(budget: dict[str, Any]) -> Figure:
     """What each effect is worth at the tool point, largest first, down to what nobody explains (hatched) and the noise floor."""
-    effects = [r for r in budget["rows"] if r["kind"] == "effect"]
-    other = [r for r in budget["rows"] if r["kind"] != "effect"]
+    effects = [r for r in budget["rows"] if r["kind"] in ("effect", "law")]
+    other = [r for r in budget["rows"] if r["kind"] not in ("effect", "law")]
     shown = effects[:BUDGET_SHOWN]
     bars: list[tuple[str, float, str]] = [("gap of the machine file", budget["before"], NOMINAL)]
     bars += [(effect_title(r), r["tool_point"], CORRECTED) for r in shown]

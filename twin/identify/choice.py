@@ -102,7 +102,7 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
 
 def _why(axis: str, scores: Mapping[str, float], shaky: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
     loops = sorted({f"the {s[axis]} loop would be unstable" for s in shaky.values() if axis in s})
-    grown = [f"the gap on what was left out would grow {min(scores.values()):.2g} times" for _ in (0,) if scores]
+    grown = [f"the gap on what was left out would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
     failed = [t for t in tables.values() if isinstance(t, str)]
     return f"keeps the numbers of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
 
