@@ -126,6 +126,7 @@ def test_a_tenth_of_every_kind_is_wide() -> None:
     for stratum in STRATA:
         assert wide[stratum.name] == pytest.approx(100 * stratum.share, abs=1)
     assert sum(s.share for s in STRATA) == pytest.approx(1.0)
+    assert all(type(q.wide) is bool for q in questions)  # it is written to the sealed truth
     assert [q.number for q in questions_of(4, 1000) if q.wide] != [q.number for q in questions if q.wide]
 
 

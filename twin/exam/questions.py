@@ -81,7 +81,7 @@ def questions_of(seed: int, cases: int, short: bool = False, only: str | None = 
     seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
     first = int(np.random.default_rng(np.random.SeedSequence([seed, 52])).integers(WIDE))
     strata = {s: replace(s, runs="short") if short and s.runs == "all" else s for s in STRATA}
-    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1], k % WIDE == first) for i, k in enumerate(order)]
+    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1], bool(k % WIDE == first)) for i, k in enumerate(order)]
 
 
 def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:
