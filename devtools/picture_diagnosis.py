@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 from twin.diagnose import diagnose  # noqa: E402
 from twin.diagnose.evidence import blocks_map, stretches  # noqa: E402
 from twin.diagnose.output import summary_text  # noqa: E402
-from twin.diagnose.report_figures import map_figure, stretch_figure, waterfall_figure  # noqa: E402
+from twin.diagnose.report_figures import budget_figure, map_figure, stretch_figure, waterfall_figure  # noqa: E402
 from twin.exam.draw import draw_case, write_campaign  # noqa: E402
 from twin.exam.plant.parameters import Richness  # noqa: E402
 from twin.machine.machine import default_machine_path, load_machine  # noqa: E402
@@ -43,6 +43,7 @@ def main() -> None:
     for effect in case.effects:
         print(f"hidden: {effect}")
 
+    save_png(budget_figure(document["budget"]), args.out / "diagnosis_budget.png")
     save_png(waterfall_figure(diagnosis.waterfall), args.out / "diagnosis_waterfall.png")
     save_png(map_figure(*blocks_map(diagnosis, document)), args.out / "diagnosis_map.png")
     for stretch in stretches(diagnosis, document)[:1]:

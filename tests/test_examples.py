@@ -14,7 +14,10 @@ HELD = ("golden",)
 """Folders of results, not of examples."""
 
 
-NEEDS_DATA = {"real/sinumerik/run.py": "reads the recording of a control, which is not in the tree"}
+NEEDS_DATA = {
+    "real/sinumerik/run.py": "reads the recording of a control, which is not in the tree",
+    "real/kr300/run.py": "reads recordings of a robot, which are not in the tree",
+}
 """Examples that CI cannot run, and why."""
 
 

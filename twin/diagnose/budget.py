@@ -114,7 +114,7 @@ def budget_of(
     """The budget over the motion of `views`; `left` is what the corrected machine leaves of each run's record (None: not measured), `noise`
     is that of each axis and signal [SI]."""
     parts = list(_parts(machine, corrected, found))
-    tool = _ToolPoint(machine)
+    tool = ToolPoint(machine)
     plan: dict[int, Trace] = dict(enumerate(mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)))
     nominal = dict(enumerate(mapper(lambda v: _simulated(v, machine, machine.axis_names), views)))
     jobs = [(part, run) for part in parts for run in range(len(views))]
@@ -188,7 +188,7 @@ def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | 
         return None
 
 
-def _change(machine: Machine, tool: _ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
+def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
     """What a run's motion changes by."""
     if base is None or other is None:
         return _Change(0.0, 0.0, {}, 0.0, 0.0)
@@ -271,7 +271,7 @@ def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
     return float(np.sqrt(np.average(squares, weights=samples))) if len(squares) and samples.sum() > 0 else 0.0
 
 
-class _ToolPoint:
+class ToolPoint:
     """Distances at the tool in the part frame; where a machine has no such chain, the root of the squares of its linear axes."""
 
     def __init__(self, machine: Machine):

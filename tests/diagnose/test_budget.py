@@ -1,0 +1,84 @@
+"""The gap budget: what an effect is worth at the tool point, against closed forms; noise from a record's own scatter."""
+
+import numpy as np
+import pytest
+
+from tests.builders.diagnosis_state import PERIOD_S, found_of, group_of, no_tuning
+from twin.diagnose.budget import ToolPoint, budget_of, document_of, scatter_of
+from twin.diagnose.corrected import corrected_machine
+from twin.diagnose.fit import Fit
+from twin.effects import EFFECTS, Setting
+from twin.machine.machine import load_machine
+from twin.recordings.trace import Trace
+
+SAMPLES, RATE = 1500, 1e-5
+KINDS = {"X": "linear", "Y": "linear", "Z": "linear", "A": "rotary", "C": "rotary"}
+
+
+def standing(samples, **at):
+    """A motion in which every axis stands at `at` [m, rad], 0 where none is given."""
+    time = PERIOD_S * np.arange(samples)
+    return Trace(time, {(axis, "load_position"): np.full(samples, at.get(axis, 0.0)) for axis in KINDS}, KINDS)
+
+
+@pytest.fixture(scope="module")
+def of_drift():
+    """The budget of a machine whose screw grows, and the machine."""
+    group = group_of([np.zeros(SAMPLES)])
+    setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    machine, found = group.views[0].machine, [found_of(group, fit=fit)]
+    return budget_of(machine, corrected_machine(machine, found), found, group.views, [None], {}), machine, setting
+
+
+def test_a_screw_that_grows_moves_the_tool_although_the_scale_reads_right(of_drift):
+    budget, machine, _ = of_drift
+    (row,) = [r for r in budget.rows if r.kind == "effect"]
+    lag = 1.0 / machine.axis("X").loops.position_gain_per_s
+    grown = RATE * np.maximum(PERIOD_S * np.arange(SAMPLES) - lag, 0.0)
+    assert row.tool_point == pytest.approx(np.sqrt(np.mean(grown**2)), rel=0.02)
+    assert row.position == pytest.approx(row.tool_point, rel=1e-9)
+    assert row.signals["position"] < 0.05 * row.position  # the loop keeps the scale on its set point
+    assert row.alone == pytest.approx(row.tool_point, rel=0.02)  # nothing else is there to overlap with
+    assert row.at_s == pytest.approx(PERIOD_S * (SAMPLES - 1))
+
+
+def test_the_document_gives_people_their_units(of_drift):
+    budget, machine, setting = of_drift
+    document = document_of(budget, machine, {setting.key: 0.9}, {setting.key: 0.1})
+    (row,) = [r for r in document["rows"] if r["kind"] == "effect"]
+    assert row["tool_point"] == pytest.approx(1e6 * budget.rows[0].tool_point)
+    assert (row["low"], row["high"]) == pytest.approx((0.9 * row["tool_point"], 1.1 * row["tool_point"]))
+    assert (row["probability"], row["position_unit"]) == (0.9, "um")
+    assert document["before"] == pytest.approx(1e6 * np.hypot(budget.explained, budget.left))
+
+
+@pytest.mark.parametrize(("tilt", "turn"), [(0.0, 0.0), (-0.6, 1.1)])
+def test_a_linear_axis_moves_the_tool_as_far_however_the_table_stands(tilt, turn):
+    tool = ToolPoint(load_machine())
+    base, other = standing(3, A=tilt, C=turn), standing(3, A=tilt, C=turn, Y=2e-6)
+    np.testing.assert_allclose(tool.distance(base, other, ("Y",)), 2e-6, rtol=1e-6)
+
+
+def test_a_turn_of_the_table_moves_the_tool_by_its_distance_from_the_axis():
+    tool, angle = ToolPoint(load_machine()), 1e-6
+    near, far = (tool.distance(standing(2, X=x), standing(2, X=x, C=angle), ("C",))[0] for x in (0.05, 0.15))
+    reach = [np.hypot(x + near_x, y) for x in (0.05, 0.15) for near_x, y in [_from_turning_axis(tool)]]
+    assert (near, far) == pytest.approx((angle * reach[0], angle * reach[1]), rel=1e-6)
+
+
+def _from_turning_axis(tool):
+    """Where the tool stands from the axis of C, in X and Y of the bed, when all axes stand at 0."""
+    offset = tool.kinematics.tip_in_bed(np.zeros(5))[0] - tool.kinematics.turn_anchor
+    return offset[0], offset[1]
+
+
+def test_noise_is_the_scatter_of_a_record_not_what_goes_slowly():
+    rng = np.random.default_rng(1)
+    time = PERIOD_S * np.arange(4000)
+    slow = 1e-5 * np.sin(2 * np.pi * time)
+    setpoint = 0.01 * np.sin(2 * np.pi * time)
+    measured = {("X", "setpoint"): setpoint, ("X", "position"): setpoint + slow + 1e-7 * rng.normal(size=len(time))}
+    machine = load_machine().with_axes(["X"])
+    record, predicted = Trace(time, measured, {"X": "linear"}), Trace(time, {("X", "position"): setpoint}, {"X": "linear"})
+    assert scatter_of([record], [predicted], machine) == {("X", "position"): pytest.approx(1e-7, rel=0.05)}
