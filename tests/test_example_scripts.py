@@ -46,7 +46,7 @@ def test_a_measured_surface_beside_the_cut(tmp_path: Path, capsys: pytest.Captur
     """The script cuts dip.mpf by dip.toml; the measured mark is shallower than that of the nominal twin."""
     carried_out("examples/measured_surface/run.py", tmp_path)
     said = capsys.readouterr().out
-    simulated, measured = (float(said.split(f"{word} ")[1].split(" um")[0]) for word in ("simulated", "um, measured"))
+    simulated, measured = (float(said.split(f"{word} ")[1].split(" um")[0]) for word in ("mean: simulated", "um, measured"))
     true = float(said.split("worn machine is ")[1].split(" um")[0])
     assert measured == pytest.approx(true, abs=1.5)
     assert simulated > measured + 1.0
@@ -55,7 +55,7 @@ def test_a_measured_surface_beside_the_cut(tmp_path: Path, capsys: pytest.Captur
 
 def test_the_flower_is_simulated_and_recorded(tmp_path: Path, mikron: Machine) -> None:
     example = script("examples/replay_run.py", "replay_run")
-    run = simulate(mikron, example.flower(mikron, 2.0)).trace
+    run = simulate(mikron, example.flower(mikron)).trace
     assert write_recording(tmp_path / "flower.rrd", mikron, {"feedforward": run}).contour_error < 1e-3
 
 

@@ -15,12 +15,12 @@ SMALLEST, LARGEST = 0.02, 4.0
 """Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed: every machine has a little of most."""
 
 SMALLEST_SET = 0.12
-"""The same lower end for what is set, or is normal in small: laws of the controllers, factors on the machine file, springs."""
+"""The same lower end for what is set, or is normal in small: laws of the controllers, factors on the machine file, springs, what is clamped."""
 
 SET = ("position controller", "speed controller")
 """Blocks whose laws are set: a control has a filter or has none."""
 
-SHAPE = 3.5
+SHAPE = 4.5
 """Multiple of the usual range beyond which the shape of an effect (a speed, a wave, a frequency) is not believed."""
 
 IMITATED = 5.0
@@ -34,13 +34,16 @@ def is_ruled_out(group: Group, start: Start) -> bool:
     return bool(mine) and all(c.is_clean for c in mine)
 
 
-def is_plausible(setting: Setting, machine: Machine) -> bool:
-    """True for a size that is found on machines and is more than their normal spread, and a shape next to the usual ones."""
+def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
+    """True for a size that is found on machines and is more than their normal spread, and a shape next to the usual ones.
+
+    Less than a usual size is believed only of a block that the signals cut out of the loop.
+    """
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
     low, high = size.usual_range(machine, axis)
     if not _has_usual_shape(setting, machine):
         return False
-    smallest = SMALLEST_SET if setting.effect.block in SET else SMALLEST
+    smallest = SMALLEST if cut and setting.effect.block not in SET else SMALLEST_SET
     neutral = size.neutral or 0.0
     within = 0.0  # deviation that the tolerance explains
     if size.beyond_tolerance and (size.is_factor or size.part_of):
@@ -57,7 +60,7 @@ def is_plausible(setting: Setting, machine: Machine) -> bool:
     if size.judged_with:
         other = setting.effect.parameter(size.judged_with)
         inner, outer = other.usual_range(machine, axis)
-        value, low, high = value * setting.parameters[other.name], low * inner, high * outer
+        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, SMALLEST_SET
     return max(smallest * low, within) < abs(value) < LARGEST * high
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,11 @@ import numpy as np
 from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
 from twin.diagnose.fit import Fit, Slope, answer, fit_effects, no_effect, tuning_beside
-from twin.diagnose.imperfections import on_imperfect_machine, with_imperfections
+from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
 from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.screen import Gain, Screening, remembered_answer, screening
-from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, loud_axes
+from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, is_cut, localised_on, loud_axes
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import beside, tuning_of
 from twin.diagnose.unseen import unseen_effects
@@ -54,7 +55,10 @@ def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progres
     found = _begun(group, machine, mapper)
     t = found.thresholds
     asked_of: Counter[Key] = Counter()
+    looked = False
     for _ in range(t.rounds):
+        if not looked and _little_is_left(found):
+            found, looked = _look_again(found, machine, mapper), True
         asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
         if not asked:
             break
@@ -78,7 +82,7 @@ def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progres
         if not winners:
             break
         found = _with_effects(found, winners, machine, mapper)
-        found = _without_superfluous(found, machine, folds, mapper)
+        found, looked = _without_superfluous(found, machine, folds, mapper), False
     return found
 
 
@@ -95,6 +99,39 @@ def _begun(group: Group, machine: Machine, mapper: Mapper) -> Found:
             tuning = tuning_beside(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
     retuned = no_effect(group, tuning)
     return Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
+
+
+def _little_is_left(found: Found) -> bool:
+    """Is what is left so little that it may be of the normal imperfections, which were found one after another?"""
+    t, noise = found.thresholds, found.group.expected_loss
+    if not any(n.quantity in NORMAL for n in found.tuning.nuisances) or found.fit.loss > t.little_left * noise:
+        return False
+    return found.fit.loss > (1.0 + t.near_noise) * noise or bool(localised_on(found))
+
+
+def _look_again(found: Found, machine: Machine, mapper: Mapper) -> Found:
+    """The state with effects and normal imperfections fitted together, all as they act on the machine that has them."""
+    t, group = found.thresholds, found.group
+    for _ in range(t.looks):
+        before = found.fit.loss
+        try:
+            tuning = tuning_beside(found.group, found.fit, machine, mapper)
+            fit = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, t.refit_steps, known=found.fit.slopes)
+            if fit is None or fit.loss > before:
+                break
+            found = replace(found, fit=fit, tuning=tuning)
+            nearer, tuning = moved_to(found.rigid, tuning, fit.tuning[: len(tuning.nuisances)], mapper)
+        except TwinError:  # next to unstable: slopes from further off say nothing
+            break
+        if nearer is not found.rigid:
+            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, t.refit_steps, known=fit.slopes)
+            if moved is not None and moved.loss < fit.loss + t.evidence:
+                found = replace(found, fit=moved, group=nearer, tuning=tuning)
+        if before - found.fit.loss < t.evidence:
+            break
+    if found.group is not group:
+        found = replace(found, retuned=no_effect(found.group, found.tuning))
+    return found.with_fit(found.fit).inflated()
 
 
 def _screened(found: Found, starts: Sequence, mapper: Mapper) -> Screening:  # type: ignore[type-arg]
@@ -183,7 +220,7 @@ def _contest(
         gain = min(level - held_out_loss(found, fit, folds), drop - t.price * len(fit.free))
         evidence = gain / min(found.inflation, inflation(found.group, fit))
         last = fit.settings[-1]
-        plausible = is_plausible(last, machine) and not is_imitated(found, last, machine)
+        plausible = is_plausible(last, machine, is_cut(found.group, last)) and not is_imitated(found, last, machine)
         needed = evidence_needed(found, last, len(folds))
         if base.settings and last.effect.block in SET and closed_share(found, base.loss - fit.loss) < t.least_share:
             plausible = False  # beside another effect a control is only wrong where that explains what is left
@@ -234,7 +271,8 @@ def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: M
         for i, setting in enumerate(found.fit.settings):
             price = found.thresholds.price * sum(f.setting == i for f in found.fit.free)
             closes = without(found, i, mapper).loss - found.fit.loss - price
-            missed.append(closes / found.inflation - evidence_needed(found, setting, len(folds)))
+            believed = is_plausible(setting, machine, is_cut(found.group, setting))
+            missed.append(closes / found.inflation - evidence_needed(found, setting, len(folds)) if believed else -math.inf)
         worst = int(np.argmin(missed))
         if missed[worst] >= 0.0:
             break

@@ -119,6 +119,8 @@ class Thresholds:
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that faults of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same of a block that the signals do not cut out of the loop", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
+    looks: int = _of(3, "times", "times that effects and imperfections are fitted together again")
+    little_left: float = _of(1.3, "1", "loss over noise up to which imperfections alone are looked at again")
     least_share: float = _of(0.3, "share", "share of what other effects leave that a wrong control must close")
     known_alone: float = _of(0.99, "share", "share of what is known of a parameter that one fold may hold")
     near_noise: float = _of(0.02, "share", "excess over noise that counts as noise")

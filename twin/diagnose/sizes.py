@@ -17,7 +17,7 @@ import numpy as np
 from twin.diagnose.fit import fit_effects, tuning_beside
 from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible
-from twin.diagnose.state import Found
+from twin.diagnose.state import Found, is_cut
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -42,7 +42,7 @@ def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
 
 def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found:
     """The state without the effects whose final size no machine has, or is too uncertain."""
-    rest = [s for s in found.fit.settings if is_plausible(s, machine) and _has_size(found, s)]
+    rest = [s for s in found.fit.settings if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s)]
     if len(rest) == len(found.fit.settings):
         return found
     fit = fit_effects(found.group, machine, found.tuning, rest, mapper, found.thresholds.size_steps)
