@@ -170,25 +170,17 @@ def law_text(record: Record) -> str:
 
 
 def order_text(document: dict[str, Any]) -> str:
-    """What the residual contains, largest share first: what the diagnosis took, the best of what it did not take, what is left."""
-    rows, told = [], 0.0
+    """What each effect taken closes of what it found left, the largest share first, and the share of the squared gap that none explains."""
     taken = {(e["effect"], e["axis"]) for e in document["effects"]}
-    for depth in range(len(document["effects"]) + 1):
-        here = [c for c in document["candidates"] if len(c.get("beside", [])) == depth and c["probability"] > 0.0]
-        if not here:
-            break
-        best = next((c for c in here if (c["effect"], c["axis"]) in taken), max(here, key=lambda c: float(c["probability"])))
-        share = best["explained"] - told
-        if share < NEXT_BEST:
-            break
-        values = ", ".join(f"{name} {p['value']:.4g} {p['unit']}" for name, p in best["parameters"].items() if p["unit"] != "rad")
-        verdict = "taken" if (best["effect"], best["axis"]) in taken else "not taken: too little of what is left"
-        rows.append([best["effect"].replace("_", " "), values, f"{100 * share:.1f} %", verdict])
-        told = best["explained"]
-        if verdict != "taken":
-            break
-    rows.append(["no effect of the library", "", f"{100 * (1.0 - told):.1f} %", f"verdict: {document['verdict']}"])
-    return "\nwhat the residual of the fitted two thirds contains, as shares of its square:\n" + table(
+    known = {(c["effect"], c["axis"]): c for c in reversed(document["candidates"])}
+    rows = []
+    for key in sorted(taken, key=lambda k: -float(known[k]["explained"])):
+        values = ", ".join(f"{name} {p['value']:.4g} {p['unit']}" for name, p in known[key]["parameters"].items() if p["unit"] != "rad")
+        rows.append([key[0].replace("_", " "), values, f"{100 * known[key]['explained']:.1f} %", "taken"])
+    gap = document["gap"]
+    left = max(gap["after"] ** 2 - 1.0, 0.0) / max(gap["before"] ** 2 - 1.0, 1e-9)
+    rows.append(["no effect of the library", "", f"{100 * left:.1f} %", f"verdict: {document['verdict']}"])
+    return "\nwhat each effect closes of what was left when it was found, and what none explains, as shares of squares:\n" + table(
         ["effect", "size", "share", ""], rows, left=2
     )
 

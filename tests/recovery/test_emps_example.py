@@ -119,7 +119,7 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
     record = example.read_emps(RECORD)
     example.import_record(RECORD, tmp_path, picture=False)
     example.command("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
-    axis, (force,) = example.identified(tmp_path).axis("X"), example.identified(tmp_path).effects
+    axis = example.identified(tmp_path).axis("X")
     machines = {"start": load_machine(example.MACHINE), "published": example.published(), "identified": example.identified(tmp_path)}
     run, predictions = example.last_third(tmp_path, machines)
     rows = {}
@@ -131,7 +131,7 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
         f"inertia {axis.moving_mass_kg + axis.reflected_inertia:.1f} kg",
         f"Coulomb friction {axis.coulomb_friction:.1f} N",
         f"viscous friction {axis.viscous_friction:.0f} N s/m",
-        f"constant force {force['force']:.2f} N",
+        f"constant force {axis.constant_force:.2f} N",
         f"start of the diagnosis {rows['start']}",
         f"published, with its offset of {example.PUBLISHED_OFFSET_N} N {rows['published']}",
         f"identified from the first two thirds {rows['identified']}",
