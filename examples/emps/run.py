@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.cli import main as twin
+from twin.cli.shown import command
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
 from twin.errors import TwinError
@@ -82,14 +82,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
-
-
-def command(*arguments: object) -> None:
-    """A command of twin, shown and carried out."""
-    words = [str(a) for a in arguments]
-    print(f"\n$ twin {' '.join(words)}", flush=True)
-    if code := twin(words):
-        raise SystemExit(code)
 
 
 def import_record(path: Path, out: Path, picture: bool = True) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import savgol_filter
 
-from twin.cli import main as twin
+from twin.cli.shown import command
 from twin.errors import TwinError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -70,14 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
-
-
-def command(*arguments: object) -> None:
-    """A command of twin, shown and carried out."""
-    words = [str(a) for a in arguments]
-    print(f"\n$ twin {' '.join(words)}", flush=True)
-    if code := twin(words):
-        raise SystemExit(code)
 
 
 def write_campaign(folder: Path, runs: Sequence[MeasuredRun], machine: str) -> None:

@@ -16,7 +16,7 @@ import sys
 
 import numpy as np
 
-from twin.cli import main as twin
+from twin.cli.shown import command
 from twin.errors import TwinError
 from twin.identify.held_out import divided
 from twin.machine.machine import Machine, load_machine
@@ -57,14 +57,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
-
-
-def command(*arguments: object) -> None:
-    """A command of twin, shown and carried out."""
-    words = [str(a) for a in arguments]
-    print(f"\n$ twin {' '.join(words)}", flush=True)
-    if code := twin(words):
-        raise SystemExit(code)
 
 
 def summary_text(machine: Machine, campaign: Campaign) -> str:
