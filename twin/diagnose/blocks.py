@@ -32,6 +32,8 @@ from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")
 """Signals of the motion of an axis; one of them is enough."""
+CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}
+"""Block of which a channel shows the law; the others show the mechanics in closed loop."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 
@@ -63,17 +65,19 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     """
     found = []
     for channel in group.channels:
-        if channel.name in ("controller", "motor_minus_scale"):
-            view = group.views[channel.run]
-            every = max(1, round(view.machine.position_cycle / view.trace.period))
-            if channel.name == "controller":
-                block, index = "position controller", np.arange(0, len(view.trace.time), every)
-            else:
-                block, index = "transmission", np.flatnonzero(view.reference(channel.axis)[2])
-            found.append(BlockResidual(channel.run, channel.axis, block, channel.residual, _level_of(channel), index))
+        if channel.name in CHANNEL_SHOWS:
+            index = samples_of(channel, group.views[channel.run])
+            found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, _level_of(channel), index))
     for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
+
+
+def samples_of(channel: Channel, view: RunView) -> np.ndarray:
+    """Samples of the trace that a channel holds where it is no whole signal: position cycles, or where the set point moves."""
+    if channel.name == "controller":
+        return np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
+    return np.flatnonzero(view.reference(channel.axis)[2])
 
 
 def _level_of(channel: Channel) -> float:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.diagnose.corrected import normal_imperfections, within
-from twin.diagnose.observe import Mapper, in_turn, simulate_group
+from twin.diagnose.observe import SECOND_DIFFERENCE, Mapper, in_turn, roughness, simulate_group
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.view import RunView
@@ -35,11 +35,7 @@ from twin.simulation.gap import LEAST_NOISE, is_moving, sensor_noise
 SIGNALS = ("position", "motor_position", "current")
 """Signals of a row, and those over which its multiple of noise is taken."""
 
-ROBUST = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-
-ROUGHNESS = 6.0**0.5
-"""Standard deviation of second differences of white noise over its own: the root of 1 + 4 + 1."""
+LOAD = "load_position"
 
 UNIT = "um at the tool point, RMS"
 
@@ -102,6 +98,9 @@ class _Change(NamedTuple):
     at_s: float
 
 
+UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0)
+
+
 def budget_of(
     machine: Machine,
     corrected: Machine,
@@ -115,8 +114,8 @@ def budget_of(
     is that of each axis and signal [SI]."""
     parts = list(_parts(machine, corrected, found))
     tool = ToolPoint(machine)
-    plan: dict[int, Trace] = dict(enumerate(mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)))
-    nominal = dict(enumerate(mapper(lambda v: _simulated(v, machine, machine.axis_names), views)))
+    plan = mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)
+    nominal = mapper(lambda v: _simulated(v, machine, machine.axis_names), views)
     jobs = [(part, run) for part in parts for run in range(len(views))]
 
     def asked(job: tuple[_Part, int]) -> tuple[_Change, _Change]:
@@ -124,7 +123,7 @@ def budget_of(
         view = views[run]
         out = _change(machine, tool, view, plan[run], _simulated(view, part.without, part.moved), part)
         if part.alone is None:
-            return out, _Change(0.0, 0.0, {}, 0.0, 0.0)
+            return out, UNCHANGED
         return out, _change(machine, tool, view, nominal[run], _simulated(view, part.alone, part.moved), part)
 
     changes = mapper(asked, jobs)
@@ -155,12 +154,13 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
                 "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, rest), with_effects(machine, [own]), setting
             )
     effects = {s.key for f in found for s in f.fit.settings}
-    usual = {s.key for s in normal_imperfections(machine, found)}
+    normal = normal_imperfections(machine, found)
+    listed = effects | {s.key for s in normal}
     for own in settings:  # what stands in no list: laws that were measured
-        if own.key not in effects | usual:
+        if own.key not in listed:
             rest = [s for s in settings if s is not own]
             yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
-    for own in normal_imperfections(machine, found):
+    for own in normal:
         if own.key in effects:
             continue  # in series with the effect of the same name: one row
         rest = [s for s in settings if s.key != own.key]
@@ -191,8 +191,8 @@ def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | 
 def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
     """What a run's motion changes by."""
     if base is None or other is None:
-        return _Change(0.0, 0.0, {}, 0.0, 0.0)
-    shown = [a for a in part.moved if other.has(a, "load_position") and base.has(a, "load_position")]
+        return UNCHANGED
+    shown = [a for a in part.moved if other.has(a, LOAD) and base.has(a, LOAD)]
     distance = tool.distance(base, other, shown)
     signals = {}
     for axis in shown:
@@ -204,7 +204,7 @@ def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None
                 difference = difference[is_moving(view.trace, own)]
             signals[axis, signal] = float(np.mean(difference**2)) if difference.size else 0.0
     own_axis = part.axis if part.axis in shown else (shown[0] if shown else "")
-    position = float(np.mean((other.get(own_axis, "load_position") - base.get(own_axis, "load_position")) ** 2)) if own_axis else 0.0
+    position = float(np.mean((other.get(own_axis, LOAD) - base.get(own_axis, LOAD)) ** 2)) if own_axis else 0.0
     at = int(np.argmax(distance)) if distance.size else 0
     largest = float(distance[at]) if distance.size else 0.0
     return _Change(float(np.mean(distance**2)) if distance.size else 0.0, position, signals, largest, float(view.trace.time[at]))
@@ -240,6 +240,17 @@ def _row(
     )
 
 
+def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
+    """What a prediction leaves of the recorded positions: (axis, 'position') [m, rad]."""
+    signals = {
+        (axis.name, "position"): run.get(axis.name, signal) - predicted.get(axis.name, signal)
+        for axis in machine.axes
+        for signal in [next((s for s in ("position", "motor_position") if run.has(axis.name, s)), None)]
+        if signal is not None
+    }
+    return Trace(run.time, signals, machine.kinds)
+
+
 def scatter_of(runs: Sequence[Trace], predicted: Sequence[Trace], machine: Machine) -> dict[tuple[str, str], float]:
     """Standard deviation [SI] of the noise in each signal of each axis, the median over the runs that move it.
 
@@ -250,7 +261,7 @@ def scatter_of(runs: Sequence[Trace], predicted: Sequence[Trace], machine: Machi
         for signal in SIGNALS:
             name = axis.effort if signal == "current" else signal
             levels = [
-                ROBUST * float(np.median(np.abs(np.diff(run.get(axis.name, name) - of_twin.get(axis.name, name), 2)))) / ROUGHNESS
+                roughness(run.get(axis.name, name) - of_twin.get(axis.name, name)) / SECOND_DIFFERENCE**0.5
                 for run, of_twin in zip(runs, predicted)
                 if run.has(axis.name, name) and run.moves(axis.name) and len(run.time) > 2
             ]
@@ -280,10 +291,11 @@ class ToolPoint:
             self.kinematics: Kinematics | None = kinematics_of(machine)
         except InputError:
             self.kinematics = None
+        self._places: dict[int, tuple[Trace, np.ndarray, np.ndarray]] = {}
 
-    def distance(self, base: Trace, other: Trace, axes: Sequence[str], signal: str = "load_position") -> np.ndarray:
+    def distance(self, base: Trace, other: Trace, axes: Sequence[str]) -> np.ndarray:
         """Distance (sample,) [m] between the tool points of a motion and of the same one with other positions of these axes."""
-        return self._moved_by(base, {a: other.get(a, signal) - base.get(a, signal) for a in axes if other.has(a, signal)})
+        return self._moved_by(base, {a: other.get(a, LOAD) - base.get(a, LOAD) for a in axes if other.has(a, LOAD)})
 
     def squares(self, base: Trace | None, other: Trace | None, axes: Sequence[str]) -> float:
         """Mean square [m2] of that distance."""
@@ -313,16 +325,18 @@ class ToolPoint:
         if self.kinematics is None:
             linear = [d**2 for a, d in by.items() if self.machine.axis(a).kind == "linear"]
             return np.asarray(np.sqrt(np.sum(linear, axis=0))) if linear else np.zeros(len(base.time))
-        at = np.column_stack([self._column(base, name) for name in AXIS_ORDER])
+        _, at, tip = self._place(base, self.kinematics)
         moved = at.copy()
         for axis, difference in by.items():
             moved[:, AXIS_ORDER.index(axis)] += difference
-        return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - self.kinematics.forward(at)[0], axis=1))
+        return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - tip, axis=1))
 
-    def _column(self, base: Trace, name: str) -> np.ndarray:
-        if base.has(name, "load_position"):
-            return base.get(name, "load_position")
-        return np.zeros(len(base.time))
+    def _place(self, base: Trace, kinematics: Kinematics) -> tuple[Trace, np.ndarray, np.ndarray]:
+        """A motion with its axes (sample, 5) and its tool point (sample, 3), remembered: every contribution is held against the same ones."""
+        if id(base) not in self._places:
+            at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in AXIS_ORDER])
+            self._places[id(base)] = base, at, kinematics.forward(at)[0]
+        return self._places[id(base)]
 
 
 def document_of(budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, Prediction, predict_each
+from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
 """Realisations of noise where the decoupled plant alone is simulated."""
@@ -63,10 +63,16 @@ def within(f: Found, tolerance: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Gaps and what was simulated for them, `before` and `after` correction, by run; the runs that took no part in their own fit."""
+    """What was simulated of the recorded runs, `before` and `after` correction, by run; the runs that took no part in their own fit."""
 
     predictions: dict[str, dict[str, Prediction]]
     runs: list[str]
+
+    def left(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
+        """Mean square of the gap over noise after correction, over runs, axes and signals."""
+        gaps = [gap_of(machine, run, self.predictions["after"][run.name]) for run in runs]
+        squares = [(g.rms / g.noise) ** 2 for of_run in gaps for signals in of_run.values() for g in signals.values() if g.noise > 0.0]
+        return float(np.mean(squares)) if squares else 0.0
 
 
 def held_out_gaps(

@@ -12,7 +12,7 @@ from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.state import Found, is_cut
 from twin.diagnose.tolerance import NORMAL, UNIFORM
-from twin.diagnose.tuning import FREE, Tuning
+from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
 
 FOLDS = 3
@@ -140,7 +140,7 @@ class _Linear:
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
         """How far the optimum moves without these runs. What they alone know stays where it is: only this share of them is left out."""
         information = share * self.products[self.of(fold)].sum(axis=0)
-        return -np.asarray(_solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0)))
+        return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
         """Is some direction of the fit's own parameters p known from these runs alone?
@@ -171,12 +171,6 @@ def _linear(group: Group, fit: Fit) -> _Linear:
         products[run, :own, own:] = products[run, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
     return _Linear(rows, own, products, slopes, normal, left)
-
-
-def _solved(normal: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Least squares solution of normal x = slope, columns brought to one size first."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(scale * np.linalg.lstsq(normal * np.outer(scale, scale), scale * slope, rcond=1e-12)[0])
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:

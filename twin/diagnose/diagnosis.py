@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.budget import Budget, budget_of, document_of, scatter_of
+from twin.diagnose.budget import Budget, budget_of, document_of, positions_left, scatter_of
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
 from twin.diagnose.fit import Sizes
@@ -35,8 +35,7 @@ from twin.diagnose.where import left_of, places
 from twin.effects import Setting, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign, MeasuredRun
-from twin.recordings.trace import Trace
+from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 
 
@@ -339,7 +338,7 @@ def diagnose(
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     if laws and laws.laws:
         with_laws = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
-        if _level_of(machine, campaign.runs, with_laws) < _level_of(machine, campaign.runs, held_out):
+        if with_laws.left(machine, campaign.runs) < held_out.left(machine, campaign.runs):
             corrected, held_out = laws.corrected, with_laws
         else:
             laws = None  # what does not shrink the gap on runs left out is no law of this machine
@@ -371,7 +370,7 @@ def diagnose(
     )
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
-    left = [_left(run, held_out.predictions["after"][run.name].trace, machine) for run in runs]
+    left = [positions_left(run.trace, after[run.name], machine) for run in runs]
     say("what each effect is worth")
     with ThreadPoolExecutor(threads) as pool:
         diagnosis.budget = budget_of(
@@ -390,24 +389,6 @@ def diagnose(
         say("where the gap lies")
         diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
     return diagnosis
-
-
-def _level_of(machine: Machine, runs: Sequence[MeasuredRun], held_out: HeldOut) -> float:
-    """Mean square of the gap over noise after correction, over runs, axes and signals."""
-    gaps = [gap_of(machine, run, held_out.predictions["after"][run.name]) for run in runs]
-    squares = [(g.rms / g.noise) ** 2 for of_run in gaps for signals in of_run.values() for g in signals.values() if g.noise > 0.0]
-    return float(np.mean(squares)) if squares else 0.0
-
-
-def _left(run: MeasuredRun, prediction: Trace, machine: Machine) -> Trace:
-    """What a prediction leaves of the recorded positions: (axis, 'position') [m, rad]."""
-    signals = {
-        (axis.name, "position"): run.trace.get(axis.name, signal) - prediction.get(axis.name, signal)
-        for axis in machine.axes
-        for signal in [next((s for s in ("position", "motor_position") if run.trace.has(axis.name, s)), None)]
-        if signal is not None
-    }
-    return Trace(run.trace.time, signals, machine.kinds)
 
 
 def folds_of(runs: int) -> list[list[int]]:

@@ -141,7 +141,13 @@ class Fit:
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:
     """Re-tuning alone."""
-    return Fit((), [], tuning.loss(group.residual), tuning.solve(group.residual), np.zeros(group.size), np.zeros((group.size, 0)), tuning)
+    return held(group, tuning, (), np.zeros(group.size))
+
+
+def held(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
+    """Re-tuning beside effects that stay as they are and change the channels by `response` (row,)."""
+    left = group.residual - response
+    return Fit(settings, [], tuning.loss(left), tuning.solve(left), response, np.zeros((group.size, 0)), tuning)
 
 
 def fit_effects(

@@ -40,6 +40,9 @@ from twin.simulation.run import Run, commissioned_inertia, simulate
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
 
+ROBUST = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
 SECOND_DIFFERENCE = 6.0
 """Variance of second differences of white noise over its own: 1 + 4 + 1."""
 
@@ -388,13 +391,18 @@ def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noi
     level = float(np.mean(square))
     if len(residual) < 3:  # no second difference
         return np.sqrt(np.maximum(smooth, 0.5 * level))
-    measured = (1.4826 * float(np.median(np.abs(np.diff(residual, 2))))) ** 2
+    measured = roughness(residual) ** 2
     expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
     if noisier is None:
         smooth = np.maximum(smooth, measured / SECOND_DIFFERENCE)
     elif expected > 0.0 and 1.0 < measured / expected < noisier**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
+
+
+def roughness(values: np.ndarray) -> float:
+    """Robust standard deviation of second differences: that of white noise times the root of SECOND_DIFFERENCE. Slow faults leave it alone."""
+    return ROBUST * float(np.median(np.abs(np.diff(values, 2))))
 
 
 def _correlation(normed: np.ndarray, longest: int) -> float:

@@ -21,7 +21,7 @@ from twin.diagnose.fit import answer
 from twin.diagnose.observe import Mapper
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.state import Found, Key
-from twin.diagnose.tuning import FREE
+from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -110,11 +110,7 @@ def remembered_answer(found: Found, setting: Setting) -> np.ndarray:
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Inner products (column, column) of what remains of all columns when the columns `at`, of that prior, explain what they can."""
-    inner = gram[np.ix_(at, at)] + np.diag(prior)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    scaled = inner * np.outer(scale, scale)
-    cross = gram[at] * scale[:, None]
-    return np.asarray(gram - cross.T @ np.linalg.lstsq(scaled, cross, rcond=1e-12)[0])
+    return gram - gram[at].T @ solved(gram[np.ix_(at, at)] + np.diag(prior), gram[at])
 
 
 def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], left: np.ndarray, mapper: Mapper) -> np.ndarray:

@@ -8,7 +8,7 @@ leave. The rounds end when no effect earns its place. At the end each effect is 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.candidates import starts_of
+from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
-from twin.diagnose.fit import Fit, Slope, answer, fit_effects, no_effect, tuning_beside
+from twin.diagnose.fit import Fit, Slope, answer, fit_effects, held, no_effect, tuning_beside
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
 from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
@@ -134,7 +134,7 @@ def _look_again(found: Found, machine: Machine, mapper: Mapper) -> Found:
     return found.with_fit(found.fit).inflated()
 
 
-def _screened(found: Found, starts: Sequence, mapper: Mapper) -> Screening:  # type: ignore[type-arg]
+def _screened(found: Found, starts: Sequence[Start], mapper: Mapper) -> Screening:
     return screening(found, [s for s in starts if not is_ruled_out(found.group, s)], found.group.residual - found.fit.response, mapper)
 
 
@@ -184,17 +184,11 @@ def _contests(
 
     def contest(i: int) -> tuple[Fitted, ...]:
         about = found.tuning.with_free(beside(found.fit.columns, *(a for j, a in enumerate(answers) if j != i)))
-        pick = picks[i]
-        return _contest(found, _about(found, about), (pick.setting, *pick.rivals), machine, folds, mapper, quick)
+        pick, base = picks[i], held(found.group, about, found.fit.settings, found.fit.response)
+        return _contest(found, base, (pick.setting, *pick.rivals), machine, folds, mapper, quick)
 
     with ThreadPoolExecutor(2) as contests:  # each holds a wide matrix
         return list(contests.map(contest, range(len(picks))))
-
-
-def _about(found: Found, about) -> Fit:  # type: ignore[no-untyped-def]
-    """The last fit with its effects' slopes among the free columns of the tuning."""
-    left = found.group.residual - found.fit.response
-    return Fit(found.fit.settings, [], about.loss(left), about.solve(left), found.fit.response, np.zeros((found.group.size, 0)), about)
 
 
 def _contest(
@@ -215,17 +209,18 @@ def _contest(
     level = max(held_out_loss(found, base, folds), loss_within(found, base, t.widest * machine.parameter_tolerance))
     fitted_ones = []
     for fit in fits:
+        drop = base.loss - fit.loss
+        closes = closed_share(found, drop)
         # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
-        drop = min(base.loss - fit.loss, healthy - loss_within(found, fit, machine.parameter_tolerance))
-        gain = min(level - held_out_loss(found, fit, folds), drop - t.price * len(fit.free))
+        paid = min(drop, healthy - loss_within(found, fit, machine.parameter_tolerance)) - t.price * len(fit.free)
+        gain = min(level - held_out_loss(found, fit, folds), paid)
         evidence = gain / min(found.inflation, inflation(found.group, fit))
         last = fit.settings[-1]
         plausible = is_plausible(last, machine, is_cut(found.group, last)) and not is_imitated(found, last, machine)
         needed = evidence_needed(found, last, len(folds))
-        if base.settings and last.effect.block in SET and closed_share(found, base.loss - fit.loss) < t.least_share:
+        if base.settings and last.effect.block in SET and closes < t.least_share:
             plausible = False  # beside another effect a control is only wrong where that explains what is left
-        drop = base.loss - fit.loss
-        fitted_ones.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closed_share(found, drop), drop), fit.slopes))
+        fitted_ones.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
     return tuple(sorted(fitted_ones, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
 
 
@@ -234,10 +229,8 @@ def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, map
     found anew beside them."""
     t = found.thresholds
     settings = [*found.fit.settings, *(w.candidate.setting for w in winners)]
-    of_all = {name: column for w in winners for name, column in w.slopes.items()} | found.fit.slopes
-    straight = {s.key for s in settings if s.effect.is_linear}  # the slopes of the others hold nowhere but where they were taken
-    known = {name: column for name, column in of_all.items() if name[0] in straight}
-    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=known)
+    slopes = {name: column for w in winners for name, column in w.slopes.items()} | found.fit.slopes
+    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=_straight(slopes, settings))
     if fit is None:
         return found
     found = replace(found, fit=fit).doubted(fit.response)
@@ -247,20 +240,27 @@ def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, map
     again = fit_effects(group, machine, tuning, found.fit.settings, mapper, t.refit_steps, known=found.fit.slopes)
     if again is not None and again.loss < found.fit.loss:
         found = replace(found, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
-    found = _retuned_beside(found, machine, mapper, straight)
+    found = _retuned_beside(found, machine, mapper)
     return replace(found, accepted=(*found.accepted, found.fit)).inflated()
 
 
-def _retuned_beside(found: Found, machine: Machine, mapper: Mapper, straight: Collection[Key]) -> Found:
+def _straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
+    """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
+    straight = {s.key for s in settings if s.effect.is_linear}
+    return {name: column for name, column in slopes.items() if name[0] in straight}
+
+
+def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
     """The state with re-tuning as it acts on the machine that has the effects, where one of them bends what the others answer."""
-    if all(s.key in straight for s in found.fit.settings):
+    settings = found.fit.settings
+    if all(s.effect.is_linear for s in settings):
         return found
     try:
         tuning = tuning_beside(found.group, found.fit, machine, mapper)
     except TwinError:  # next to unstable: as it acts without the effects
         return found
-    known = {name: column for name, column in found.fit.slopes.items() if name[0] in straight}
-    fit = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, found.thresholds.refit_steps, known=known)
+    known = _straight(found.fit.slopes, settings)
+    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=known)
     return found if fit is None or fit.loss > found.fit.loss else replace(found, tuning=tuning, fit=fit)
 
 
@@ -289,10 +289,8 @@ def without(found: Found, i: int, mapper: Mapper) -> Fit:
     fit = found.fit
     rest = [s for j, s in enumerate(fit.settings) if j != i]
     columns = fit.columns[:, [f.setting != i for f in fit.free]]
-    about = found.tuning.with_free(columns)
     response = answer(found.group, rest, mapper) if rest else np.zeros(found.group.size)
-    left = found.group.residual - response
-    return Fit(tuple(rest), [], about.loss(left), about.solve(left), response, np.zeros((len(left), 0)), about)
+    return held(found.group, found.tuning.with_free(columns), tuple(rest), response)
 
 
 def loud_near_tolerance(found: Found, machine: Machine) -> set[str]:

@@ -139,13 +139,6 @@ def expected_of(group: Group, axis: str) -> float:
     return 0.5 * sum(float(group.expected[c.rows].sum()) for c in group.channels if c.axis == axis)
 
 
-def closed(found: Found) -> float:
-    """Half the squares over noise that the effects close beyond re-tuning."""
-    left = (found.group.in_noise(fit.left(found.group)) for fit in (found.retuned, found.fit))
-    before, after = (0.5 * float(rows @ rows) for rows in left)
-    return before - after
-
-
 def closed_share(found: Found, gain: float) -> float:
     """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
     noise = found.group.expected_loss

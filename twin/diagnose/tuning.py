@@ -175,6 +175,12 @@ def tuning_from(
     return Tuning(tuple(nuisances), jacobian, spread, normal, _inverse(normal), np.zeros(len(nuisances)), prior_weight, further)
 
 
+def solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Least squares solution of normal x = right (column,) or (column, n), columns brought to one size first."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray((scale * np.linalg.lstsq(normal * np.outer(scale, scale), (scale * right.T).T, rcond=1e-12)[0].T).T)
+
+
 def _inverse(normal: np.ndarray) -> np.ndarray:
     """Inverse of a positive definite matrix whose columns may differ in size by many powers of ten."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))

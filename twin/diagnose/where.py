@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.blocks import REGIMES, BlockResidual, block_residuals, regime_masks, scaling
+from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.observe import Group
 from twin.diagnose.seen import share_of_gap
@@ -62,10 +62,6 @@ def places(
     return sorted(listed, key=lambda p: -p["share"])
 
 
-CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}
-"""Block of which a channel shows the law; the others show the mechanics in closed loop."""
-
-
 def left_of(found: Found, axis: str) -> tuple[str, str]:
     """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
     group = found.group
@@ -74,11 +70,7 @@ def left_of(found: Found, axis: str) -> tuple[str, str]:
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
             continue  # they follow what the others show
-        view = group.views[c.run]
-        if c.name == "controller":
-            index = np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
-        else:
-            index = np.flatnonzero(view.reference(axis)[2])
+        index = samples_of(c, group.views[c.run])
         if len(index) == len(left[c.rows]):
             block = CHANNEL_SHOWS.get(c.name, "mechanics")
             parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, left[c.rows], float(np.mean(c.sigma)), index))

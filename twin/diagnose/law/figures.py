@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import io
 import math
 
 import numpy as np
@@ -62,10 +61,3 @@ def _driven(law: Law, at: np.ndarray) -> np.ndarray:
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     share: np.ndarray = np.histogram(x, edges)[0] / max(len(x), 1)
     return share
-
-
-def as_png(laws: Sequence[Law], machine: Machine) -> bytes:
-    """The picture as the bytes of a PNG."""
-    out = io.BytesIO()
-    laws_figure(laws, machine).savefig(out, format="png", dpi=110)
-    return out.getvalue()

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from twin.diagnose.law.residual import MECHANICS, Samples, remembered
+from twin.diagnose.observe import ROBUST
 from twin.machine.machine import Axis
 
 PIECES = 9
@@ -224,7 +225,7 @@ class Loss:
 
 def scale_of(values: np.ndarray, least: float) -> float:
     """Robust standard deviation, at least what noise makes."""
-    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), least)
+    return max(ROBUST * float(np.median(np.abs(values - np.median(values)))), least)
 
 
 def huber(values: np.ndarray, scale: float) -> np.ndarray:
