@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.cli.shown import command
+from twin.cli.parser import show_and_run
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
 from twin.errors import TwinError
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         record = read_emps(args.record)
         import_record(args.record, args.out)
         print(law_text(record))
-        command("identify", args.out / "fit", "--machine", MACHINE, "--out", identified_file(args.out))
+        show_and_run("identify", args.out / "fit", "--machine", MACHINE, "--out", identified_file(args.out))
         document = diagnosed(args.out, tilted(args.out) if args.with_offset else MACHINE, quick=args.quick)
         print(order_text(document))
         machines = {
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def import_record(path: Path, out: Path, picture: bool = True) -> None:
     """The first two thirds as one campaign, the last third as another one."""
     for part, name in (("fit", "two_thirds.toml"), ("check", "last_third.toml")):
-        command("import", path, "--map", HERE / name, "--out", out / part, *([] if picture else ["--no-picture"]))
+        show_and_run("import", path, "--map", HERE / name, "--out", out / part, *([] if picture else ["--no-picture"]))
 
 
 def tilted(out: Path) -> Path:
@@ -105,7 +105,7 @@ def tilted(out: Path) -> Path:
 def diagnosed(out: Path, machine: Path = MACHINE, quick: bool = False) -> dict[str, Any]:
     """diagnosis.json of the first two thirds against the machine file."""
     folder = out / "diagnosis"
-    command("diagnose", out / "fit", "--machine", machine, "--out", folder, *(["--quick"] if quick else []))
+    show_and_run("diagnose", out / "fit", "--machine", machine, "--out", folder, *(["--quick"] if quick else []))
     found: dict[str, Any] = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     return found
 

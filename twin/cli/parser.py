@@ -145,6 +145,14 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     return parser
 
 
+def show_and_run(*arguments: object) -> None:
+    """A command of twin as an example carries it out: shown first; the example ends where the command fails."""
+    words = [str(a) for a in arguments]
+    print(f"\n$ twin {' '.join(words)}", flush=True)
+    if code := main(words):
+        raise SystemExit(code)
+
+
 def _add_effect_files(parser: argparse.ArgumentParser) -> None:
     """`--effects FILE` for a command that takes a machine, and for the actions of one that has any."""
     for action in list(parser._actions):

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import savgol_filter
 
-from twin.cli.shown import command
+from twin.cli.parser import show_and_run
 from twin.errors import TwinError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     out = args.out
     try:
-        command("import", *args.recordings, "--out", out / "imported")
+        show_and_run("import", *args.recordings, "--out", out / "imported")
         models = [model_of(f) for f in args.recordings]
         published = out / "published" / "machine.toml"
         published.parent.mkdir(parents=True, exist_ok=True)
@@ -61,11 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         runs = [following(run, model) for run, model in zip(read_campaign(out / "imported").runs, models)]
         write_campaign(out / "fitted", runs[:1], machine.name)
         identified = out / "identified" / "machine.toml"
-        command("identify", out / "fitted", "--machine", published, "--out", identified)
+        show_and_run("identify", out / "fitted", "--machine", published, "--out", identified)
         print(gaps_text({"published": machine, "identified": load_machine(identified)}, runs))
         if args.diagnose:
             write_campaign(out / "both", runs, machine.name)
-            command("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
+            show_and_run("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

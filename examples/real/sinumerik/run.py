@@ -16,7 +16,7 @@ import sys
 
 import numpy as np
 
-from twin.cli.shown import command
+from twin.cli.parser import show_and_run
 from twin.errors import TwinError
 from twin.identify.held_out import divided
 from twin.machine.machine import Machine, load_machine
@@ -36,10 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     out = args.out
     try:
-        command("import", args.recording, "--out", out / "campaign")
-        command("machine", "new", "--from-recording", out / "campaign", "--out", out / "lumped" / "machine.toml")
+        show_and_run("import", args.recording, "--out", out / "campaign")
+        show_and_run("machine", "new", "--from-recording", out / "campaign", "--out", out / "lumped" / "machine.toml")
         start = out / "lumped" / "machine.toml"
-        command(
+        show_and_run(
             "identify",
             out / "campaign",
             "--machine",
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         machine = load_machine(out / "identified" / "machine.toml")
         print(summary_text(machine, read_campaign(out / "campaign", machine)))
         if args.diagnose:
-            command("diagnose", out / "campaign", "--machine", out / "identified" / "machine.toml", "--out", out / "diagnosis")
+            show_and_run("diagnose", out / "campaign", "--machine", out / "identified" / "machine.toml", "--out", out / "diagnosis")
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
