@@ -2,22 +2,25 @@
 
     python examples/measured_surface/run.py out/measured_surface
 
-The part is "made" by the twin itself with 15 % too little position gain on Z: a perturbed cut, no check of the twin's law. Its surface is "measured" as a
-profilometer does: shifted, tilted, with noise, as a `.sur` file. Then `twin cut --measured` lays it over the cut of the nominal twin.
+The second plant, which shares no code with the twin, makes the part with 15 % too little position gain on Z. Its surface is measured as a profilometer does:
+tilted, with noise, as a `.sur` file. Then `twin cut --measured` lays it over the cut of the nominal twin.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+import tomllib
 
 import numpy as np
 
 from twin.cli import main as twin_command
+from twin.exam.draw import SHIPPED_MACHINE, Case, simulate
+from twin.exam.plant.parameters import AXES, Richness, unit_factors
+from twin.exam.programme import TestRun
 from twin.machine.machine import Machine, load_machine
 from twin.program import interpolate, read_program
 from twin.recordings.trace import Trace
-from twin.simulation.run import simulate
 from twin.surface.levels import levels_of_trace
 from twin.surface.machining import machine_part
 from twin.surface.part import read_part
@@ -33,10 +36,15 @@ NOISE, TILT, OFFSET = 5e-8, (2e-4, -1e-4), 3e-6
 
 
 def made_on_a_worn_machine(machine: Machine) -> Trace:
-    """The run of the worn machine, without feedforward."""
-    gain = WORN * machine.axis("Z").loops.position_gain_per_s
-    worn = machine.with_feedforward("off").with_values({"axis.Z.loops.position_gain_per_s": gain})
-    return simulate(worn, interpolate(read_program(PROGRAM, machine), machine)).trace
+    """The run of the worn machine, without feedforward: where its loads truly are."""
+    program = interpolate(read_program(PROGRAM, machine), machine)
+    points = np.column_stack([program.get(axis, "setpoint") for axis in AXES])
+    worn = Case(SEED, "worn", 1.0, ({"name": "position_gain", "axis": "Z", "factor": WORN},), unit_factors(), Richness.off())
+    document = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
+    made = simulate(worn, document, TestRun("dip", "program", "off", points, program.period))
+    signals = {(axis, "setpoint"): made.setpoint[:, k] for k, axis in enumerate(AXES)}
+    signals |= {(axis, "position"): made.load[:, k] for k, axis in enumerate(AXES)}
+    return Trace(made.time, signals, program.kinds)
 
 
 def measure(trace: Trace, machine: Machine, path: Path) -> float:

@@ -434,3 +434,15 @@ def test_recorded_runs_are_reproduced(campaign, name):
     moving = np.abs(np.gradient(read("setpoint"), axis=0)) > 0.2e-3
     for k in np.flatnonzero(moving.any(axis=0)):
         assert np.sqrt(np.mean((trace.current - read("current"))[moving[:, k], k] ** 2)) < 0.072
+
+
+def test_set_points_of_a_program_keep_their_period():
+    """Every second sample, said to be 2 ms apart, is the same run: read as 1 ms apart it would be twice as fast and millimetres off."""
+    settings = settings_of(MACHINE, unit_factors())
+    points = LIVELY.set_points[:401]
+    whole, half = run(settings, points, noise=False), run(settings, points[::2], noise=False, set_point_period_s=2e-3)
+    assert np.allclose(half.time, whole.time)
+    moved = np.ptp(points, axis=0)
+    assert np.abs(half.setpoint - whole.setpoint).max() < 1e-3 * moved.max()
+    assert np.abs(half.load - whole.load).max() < 1e-3 * moved.max()
+    assert np.abs(run(settings, points[::2], noise=False).load - whole.load[:201]).max() > 0.1 * moved.max()

@@ -193,7 +193,7 @@ def simulate(case: Case, machine: dict, test: TestRun, started_at_s: float = 0.0
     points = np.round(test.set_points * unit, DECIMALS["setpoint"][0]) / unit
     base = case.seed if case.noise_seed is None else case.noise_seed
     noise = np.random.SeedSequence([base, 30, zlib.crc32(test.name.encode())])
-    return run(settings_for(case, machine, test.feedforward), points, noise, started_at_s, substeps, case.noise)
+    return run(settings_for(case, machine, test.feedforward), points, noise, started_at_s, substeps, case.noise, test.period_s)
 
 
 def behaves(case: Case, machine: dict) -> bool:

@@ -19,7 +19,9 @@ from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of,
 
 @dataclass(frozen=True)
 class TestRun:
-    """name, kind ("test", "program", "exam"), feedforward (off | velocity | velocity+torque), set points [sample, axis] SI."""
+    """name, kind ("test", "program", "exam"), feedforward (off | velocity | velocity+torque), set points [sample, axis] SI.
+
+    `period_s` is that of the set points, where it is not the sample period (1 ms)."""
 
     __test__ = False  # not a pytest class
 
@@ -27,6 +29,7 @@ class TestRun:
     kind: str
     feedforward: str
     set_points: np.ndarray
+    period_s: float | None = None
 
 
 def _vary(rng: np.random.Generator, value: float, by: float = 0.2) -> float:

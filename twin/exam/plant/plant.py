@@ -228,20 +228,27 @@ def run(
     started_at_s: float = 0.0,
     substeps: int = SUBSTEPS,
     noise: bool = True,
+    set_point_period_s: float | None = None,
 ) -> Trace:
-    """Simulates one run on settings `s` over set points [sample, axis] (SI, at the sample period) and returns its Trace.
+    """Simulates one run on settings `s` over set points [sample, axis] (SI) and returns its Trace at the sample period.
 
-    A run of a campaign starts `started_at_s` after the first (thermal drift, warming). Equal seeds give equal traces."""
-    s_points = np.ascontiguousarray(set_points, dtype=float)
-    samples = len(s_points)
+    A run of a campaign starts `started_at_s` after the first (thermal drift, warming). Equal seeds give equal traces.
+    `set_point_period_s` is that of the set points, where it is not the sample period: an interpolator writes one each 2 ms."""
+    given = np.ascontiguousarray(set_points, dtype=float)
     c, (m, pair), sensors = control_of(s), mechanics_of(s), sensors_of(s)
     # Set points at the control's cycle, delayed by any fraction of a sample: a cubic spline through the recorded ones
     period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
+    given_at = np.arange(len(given)) * (set_point_period_s or period)
+    samples = len(given) if set_point_period_s is None else math.floor(given_at[-1] / period + 1e-6) + 1
     grid = np.arange(samples) * period
+    s_points = given
+    if set_point_period_s is not None:
+        s_points = np.column_stack([_delayed(given_at, given[:, k], grid, 0.0) for k in range(5)])
     cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
     at = _on_straight_lines if s.straight_set_points else _delayed
     s_position, s_feedforward = (
-        np.column_stack([at(grid, s_points[:, k], cycles, delay[k]) for k in range(5)]) for delay in (s.position_delay, s.feedforward_delay)
+        np.column_stack([at(given_at, given[:, k], cycles, delay[k]) for k in range(5)])
+        for delay in (s.position_delay, s.feedforward_delay)
     )
     # Noise
     rng = np.random.default_rng(seed)
