@@ -146,8 +146,8 @@ def test_a_disturbance_keeps_its_unit(tmp_path: Path) -> None:
     m = move(TIME)
     table = {"t": TIME, "set_point": m["soll"], "position": m["ist"], "pulses_N": np.where(TIME > 3.0, 50.0, 0.0)}
     (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
-    assert list(run.trace.disturbances("X")) == ["N"]
-    assert run.trace.disturbances("X")["N"].max() == 50.0
+    assert list(run.trace.loads("X")) == ["N"]
+    assert run.trace.loads("X")["N"].max() == 50.0
 
 
 def test_no_axis_moves_is_said_only_if_none_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,8 @@ from twin.errors import InputError
 from twin.identify.between_samples import SETTLED_CYCLES, measured_ripple
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation import known_forces
 
 BAND_HZ = 20.0
 """Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
@@ -65,6 +67,8 @@ class AxisRun:
     speed_ripple: np.ndarray | None
     torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
+    outside: np.ndarray | None  # known outside load, mean of the cycle, as torque at the motor towards +q [Nm]
+    injected: np.ndarray | None  # what a rig adds to the command, mean of the cycle, as torque at the motor [Nm]
     slides_above: float  # speed from which friction is on its line [rad/s]
     limited: np.ndarray  # current at its limit, or a channel clipped
     clipped: dict[str, float]  # signal -> seconds that its recording stays on its largest value while the axis goes on
@@ -182,6 +186,9 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         if has[name]:
             beyond[name] = _clipped(signal(name), setpoint(time, 1 if name.startswith("velocity") else 0))
             limited |= beyond[name][window].reshape(cycles, n).any(axis=1)
+    pushed, added = (
+        known[window].reshape(cycles, n).mean(axis=1) if known is not None else None for known in _known_torques(trace, machine, axis)
+    )
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,
@@ -207,10 +214,19 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
         if has["motor_position"] and has["position"]
         else None,
+        outside=pushed,
+        injected=added,
         slides_above=slides_above(axis),
         limited=limited,
         clipped={name: float(b.sum() * trace.period) for name, b in beyond.items() if b.any()},
     )
+
+
+def _known_torques(trace: Trace, machine: Machine, axis: Axis) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(sample,) outside load and injected command as torques at the motor [Nm]; None where none is recorded."""
+    load = known_forces.outside_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
+    added = known_forces.injected(trace, machine) if trace.injections(axis.name) else None
+    return load, None if added is None else added[:, machine.axis_names.index(axis.name)]
 
 
 def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:

@@ -15,6 +15,7 @@ from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.choice import chosen, tables_of
 from twin.identify.direct import Direct, Runs, direct_route
+from twin.identify.drive_balance import load_answered
 from twin.identify.drive_fit import fit_drives, is_driven_ideally
 from twin.identify.findings import Finding
 from twin.identify.held_out import LEFT_OUT_SHARE, Division, divided
@@ -74,7 +75,7 @@ def identify_campaign(
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
     not_found, notes = _on_position_control(machine, direct)
-    findings = [*recording.findings, *against.values(), *not_found]
+    findings = [*recording.findings, *against.values(), *not_found, *_on_known_loads(machine, direct)]
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:
@@ -178,6 +179,21 @@ def _resimulated(
 
 WORSE, WORSE_S = 0.3, 1e-3
 """Control values known no better than this, relative and in seconds, do not replace the machine file's."""
+
+
+def _on_known_loads(machine: Machine, direct: Direct) -> list[Finding]:
+    """Axes whose drive does not answer the outside load that the recording holds."""
+    out = []
+    for balance in direct.balance.values():
+        for name, rows in balance.rows.items():
+            if not load_answered(rows):
+                effort = machine.axis(name).effort
+                text = (
+                    f"the {effort} does not answer the recorded disturbance: it is part of the {effort} already; "
+                    'map it as signal = "injected_command"'
+                )
+                out.append(Finding("", name, text))
+    return out
 
 
 def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:

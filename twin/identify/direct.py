@@ -145,11 +145,18 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
     mean = out.current[axis.name]
     known = fast_loop_of(machine, axis, axis.commissioned_inertia or axis.rotor_inertia_kg_m2)
-    found = fit_speed_control(axis, here, [mean.of(r) for r in here], mean.fit.loop, delay, twins, known)
+    found = fit_speed_control(axis, here, [_commanded(axis, r, mean.of(r)) for r in here], mean.fit.loop, delay, twins, known)
     if found is not None:
         doubt = mean.inertia_deviation / (axis.commissioned_inertia or np.inf)
         deviations = {**found.deviations, "torque_feedforward": float(np.hypot(found.deviations["torque_feedforward"], doubt))}
         out.speed[axis.name] = replace(found, deviations=deviations)
+
+
+def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:
+    """Mean current [A] that the speed controller asked for: without what a rig injected."""
+    if current is None or run.injected is None:
+        return current
+    return current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
 
 
 def _update(out: Direct, name: str, inertia: float, seen: bool) -> None:

@@ -1,9 +1,9 @@
 """Balance of torques at the motor of a linear axis: inertia, Coulomb and viscous friction, gravity.
 
-    Kt i = J (dw/dt + T d2w/dt2) + Fc sign(w) + Fv w + G      where the axis slides
+    Kt i + T_out = J (dw/dt + T d2w/dt2) + Fc sign(w) + Fv w + G      where the axis slides
 
 i is the mean current of a position cycle (`between_samples`); T is what current and motion lie apart in time, some ten microseconds that
-would otherwise pass for viscous friction. The torque constant is the machine file's: J, Fc, Fv, G come as products
+would otherwise pass for viscous friction. T_out is a known outside load as torque at the motor, where one is recorded. The torque constant is the machine file's: J, Fc, Fv, G come as products
 with it, and `products` says what fixes them.
 """
 
@@ -51,12 +51,13 @@ class Rows:
     acceleration: np.ndarray
     position: np.ndarray
     run: np.ndarray
+    outside: np.ndarray  # the share of a known outside load in y
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
     """Rows of several runs in one; clusters of different runs stay apart."""
     clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "run")
+    fields = ("columns", "y", "speed", "acceleration", "position", "run", "outside")
     joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
     return Rows(clusters=np.concatenate(clusters), **joined)
 
@@ -67,7 +68,8 @@ def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray) -> Rows:
     sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * run.slides_above)
     turning = [] if axis.kind == "linear" else [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))]
     columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
-    return _kept(run, columns, f(mean_current * axis.motor.torque_constant_nm_per_a))
+    torque = mean_current * axis.motor.torque_constant_nm_per_a
+    return _kept(run, columns, f(torque if run.outside is None else torque + run.outside))
 
 
 def _kept(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
@@ -75,9 +77,11 @@ def _kept(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
     index = index[run.sliding[index]]
     f = run.filtered
     names = np.full(len(index), run.run, dtype=object)
+    outside = np.zeros(len(index)) if run.outside is None else f(run.outside)[index]
     return Rows(
-        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names
-    )
+        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names,
+        outside,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,8 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
                 )
                 pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
                 pressed.append(its_acceleration)
+        if any(r.outside is not None for r in runs):
+            pressed.append(np.zeros(n) if run.outside is None else run.outside)
         acceleration = f(run.acceleration * axis.ratio)
         torque = f(run.current * axis.motor.torque_constant_nm_per_a / axis.ratio)
         by_motion.append(_kept(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
@@ -202,6 +208,19 @@ def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Steps of speed set point and torque feedforward at the start of each cycle; without a record, of the motor's speed."""
     speed = run.speed_setpoint if run.speed_setpoint is not None else np.diff(run.angle) / run.cycle
     return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward, prepend=0.0)
+
+
+NOT_ANSWERED = 0.5
+"""A drive answers an outside load with as much; where less than this share is seen, the recorded command holds the load already."""
+
+
+def load_answered(rows: Rows) -> bool:
+    """Does the drive answer the known outside load, as it must? True where there is none, or where these rows cannot tell."""
+    if not np.ptp(rows.outside) > 0.0 or len(rows.y) < 2 * rows.columns.shape[1] + 10:
+        return True
+    fit = regress(np.column_stack([rows.columns, rows.outside]), rows.y, rows.clusters)
+    too_much, doubt = float(fit.values[-1]), fit.quantile * float(fit.deviations[-1])
+    return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > NOT_ANSWERED)
 
 
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:

@@ -86,6 +86,8 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
         own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
         f = run.filtered
         torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
+        if run.outside is not None:
+            torque = torque + run.outside[:n] / axis.ratio
         out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
     return out[0], out[1]
 
@@ -125,4 +127,5 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
     if n == len(run.speed):
         return run
     names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
-    return replace(run, **{k: getattr(run, k)[:n] for k in names})
+    known = {k: getattr(run, k)[:n] for k in ("outside",) if getattr(run, k) is not None}
+    return replace(run, **{k: getattr(run, k)[:n] for k in names}, **known)

@@ -24,6 +24,7 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
 
 LUMP = "lump"
+BY_LOAD = "measured against the recorded outside load"
 LONGEST_TRIED_S = 8.0
 """Recorded time on which the speed controller is tried [s]."""
 LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
@@ -259,10 +260,12 @@ def _part_of(period: float, longest: float) -> float:
 
 
 def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
-    linear, m = one.kind == "linear", one.mechanics
+    linear, m = one.kind == "linear", _forces(one)
+    known = m is not None and m.force_per_unit is not None
     table = f"axis.{_key(one.name)}"
-    unit = _COMMAND_UNIT[m.effort] if m else "Nm"
+    unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
     per = "m" if linear else "rad"
+    lumped = BY_LOAD if known else LUMP
     structure = "P/PI" if one.law.integral else "P/P"
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
     lines.append(_aligned(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
@@ -270,7 +273,7 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
         lines.append(_aligned('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
     lines.append(_aligned(f'encoder = "{one.encoder}"', "closes the position loop"))
     inertia = m.inertia if m else UNKNOWN_MASS
-    lump = f"{LUMP}: {unit} per {per}/s2" if m else ASSUMED
+    lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
     low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
     speed = max(ROOM * one.speed, LEAST_SPEED[one.kind])
     acceleration = ROOM * max(one.acceleration, 0.1)
@@ -286,8 +289,8 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
         if vertical:
             lines.append(_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
         lines += [
-            _line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{LUMP}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{LUMP}: {unit} per m/s" if m else ASSUMED),
+            _line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            _line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
         ]
     else:
         turn = 2.0 * math.pi
@@ -298,11 +301,16 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
             _line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
             _line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
             _line("rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"),
-            _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{LUMP}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{LUMP}: {unit} per rad/s" if m else ASSUMED),
+            _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED),
         ]
     lines += [] if vertical else _constant(one, unit)
-    return [*lines, *_actuator(one, table), *_loops(one, tuning, table, inertia)]
+    return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
+
+
+def _forces(one: AxisLumps) -> Mechanics | None:
+    """Mechanics of an axis as the file counts them: in newtons where a known load fixes them, else lumps."""
+    return one.mechanics.forces if one.mechanics else None
 
 
 def _actuator(one: AxisLumps, table: str) -> list[str]:
@@ -315,7 +323,8 @@ def _actuator(one: AxisLumps, table: str) -> list[str]:
     letter = {"current": "a", "voltage": "v"}.get(m.effort)
     if letter:
         key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
-        lines.append(_line(key, 1.0, f"{LUMP}: stands for all between command and motion"))
+        said = f"{LUMP}: stands for all between command and motion" if m.force_per_unit is None else BY_LOAD
+        lines.append(_line(key, m.scale, said))
         return [*lines, _line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
     return [
         *lines,
@@ -360,7 +369,7 @@ _BODY_PART = 0.1
 
 def _hangs(one: AxisLumps) -> bool:
     """Is the constant force of a slide its weight? Only where both directions show it apart from friction, and inertia allows it."""
-    m = one.mechanics
+    m = _forces(one)
     if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
         return False
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
@@ -368,16 +377,22 @@ def _hangs(one: AxisLumps) -> bool:
 
 def _constant(one: AxisLumps, unit: str) -> list[str]:
     """The steady load of an axis that does not hang."""
-    m = one.mechanics
+    m = _forces(one)
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
     key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
-    return [_line(key, m.constant, f"{LUMP}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them")]
+    return [
+        _line(
+            key,
+            m.constant,
+            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them",
+        )
+    ]
 
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:
     """A slide or a hinge with a box to look at."""
-    m, place = one.mechanics, f"0 {0.4 * i:.3g} 0"
+    m, place = _forces(one), f"0 {0.4 * i:.3g} 0"
     inertia = m.inertia if m else UNKNOWN_MASS
     shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
     if one.kind == "linear":

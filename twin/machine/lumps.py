@@ -2,10 +2,11 @@
 
     command:   w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 where the speed set point w* and, maybe, the feedforward f are recorded
     in drive:  w(t + lag) = w*(t - Td) - Kv (x(t) - x(t - Td))       with Td = 0 where the NC closes the position loop
-    mechanics: u = m dv/dt + d sign(v) + b v + c                     u the recorded current, voltage or torque
+    mechanics: u = m dv/dt + d sign(v) + b v + c - f/K               u the recorded current, voltage or torque, f a known outside load
 
 A machine of unknown lead, ratio and motor shows m, d, b, c only in units of its command: m is inertia over torque constant, counted at the
-axis, in A/(m/s2) or the like. These are the lumps. SI throughout; positions m or rad.
+axis, in A/(m/s2) or the like. These are the lumps. Where an outside load is recorded, the command answers it, and K [N or Nm per unit of the
+command] turns lumps into kilograms and newtons. SI throughout; positions m or rad.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ MOVING = 0.02
 """Part of the highest speed above which an axis moves."""
 EXPLAINED = 0.5
 """Part of the command's variance that the balance must explain, or it says nothing about the mechanics."""
+LOAD_SEEN = 0.3
+"""An outside load is answered where its share of the command (RMS) is more than this part of what the balance leaves."""
 EFFORTS = ("current", "voltage", "torque")
 MOST_MEAN_CYCLES = 4
 
@@ -66,6 +69,21 @@ class Mechanics:
     gravity: tuple[float, float]  # of cos q and sin q, rotary axes
     explained: float
     peak: float
+    force_per_unit: float | None = None  # N or Nm that one unit of the command makes, where a known outside load shows it
+
+    @property
+    def scale(self) -> float:
+        """What turns lumps into forces: 1 where no load shows it."""
+        return self.force_per_unit or 1.0
+
+    @property
+    def forces(self) -> Mechanics:
+        """The same in N and kg or Nm and kg m2 where a known load shows them, else the lumps."""
+        k = self.scale
+        return replace(
+            self, inertia=k * self.inertia, coulomb=k * self.coulomb, viscous=k * self.viscous, constant=k * self.constant,
+            gravity=(k * self.gravity[0], k * self.gravity[1]), peak=k * self.peak,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -96,6 +114,8 @@ class _Run:
     command: np.ndarray | None
     feedforward: np.ndarray | None
     effort: np.ndarray | None
+    load: np.ndarray | None = None  # known outside load [N, Nm at the axis]
+    injected: np.ndarray | None = None  # added to the command by a rig, in its unit
 
 
 def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
@@ -118,6 +138,8 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
             t.signals.get((axis, "velocity_setpoint")),
             t.signals.get((axis, "velocity_feedforward")),
             t.signals.get((axis, effort)),
+            next(iter(t.loads(axis).values()), None),
+            t.injections(axis).get({"current": "A", "voltage": "V", "torque": "Nm"}.get(effort, "")),
         )
         for t in traces
         if len(t.time) >= 40 and np.ptp(t.get(axis, "setpoint")) > 0.0
@@ -243,7 +265,7 @@ def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
 def _direct_law(parts: Sequence[_Run]) -> Law | None:
     """u = ks (Kv (s - x) - dx_n) where a proportional speed controller commands directly; None where the command is not that."""
     tp = parts[0].period
-    y = np.concatenate([p.effort[8:] for p in parts])  # type: ignore[index]
+    y = np.concatenate([(p.effort if p.injected is None else p.effort - p.injected)[8:] for p in parts])  # type: ignore[index, operator]
     best: tuple[float, int, np.ndarray] | None = None
     for n in range(1, MOST_MEAN_CYCLES + 1):
         x = np.concatenate(
@@ -308,6 +330,8 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
         keep[:edge] = keep[-edge:] = False
         columns = [acceleration, np.sign(speed), speed, np.ones_like(speed)]
         columns += [np.cos(motion), np.sin(motion)] if kind == "rotary" else []
+        if any(part.load is not None for part in parts):
+            columns.append(np.zeros_like(speed) if p.load is None else -_smooth(p.load, p.period))
         rows.append(np.column_stack(columns)[keep])
         values.append(u[keep])
     x, y = np.concatenate(rows), np.concatenate(values)
@@ -319,6 +343,9 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
     low = np.full(x.shape[1], -np.inf)
     low[:3] = 0.0
+    loaded = any(part.load is not None for part in parts)
+    if loaded:
+        low[-1] = 0.0
     one_way = min(np.mean(x[:, 1] > 0), np.mean(x[:, 1] < 0)) < 0.02
     columns = [i for i in range(x.shape[1]) if not (one_way and i == 1)]
     if one_way:
@@ -326,12 +353,21 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     found = lsq_linear(x[:, columns] / scale[columns], y, bounds=(low[columns], np.full(len(columns), np.inf)))
     b = np.zeros(x.shape[1])
     b[columns] = found.x / scale[columns]
-    explained = 1.0 - float(np.var(y - x @ b)) / max(float(np.var(y)), 1e-300)
+    left = float(np.std(y - x @ b))
+    explained = 1.0 - left**2 / max(float(np.var(y)), 1e-300)
     if explained < EXPLAINED or b[0] <= 0.0:
         notes.append(f"motion explains {max(explained, 0.0):.0%} of the {effort}: mass and friction cannot be seen, they are assumed")
         return None
     gravity = (float(b[4]), float(b[5])) if kind == "rotary" else (0.0, 0.0)
-    return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak)
+    force = None
+    if loaded and float(b[-1]) * float(np.std(x[:, -1])) > LOAD_SEEN * left:
+        force = 1.0 / float(b[-1]) if effort != "torque" else None
+    elif loaded:
+        notes.append(
+            f"the {effort} does not answer the recorded load: it is too small to be seen, or it is part of the {effort} "
+            '(then map it as signal = "injected_command")'
+        )
+    return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak, force)
 
 
 def _smooth(values: np.ndarray, period: float) -> np.ndarray:

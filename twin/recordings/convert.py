@@ -11,7 +11,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.signals import Signal
-from twin.recordings.trace import ACCELERATIONS, DISTURBANCE, OTHER_UNITS, POSITIONS, SPEEDS
+from twin.recordings.trace import ACCELERATIONS, BY_UNIT, DISTURBANCE, OTHER_UNITS, POSITIONS, SPEEDS
 from twin.units import RECORDED_UNITS, UNITS, dimension_recorded
 
 _POSITIONS = (*POSITIONS, FOLLOWING_ERROR)
@@ -30,7 +30,7 @@ class Conversion:
     offset: float
     unit: str
     kind: str | None
-    si: str = ""  # unit of the result where the signal leaves it open (a disturbance): V, A, Nm, N
+    si: str = ""  # unit of the result where the signal leaves it open (disturbance, injected_command): V, A, Nm, N
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         return values * self.factor + self.offset if self.offset else values * self.factor
@@ -50,11 +50,11 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
         )
         raise InputError(f"{where}: the file says [{signal.unit}], the map says [{column.unit}]; leave unit out of the map, or {remedy}")
     quantity, factor = dimension_recorded(unit), RECORDED_UNITS[unit][1]
-    if column.signal == DISTURBANCE:
+    if column.signal in BY_UNIT:
         si = {"voltage": "V", "current": "A", "torque": "Nm", "force": "N"}.get(quantity, "")
         if not si:
             raise InputError(
-                f"{where}: [{unit}] is no unit of a disturbance; use V, A (added to the drive's command), Nm (motor) or N (carriage)"
+                f"{where}: [{unit}] is no unit of {column.signal}; use N, Nm (an outside load, or the force that an injected command makes), V or A"
             )
         return Conversion(column.factor * factor, column.offset * factor, unit, None, si)
     wanted = _wanted(column.signal)
@@ -108,7 +108,7 @@ def _wanted(signal: str) -> str:
 
 
 def _example(signal: str) -> str:
-    if signal == DISTURBANCE:
-        return "N"
+    if signal in BY_UNIT:
+        return "N" if signal == DISTURBANCE else "A"
     wanted = _wanted(signal)
     return {"position": "mm", "velocity": "mm/s", "acceleration": "mm/s2"}.get(wanted) or OTHER_UNITS[signal]

@@ -24,7 +24,7 @@ encoding = "latin-1"
 name = "Lagesollwert X"            # as in the file
 axis = "X"
 signal = "setpoint"                # setpoint, position, motor_position, velocity, velocity_setpoint, velocity_feedforward, acceleration,
-                                   # current, torque, torque_setpoint, torque_feedforward, voltage, following_error, disturbance
+                                   # current, torque, torque_setpoint, torque_feedforward, voltage, following_error, disturbance, injected_command
 unit = "mm"                        # default: what the file says
 scale = 1.0                        # value = sign * scale * recorded + offset, in that unit
 sign = 1
@@ -55,12 +55,12 @@ from typing import Any
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path, load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
-from twin.recordings.trace import DISTURBANCE, DISTURBANCES, SIGNALS
+from twin.recordings.trace import BY_UNIT, SIGNALS, UNIT_SIGNALS
 from twin.tables import is_number, known_keys
 from twin.units import RECORDED_UNITS
 
 FOLLOWING_ERROR = "following_error"
-MAPPED = (*(s for s in SIGNALS if s not in DISTURBANCES.values()), FOLLOWING_ERROR, DISTURBANCE)
+MAPPED = (*(s for s in SIGNALS if s not in UNIT_SIGNALS), FOLLOWING_ERROR, *BY_UNIT)
 _TOP = ("machine", "feedforward", "period_ms", "gaps", "skew", "offsets", "labels", "units", "time", "csv", "column", "run")
 _TIME = ("column", "unit", "interval_ms")
 _COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms", "mm_per_rev", "deg_per_rev", "optional")

@@ -26,6 +26,7 @@ _WORDS = {
     "motor": "mot motor indirect rpm",
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung",
+    "injected": "injected injection excitation anregung",
     "-": "rec data record signal value val all axis achse ax joint nck sd sema servo drive trace abs stage slide carriage table simple all rel relative pid",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
@@ -150,8 +151,10 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     quantities = [q for q in _QUANTITIES if q in roles]
     spoken = {w.lower() for w in words}
     relative = 2 if spoken & {"rel", "relative"} else 0
+    if "injected" in roles:  # 'injected_current', 'excitation'
+        return Meaning(axis, "injected_command", unit) if not roles & {"disturbance", "pos", "vel", "acceleration"} else None
     if "disturbance" in roles:
-        return Meaning(axis, "disturbance", unit) if not quantities else None
+        return Meaning(axis, "disturbance", unit) if set(quantities) <= {"torque", "current", "voltage"} else None
     if "error" in roles:
         return Meaning(axis, "following_error", unit) if set(quantities) <= {"pos"} else Meaning(axis, "", unit)
     if not quantities and roles & {"set", "act"} and not roles & {"motor", "load", "ffw"} and not roles >= {"set", "act"}:

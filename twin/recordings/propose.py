@@ -31,7 +31,7 @@ APART = 0.02
 SAME_SLOPE = 2e-3
 """A speed set point this near to the slope of the position set point (of its RMS) is that slope, not an output of a controller."""
 _ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward",
-          "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance")  # fmt: skip
+          "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
 _SPEED_UNITS = {
     "linear": {"mm/s": 1.0, "mm/min": 60.0, "m/min": 0.06, "m/s": 1e-3, "um/s": 1e3},
     "rotary": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "deg/min": 60.0, "rev/min": 1.0 / 6.0},

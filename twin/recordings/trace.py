@@ -26,9 +26,14 @@ if TYPE_CHECKING:
 POSITIONS = ("setpoint", "position", "motor_position", "load_position")
 SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
 ACCELERATIONS = ("acceleration",)
-DISTURBANCES = {"V": "disturbance_voltage", "A": "disturbance_current", "Nm": "disturbance_torque", "N": "disturbance_force"}
-"""What a test rig adds to the drive's command (V, A), to the motor's torque (Nm) or to the carriage (N). In a file the signal is `disturbance`; its unit says which."""
-DISTURBANCE = "disturbance"
+DISTURBANCE, INJECTED = "disturbance", "injected_command"
+LOADS = {"N": "disturbance_force", "Nm": "disturbance_torque"}
+"""An outside load that pushes the axis towards +q: a force on the carriage; a torque on a rotary axis, or on the motor shaft of a linear one."""
+INJECTIONS = {"V": "injected_voltage", "A": "injected_current", "Nm": "injected_torque", "N": "injected_force"}
+"""What a rig adds to the command of the drive; N and Nm as force at the carriage and torque at the motor that it makes."""
+BY_UNIT = {DISTURBANCE: {**LOADS, "V": INJECTIONS["V"], "A": INJECTIONS["A"]}, INJECTED: INJECTIONS}
+"""Signals of a file whose unit says what they are. A disturbance in V or A can only be an injected command."""
+UNIT_SIGNALS = {signal: unit for table in (LOADS, INJECTIONS) for unit, signal in table.items()}
 OTHER_UNITS = {
     "current": "A",
     "current_setpoint": "A",
@@ -38,7 +43,7 @@ OTHER_UNITS = {
     "torque_friction": "Nm",
     "torque_gravity": "Nm",
     "voltage": "V",
-    **{signal: unit for unit, signal in DISTURBANCES.items()},
+    **UNIT_SIGNALS,
 }
 SIGNALS = (*POSITIONS, *SPEEDS, *ACCELERATIONS, *OTHER_UNITS)
 PROGRAM = "program"
@@ -91,9 +96,13 @@ class Trace:
             have = [s for a, s in self.signals if a == axis]
             raise InputError(f"trace has no {axis}.{signal}; axis {axis} has: {', '.join(have) or 'nothing'}") from None
 
-    def disturbances(self, axis: str) -> dict[str, np.ndarray]:
-        """What a rig adds to an axis, by its SI unit: V, A (drive's command), Nm (motor), N (carriage); empty where nothing is recorded."""
-        return {unit: self.signals[axis, signal] for unit, signal in DISTURBANCES.items() if (axis, signal) in self.signals}
+    def loads(self, axis: str) -> dict[str, np.ndarray]:
+        """Known outside loads on an axis by unit, see LOADS; empty where none is recorded."""
+        return {unit: self.signals[axis, signal] for unit, signal in LOADS.items() if (axis, signal) in self.signals}
+
+    def injections(self, axis: str) -> dict[str, np.ndarray]:
+        """What a rig adds to the command of an axis by unit, see INJECTIONS; empty where nothing is recorded."""
+        return {unit: self.signals[axis, signal] for unit, signal in INJECTIONS.items() if (axis, signal) in self.signals}
 
     def matrix(self, signal: str, axes: Sequence[str] | None = None) -> np.ndarray:
         """One signal of several axes as (sample, axis), SI."""
@@ -173,8 +182,9 @@ def unit_of(signal: str, kind: str) -> str:
 
 
 def heading_of(axis: str, signal: str, unit: str) -> str:
-    """Heading of a column: 'X.position [mm]'; every disturbance is written as 'X.disturbance [unit]'."""
-    return f"{axis}.{DISTURBANCE if signal in DISTURBANCES.values() else signal} [{unit}]"
+    """Heading of a column: 'X.position [mm]', 'X.disturbance [N]'."""
+    name = DISTURBANCE if signal in LOADS.values() else INJECTED if signal in INJECTIONS.values() else signal
+    return f"{axis}.{name} [{unit}]"
 
 
 def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
@@ -199,10 +209,10 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     kinds: dict[str, str] = {}
     for name in names[1:]:
         axis, signal, unit = _parse_heading(name, path)
-        if signal == DISTURBANCE:
-            signal = DISTURBANCES.get(unit, "")
-            if not signal:
-                raise InputError(f"{path}: column '{name}': [{unit}] is no unit of a disturbance; use one of {', '.join(DISTURBANCES)}")
+        if signal in BY_UNIT:
+            if unit not in BY_UNIT[signal]:
+                raise InputError(f"{path}: column '{name}': [{unit}] is no unit of {signal}; use one of {', '.join(BY_UNIT[signal])}")
+            signal = BY_UNIT[signal][unit]
         if axis != PROGRAM:
             if axes is not None and axis not in axes:
                 raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}")

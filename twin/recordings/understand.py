@@ -20,7 +20,7 @@ from twin.recordings.plausible import doubts_of
 from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Late, late_channels, later_ones
 from twin.recordings.timing import Timing, timing_of
-from twin.recordings.trace import DISTURBANCE, DISTURBANCES, POSITIONS
+from twin.recordings.trace import BY_UNIT, POSITIONS
 from twin.units import AXIS_UNITS
 
 SHORTEST_S = 0.2
@@ -91,8 +91,8 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         if signal.time is None:
             raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
         conversion = conversion_of(column, signal, str(recording.path))
-        if column.signal == DISTURBANCE:
-            column = replace(column, signal=DISTURBANCES[conversion.si])
+        if column.signal in BY_UNIT:
+            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
         channels.append((column, recording, signal, conversion))
     keys = [c.key for c, *_ in channels]
     if twice := next((k for k in keys if keys.count(k) > 1), None):

@@ -166,7 +166,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited):  
     engine, schedule, drives, state, terms, signals = simulation
     axes = drives.ratio.size
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
-    has_force = terms.start[FORCE + 1] > terms.start[FORCE]
+    has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.outside) > 0
 
     for n in range(ticks):
         k = first_tick + n
@@ -214,6 +214,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited):  
             engine.ctrl[engine.actuator[a]] = torque
 
         if has_force:
+            outside_forces(signals, command, n // schedule.position_ticks)
             forces_of_terms(engine, terms, signals)
         call_address_2(engine.step, engine.model, engine.data)
         if recorded:
@@ -329,12 +330,19 @@ def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-u
 
 
 @compiled(inline=True)
+def outside_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
+    """Known forces on load and motor from outside in this position cycle; the terms add theirs."""
+    for a in range(len(signals)):
+        known = len(command.outside) > 0
+        signals[a, X_LOAD_FORCE] = command.outside[cycle, a, 0] if known else 0.0
+        signals[a, X_ROTOR_FORCE] = command.outside[cycle, a, 1] if known else 0.0
+
+
+@compiled(inline=True)
 def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
-    """Forces beyond the model's own, given to the engine for its next step."""
+    """Forces beyond the model's own and those from outside, given to the engine for its next step."""
     for a in range(len(engine.load_dof)):
         x = signals[a]
-        x[X_LOAD_FORCE] = 0.0
-        x[X_ROTOR_FORCE] = 0.0
         x[X_MOTOR_TORQUE] = 0.0
         x[X_FRICTION_FORCE] = 0.0
         x[X_FRICTION_LEVEL] = engine.coulomb_level[a]

@@ -132,7 +132,7 @@ def _at_rest(machine: Machine, actual: Change, plant: PlantFace, setpoints: Setp
     """The simulation at rest on the first set point, integrators carrying gravity and constant forces."""
     drives = cascade.drives_of(actual.machine)
     start = setpoints.start - actual.scale_offset
-    constant = actual.constant_force_at(start)
+    constant = actual.constant_force_at(start) + setpoints.outside_at_start
     held_force = plant.place_at_rest(start, constant, actual)
     sag = _sag(actual.machine, held_force)
     if sag.any():

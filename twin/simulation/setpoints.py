@@ -26,6 +26,7 @@ from scipy.interpolate import CubicSpline
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
+from twin.simulation import known_forces
 from twin.simulation.fed_speed import beside_slope
 from twin.units import AXIS_UNITS, deg_from_rad
 
@@ -63,7 +64,8 @@ class Setpoints:
 
     `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in. `injected` (sample, axis) is what a test rig
     adds to the drive's command, as torque at the motor [Nm]; `fed` (sample, axis) is what the control adds to its velocity feedforward
-    [m/s, rad/s]. Nothing is added outside the samples.
+    [m/s, rad/s]. Nothing of these is added outside the samples. `outside` (sample, axis, 2) are known forces on load and motor from outside,
+    towards +q, counted at the axis [N, Nm]; before the first sample and after the last one they stay as they are there.
     """
 
     def __init__(
@@ -73,8 +75,9 @@ class Setpoints:
         before: np.ndarray | None = None,
         injected: np.ndarray | None = None,
         fed: np.ndarray | None = None,
+        outside: np.ndarray | None = None,
     ) -> None:
-        self.injected, self.fed = injected, fed
+        self.injected, self.fed, self.outside = injected, fed, outside
         self.position = np.ascontiguousarray(position, float)
         self.period = period
         self.before = self.position[:0] if before is None else before
@@ -108,6 +111,7 @@ class Setpoints:
                 self.before[:, index] if len(self.before) else None,
                 None if self.injected is None else self.injected[:, index],
                 None if self.fed is None else self.fed[:, index],
+                None if self.outside is None else self.outside[:, index],
             )
         return self._parts[axes]
 
@@ -135,6 +139,26 @@ class Setpoints:
     def fed_at(self, times: np.ndarray) -> np.ndarray | float:
         """(time, axis) speed that is fed forward beside the slope of the set points [m/s, rad/s]; 0 where none is."""
         return self._held(self.fed, times)
+
+    def outside_at(self, first: int, count: int, period: float) -> np.ndarray:
+        """(cycle, axis, 2) mean outside force over each position cycle; no cycles where none is known. A short push keeps its impulse."""
+        if self.outside is None:
+            return np.zeros((0, 1, 2))
+        last = len(self.outside) - 1
+        sums = np.concatenate([np.zeros((1, *self.outside.shape[1:])), np.cumsum(self.outside, axis=0)])
+
+        def impulse(cycles: np.ndarray) -> np.ndarray:
+            at = cycles * (period / self.period)
+            row = np.clip(np.floor(at + 1e-9), 0, last).astype(int)
+            return sums[row] + (at - row)[:, None, None] * self.outside[row]  # type: ignore[index]
+
+        cycles = np.arange(first, first + count + 1)
+        return np.diff(impulse(cycles), axis=0) * (self.period / period)
+
+    @property
+    def outside_at_start(self) -> np.ndarray | float:
+        """(axis,) outside force while the axes stand before they move [N, Nm at the axis]."""
+        return 0.0 if self.outside is None else self.outside[0].sum(axis=-1)
 
     def _held(self, values: np.ndarray | None, times: np.ndarray) -> np.ndarray | float:
         """Values (time, axis) held from their sample on."""
@@ -193,6 +217,7 @@ class Command(NamedTuple):
     setpoint: np.ndarray  # delayed, m or rad
     velocity_feedforward: np.ndarray  # m/s or rad/s
     torque_feedforward: np.ndarray  # Nm at the motor
+    outside: np.ndarray  # (cycle, axis, 2) known forces on load and motor from outside, at the axis; no cycles where there are none
 
 
 def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
@@ -216,7 +241,7 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
         # one spline evaluation for all axes, delays and steps back
         delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
         at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
-        out = Command(*np.empty((3, count, len(laws))))
+        out = Command(*np.empty((3, count, len(laws))), setpoints.outside_at(first, count, tp))
         for a, law in enumerate(laws):
 
             def read(delay: float, a: int = a, law: _Law = law) -> np.ndarray:
@@ -275,26 +300,8 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
             columns.append(trace.get(axis.name, "setpoint"))
         else:
             columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
-    return Setpoints(np.column_stack(columns), trace.period, injected=_injected(trace, machine))
-
-
-def _injected(trace: Trace, machine: Machine) -> np.ndarray | None:
-    """(sample, axis) torque at the motor [Nm] that recorded disturbances stand for, or None.
-
-    One in V or A is added to the command of a drive that takes it; one in Nm or N acts as the command that would make it.
-    """
-    out = np.zeros((len(trace.time), len(machine.axes)))
-    found = False
-    for a, axis in enumerate(machine.axes):
-        for unit, values in trace.disturbances(axis.name).items():
-            if unit in ("V", "A") and unit != axis.effort_unit:
-                raise InputError(
-                    f"axis {axis.name}: a disturbance in {unit}, but its drive takes {axis.effort_unit}; record or map it in {axis.effort_unit}, Nm or N"
-                )
-            factor = {"N": axis.ratio, "Nm": 1.0}.get(unit, axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
-            out[:, a] += factor * values
-            found = True
-    return out if found else None
+    columns_of = (known_forces.injected(trace, machine), known_forces.outside(trace, machine))
+    return Setpoints(np.column_stack(columns), trace.period, injected=columns_of[0], outside=columns_of[1])
 
 
 def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
@@ -314,7 +321,8 @@ def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
     t = np.arange(n) / n
     x = np.minimum(t / UP_TO_SPEED, 1.0)  # the speed grows as 3 x^2 - 2 x^3, then stays
     missing = np.where(x < 1.0, UP_TO_SPEED * (0.5 - x**3 + 0.5 * x**4) + 1.0 - UP_TO_SPEED, 1.0 - t)  # its integral from t to 1
-    return Setpoints(position, period, position[0] - np.outer(missing * n * period, speed), setpoints.injected, setpoints.fed)
+    before = position[0] - np.outer(missing * n * period, speed)
+    return Setpoints(position, period, before, setpoints.injected, setpoints.fed, setpoints.outside)
 
 
 def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
