@@ -108,7 +108,8 @@ def test_units_say_which_it_is_in_a_file(tmp_path: Path) -> None:
     head = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0]
     assert all(name in head for name in ("X.disturbance [N]", "X.injected_command [V]", "X.injected_command [Nm]"))
     read = read_trace(tmp_path / "run.csv")
-    assert set(read.loads("X")) == {"N"} and set(read.injections("X")) == {"V", "Nm"}
+    assert set(read.loads("X")) == {"N"}
+    assert set(read.injections("X")) == {"V", "Nm"}
     # a disturbance in V can only be an injected command
     (tmp_path / "old.csv").write_text("time [s],X.setpoint [mm],X.disturbance [V]\n0,0,0\n0.001,0,1\n", encoding="utf-8")
     assert set(read_trace(tmp_path / "old.csv").injections("X")) == {"V"}

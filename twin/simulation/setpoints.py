@@ -241,7 +241,8 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
         # one spline evaluation for all axes, delays and steps back
         delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
         at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
-        out = Command(*np.empty((3, count, len(laws))), setpoints.outside_at(first, count, tp))
+        setpoint, fed_speed, fed_torque = np.empty((3, count, len(laws)))
+        out = Command(setpoint, fed_speed, fed_torque, setpoints.outside_at(first, count, tp))
         for a, law in enumerate(laws):
 
             def read(delay: float, a: int = a, law: _Law = law) -> np.ndarray:
