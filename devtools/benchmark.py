@@ -43,6 +43,7 @@ class Speed:
     python_loop_over_engine: float
     engine_us_per_step: float
     loop_us_per_step: float
+    counting_over_engine: float
     startup_cold_s: float = float("nan")
     startup_warm_s: float = float("nan")
 
@@ -95,7 +96,7 @@ def moving_setpoints(machine: Machine, seconds: float, period: float = 1e-3) -> 
     return Setpoints(np.column_stack(columns), period)
 
 
-def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine) -> tuple[list[float], list[float]]:
+def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine, count_load: bool = False) -> tuple[list[float], list[float]]:
     """Seconds (stretch,) of the loop for STRETCH_TICKS ticks, and of the bare engine right after it for as many steps."""
     simulate(machine, Setpoints(setpoints.position[:50], setpoints.period))  # compile first
     loop_times: list[float] = []
@@ -108,7 +109,7 @@ def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine) -> tupl
         engine_times.append(engine.seconds(STRETCH_TICKS))
         begin = perf_counter()
 
-    simulate(machine, setpoints, progress=turn)
+    simulate(machine, setpoints, count_load=count_load, progress=turn)
     return loop_times[1:-1], engine_times[1:-1]  # the first stretch builds the model, the last one is shorter
 
 
@@ -121,6 +122,7 @@ def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
     loop_us = statistics.median(loop_times) / STRETCH_TICKS * 1e6
     engine_us = statistics.median(engine_times) / STRETCH_TICKS * 1e6
 
+    counting = [a / b for a, b in zip(*in_turns(machine, setpoints, engine, count_load=True))]
     # the same law as a Python loop, in turns too
     reference = ReferenceSimulation(machine, Setpoints(setpoints.position, setpoints.period), 10 * PYTHON_TICKS)
     python_ratios = []
@@ -134,6 +136,7 @@ def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
         python_loop_over_engine=statistics.median(python_ratios),
         engine_us_per_step=engine_us,
         loop_us_per_step=loop_us,
+        counting_over_engine=statistics.median(counting),
     )
 
 
@@ -175,6 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "python_loop_over_engine": "the same law as a Python loop, over bare mj_step",
         "engine_us_per_step": "us a step, bare mj_step",
         "loop_us_per_step": "us a step, loop",
+        "counting_over_engine": "the loop counting what the drives give (studies), over bare mj_step",
         "startup_cold_s": "s for a first short `twin run`, nothing compiled yet",
         "startup_warm_s": "s for the next one",
     }

@@ -40,20 +40,29 @@ def test_responses_are_those_of_the_run(tmp_path: Path) -> None:
     spec = write_spec(tmp_path, listed("[[800.0]]"))
     ((_, _, found, reason),) = rows_of(spec, tmp_path / "out")
     machine = load_machine().with_values({"axis.X.moving_mass_kg": 800.0})
-    trace = simulate(machine, setpoints_of(read_trace(tmp_path / "move.csv"), machine)).trace
+    run = simulate(machine, setpoints_of(read_trace(tmp_path / "move.csv"), machine), count_load=True)
+    trace, load = run.trace, run.load["X"]
     s, x, i, v = (trace.get("X", name) for name in ("setpoint", "position", "current", "velocity"))
     assert reason is None
     assert found["following_error_max_X_um"] == pytest.approx(np.abs(s - x).max() * 1e6)
     assert found["following_error_rms_X_um"] == pytest.approx(np.sqrt(np.mean((s - x) ** 2)) * 1e6)
     # the control delays the set point by two samples of the record
     assert found["control_deviation_max_X_um"] == pytest.approx(np.abs(s[:-2] - x[2:]).max() * 1e6, rel=1e-6)
-    assert found["current_max_X_a"] == pytest.approx(np.abs(i).max())
-    assert found["current_rms_X_a"] == pytest.approx(np.sqrt(np.mean(i**2)))
-    assert found["current_limit_used_X"] == pytest.approx(np.abs(i).max() / 46.0)
-    assert found["speed_limit_used_X"] == pytest.approx(np.abs(v).max() / 0.5)
-    assert found["copper_loss_X_w"] == pytest.approx(0.5 * np.mean(i**2))
+    # of every tick (tests/simulation/test_drive_load.py), where a record of 1 kHz misses the peaks of the ripple
+    assert found["current_max_X_a"] == load.effort_max >= np.abs(i).max()
+    assert found["current_rms_X_a"] == load.effort_rms
+    assert found["current_rms_X_a"] ** 2 == pytest.approx(found["current_smooth_rms_X_a"] ** 2 + found["current_ripple_rms_X_a"] ** 2)
+    assert found["current_limit_used_X"] == load.effort_max / 46.0
+    assert found["speed_limit_used_X"] == pytest.approx(np.abs(v).max() / 0.5, rel=1e-3)
+    assert found["copper_loss_X_w"] == pytest.approx(1.4 / 0.81 * 0.5 * load.effort_rms**2)
+    assert found["mechanical_energy_X_j"] == load.work
+    # the vertical axis is held by its current all the time
+    assert (
+        found["electrical_energy_j"] > found["electrical_energy_X_j"] + 0.5 * 0.5 * trace.time[-1] * (350 * 9.81 * 0.01 / 6.283 / 1.4) ** 2
+    )
+    assert found["holding_current_Z_a"] == pytest.approx(350 * 9.81 * 0.01 / (2 * np.pi) / 1.4, rel=1e-6)
     assert found["cycle_time_s"] == pytest.approx(trace.time[-1])
-    assert not any("_Y_" in name and "_loop_" not in name for name in found)  # Y stands
+    assert not any("_Y_" in name and "_loop_" not in name for name in found)  # Y stands, and is level
     last = np.flatnonzero(np.diff(s))[-1] + 1
     outside = np.flatnonzero(np.abs(s - x) > 1e-6)
     assert found["settling_time_X_ms"] == pytest.approx((outside[-1] + 1 - last) * 1.0)
@@ -66,11 +75,16 @@ def test_two_runs_have_joined_and_own_responses(tmp_path: Path) -> None:
     run = '[[run]]\ninput = "move.csv"\n[[run]]\ninput = "move.csv"\nname = "off"\nfeedforward = "off"\n[[run]]\ninput = "long.csv"\n'
     ((_, _, found, _),) = rows_of(write_spec(tmp_path, listed("[[800.0]]"), run), tmp_path / "out")
     names = ("move", "off", "long")
+
+    def over_time(values: list[float]) -> float:
+        return float(np.average(values, weights=[found[f"{n}.cycle_time_s"] for n in names]))
+
     assert found["off.following_error_max_X_um"] > 3 * found["move.following_error_max_X_um"]
     assert found["cycle_time_s"] == pytest.approx(sum(found[f"{n}.cycle_time_s"] for n in names))
     assert found["current_max_X_a"] == max(found[f"{n}.current_max_X_a"] for n in names)
-    assert found["current_rms_X_a"] == pytest.approx(np.sqrt(np.mean([found[f"{n}.current_rms_X_a"] ** 2 for n in names])))
-    assert found["copper_loss_X_w"] == pytest.approx(np.mean([found[f"{n}.copper_loss_X_w"] for n in names]))
+    assert found["current_rms_X_a"] == pytest.approx(np.sqrt(over_time([found[f"{n}.current_rms_X_a"] ** 2 for n in names])))
+    assert found["copper_loss_X_w"] == pytest.approx(over_time([found[f"{n}.copper_loss_X_w"] for n in names]))
+    assert found["electrical_energy_j"] == pytest.approx(sum(found[f"{n}.electrical_energy_j"] for n in names))
 
 
 def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Path) -> None:
@@ -112,11 +126,11 @@ def test_a_variant_without_phase_margin_has_its_reason(tmp_path: Path) -> None:
     good, poor = rows_of(write_spec(tmp_path, gain), tmp_path / "out")
     assert good[3] is None
     assert good[2]["phase_margin_position_loop_X_deg"] > 60.0
-    assert "phase margin position loop of X is" in (poor[3] or "") or not poor[2]
+    assert "phase margin of the position loop of X is" in (poor[3] or "") or not poor[2]
     # the same without the constraint, and with one of one's own
     asked = 'least_phase_margin_deg = 0\n[[constraint]]\nresponse = "crossover_position_loop_X_hz"\nleast = 20\n'
     slow, fast = rows_of(write_spec(tmp_path, asked + gain.replace("330.0", "150.0")), tmp_path / "own")
-    assert "crossover position loop of X is 8.441 Hz, at least 20 Hz is asked for" in (slow[3] or "")
+    assert "crossover of the position loop of X is 8.441 Hz, at least 20 Hz is asked for" in (slow[3] or "")
     assert fast[3] is None
 
 
@@ -157,7 +171,8 @@ def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
             ("Z", "current", "current_max_Z_a"),
             ("B", "torque", "torque_max_B_nm"),
         ):
-            assert found[name] == pytest.approx(np.abs(run.trace.get(axis, signal)).max())
+            assert found[name] == pytest.approx(np.abs(run.trace.get(axis, signal)).max(), rel=0.2)
+            assert found[name] >= np.abs(run.trace.get(axis, signal)).max()
         assert found["voltage_limit_used_X"] == pytest.approx(found["voltage_max_X_v"] / 10.0)
         assert nominal[3] is None
         assert "time at voltage limit of X is" in (limited[3] or "")
@@ -366,8 +381,8 @@ def test_everything_is_written_and_the_best_machine_is_the_best(tmp_path: Path, 
     assert document["without_effect"] == ["idle"]
     best = load_machine(out / "best_machine.toml")
     assert best.axis("X").moving_mass_kg == document["best"]["factors"]["mass"]
-    again = simulate(best, setpoints_of(read_trace(tmp_path / "move.csv"), best)).trace
-    assert np.abs(again.get("X", "current")).max() == pytest.approx(document["best"]["responses"]["current_max_X_a"], rel=1e-12)
+    again = simulate(best, setpoints_of(read_trace(tmp_path / "move.csv"), best), count_load=True)
+    assert again.load["X"].effort_max == pytest.approx(document["best"]["responses"]["current_max_X_a"], rel=1e-12)
     page = (out / "report.html").read_text(encoding="utf-8")
     for word in ("Findings", "largest current of X [A]", "Trade-off", "Surrogate", "<svg"):
         assert word in page

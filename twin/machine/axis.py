@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+import numpy as np
+
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.parameters import PARAMETERS, si_from_key, typed_from_file
@@ -22,7 +24,8 @@ from twin.machine.parameters import PARAMETERS, si_from_key, typed_from_file
 class Motor:
     """Synchronous servo motor as its control sees it: torque = torque_constant * current (Nm, A), one phase equivalent.
 
-    Of an axis without current loop only torque constant and peak count, per unit of its command (`Axis.effort`).
+    Of an axis without current loop only torque constant and peak count, per unit of its command (`Axis.effort`). Ratings are those of
+    the data sheet, speeds in rad/s at the motor; None where the file has none.
     """
 
     torque_constant_nm_per_a: float
@@ -31,6 +34,20 @@ class Motor:
     inductance_h: float = 1.0
     peak_current_a: float = math.inf
     bus_limit_v: float = math.inf
+    rated_torque_nm: float | None = None
+    rated_speed: float | None = None
+    max_speed: float | None = None
+    thermal_time_constant_s: float | None = None
+
+    def torque_at(self, speed: np.ndarray) -> np.ndarray:
+        """Largest steady torque [Nm] at these speeds [rad/s]: the peak current's, or what the bus voltage leaves beside the back EMF."""
+        reached = (self.bus_limit_v - self.back_emf_v_s_per_rad * np.abs(speed)) / self.resistance_ohm
+        return self.torque_constant_nm_per_a * np.clip(reached, 0.0, self.peak_current_a)
+
+    @property
+    def phases(self) -> float:
+        """Power of the motor over that of its one-phase equivalent, Kt / Ke: then u i is heat and mechanical power. 1 where no back EMF is known."""
+        return self.torque_constant_nm_per_a / self.back_emf_v_s_per_rad if self.back_emf_v_s_per_rad > 0.0 else 1.0
 
 
 @dataclass(frozen=True)

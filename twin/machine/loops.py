@@ -69,8 +69,11 @@ class Loop:
         return bool(np.abs(np.linalg.eigvals(self.a - self.b @ self.c)).max() < STABLE)
 
     def grid(self, count: int = GRID) -> np.ndarray:
-        """Frequencies [Hz] (count,) from slow to half the sampling rate, logarithmic."""
-        return np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), count)
+        """Frequencies [Hz] from slow to half the sampling rate, `count` logarithmic ones and those of the open loop's poles."""
+        even = np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), count)
+        # a resonance may be narrower than the steps: its top is one of the frequencies
+        own = np.abs(np.angle(np.linalg.eigvals(self.a))) / (2.0 * np.pi * self.period)
+        return np.union1d(even, own[(own > even[0]) & (own < even[-1])])
 
 
 @dataclass(frozen=True)

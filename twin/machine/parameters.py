@@ -113,6 +113,11 @@ PARAMETERS = (
     _same("motor.inductance_h", positive()),
     _same("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
     _same("motor.bus_limit_v", positive()),
+    # ratings of the data sheet: nothing simulated depends on them, studies hold the load against them
+    _same("motor.rated_torque_nm", positive(required=False), direct="rated_force_n"),
+    _same("motor.rated_speed_rev_per_min", positive(required=False), field="motor.rated_speed", direct="rated_speed_m_per_min"),
+    _same("motor.max_speed_rev_per_min", positive(required=False), field="motor.max_speed", direct="max_speed_m_per_min"),
+    _same("motor.thermal_time_constant_s", positive(required=False)),
     _same("loops.position_gain_per_s", positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0)),
     _same("loops.speed_gain_nm_s_per_rad", positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m"),
     _same("loops.speed_integral_time_s", positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3)),

@@ -6,7 +6,7 @@ One tick of length h:
     control    position, speed and current controller, each at its own cycle
     winding    exact current over the tick; its mean makes the torque
     step       forces of the terms, then mj_step through its C address
-    record     the state at the tick, and how the torque splits
+    record     the state at the tick, and how the torque splits; where asked for, what the drives give is counted
 Nothing here is global: two loops may run in two threads. An exception cannot leave compiled code, so the loop returns
 the tick and axis at which an axis left all bounds.
 """
@@ -29,6 +29,7 @@ from twin.simulation.cascade import (
     speed_seen,
     winding,
 )
+from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_terms import (
     CURRENT,
@@ -156,17 +157,18 @@ class Simulation(NamedTuple):
 
 
 @compiled
-def advance(simulation, command, sensing, first_tick, ticks, record, limited):  # type: ignore[no-untyped-def]
+def advance(simulation, command, sensing, first_tick, ticks, record, limited, counted):  # type: ignore[no-untyped-def]
     """Advance by `ticks` ticks from `first_tick` on; returns -1, or tick * axes + axis where a run diverged.
 
     `command` is that of the position cycles of this stretch (`twin.simulation.setpoints.Command`); each record_ticks-th tick fills a
-    row of `record` (a Record); limited (axis, 2) counts cycles at the current and voltage limit. `first_tick` is a multiple of the
-    position cycle and of the record's.
+    row of `record` (a Record); limited (axis, 2) counts cycles at the current and voltage limit, `counted` (a DriveSums, without axes
+    where nothing is to be counted) what the drives give at every tick. `first_tick` is a multiple of the position cycle and of the record's.
     """
     engine, schedule, drives, state, terms, signals = simulation
     axes = drives.ratio.size
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.outside) > 0
+    counts = counted.sums.shape[0] > 0
 
     for n in range(ticks):
         k = first_tick + n
@@ -210,13 +212,23 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited):  
                 record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
                 record.seen_current[row, a] = measured_current
             # winding: the motor turns as fast as its encoder shows
-            torque = drives.torque_constant[a] * winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
-            engine.ctrl[engine.actuator[a]] = torque
+            mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
+            engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
+            if counts:
+                cycle_ends = (k + 1) % schedule.position_ticks == 0
+                count_tick(
+                    a, counted, drives, state, current, mean_current, motor_speed, cycle_ends, schedule.position_ticks, schedule.tick
+                )
 
         if has_force:
             outside_forces(signals, command, n // schedule.position_ticks)
             forces_of_terms(engine, terms, signals)
         call_address_2(engine.step, engine.model, engine.data)
+        if counts:
+            for a in range(axes):
+                before, after = signals[a, X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
+                turn = 1.0 / drives.ratio[a]
+                count_work(a, counted, engine.ctrl[engine.actuator[a]], before * turn, after * turn, schedule.tick)
         if recorded:
             for a in range(axes):
                 record_forces(a, row, record, engine, drives, signals)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import functools
 import html
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
+from twin.simulation.drive_load import DriveLoad
 from twin.simulation.errors_of_run import AxisErrors, axis_errors, error_without_delay
 from twin.units import AXIS_UNITS
 
@@ -25,7 +26,8 @@ class Run:
     """Result of `simulate`.
 
     `trace` is what the control records, `without_noise` the same without measuring noise; `current_limited_s` and
-    `voltage_limited_s` [s] say per axis how long a limit was met; `machine` is the machine that was simulated.
+    `voltage_limited_s` [s] say per axis how long a limit was met; `machine` is the machine that was simulated; `load` is what each
+    drive gave, counted at every tick, where `simulate` was asked for it.
     """
 
     trace: Trace
@@ -33,6 +35,7 @@ class Run:
     current_limited_s: dict[str, float]
     voltage_limited_s: dict[str, float]
     machine: Machine
+    load: Mapping[str, DriveLoad] = field(default_factory=dict)
 
     def following_error(self, axis: str) -> np.ndarray:
         """Set point minus position at the same time (sample,) [m, rad]."""

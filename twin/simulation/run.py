@@ -18,6 +18,7 @@ from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import cascade, loop
+from twin.simulation.drive_load import NOTHING_COUNTED, drive_load, drive_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.plant_spec import home_inertia_at_motor
@@ -57,6 +58,7 @@ def simulate(
     started_at: float = 0.0,
     noise_seed: int | None = None,
     plant_of: Callable[[Change], PlantFace] | None = None,
+    count_load: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Simulate the machine with its effects on these set points, (sample, axis) in the machine's axis order, SI.
@@ -64,7 +66,7 @@ def simulate(
     A trace with set points is taken as it is recorded; an axis without set points stands still.
     `sample_period` [s] of the record (default: the machine file's), rounded to whole ticks; `started_at` [s] since the
     start of the campaign, for what drifts; `noise_seed` adds the measuring noise of the machine file to what the control sees
-    (None: ideal). `plant_of` makes the mechanics (default: MuJoCo). `progress` is called with the done fraction. Raises
+    (None: ideal). `plant_of` makes the mechanics (default: MuJoCo). `count_load` adds up at every tick what the drives give (`Run.load`). `progress` is called with the done fraction. Raises
     SimulationError (with the trace up to there) where an axis diverges, InputError where it cannot be held at its start.
     """
     if isinstance(setpoints, Trace):
@@ -86,6 +88,7 @@ def simulate(
     axes = len(machine.axes)
     record = loop.empty_record(rows, axes)
     limited = np.zeros((axes, 2), np.int64)
+    counted = drive_sums(machine.axes) if count_load else NOTHING_COUNTED
     total = (rows - 1) * schedule.record_ticks + 1
     for first, ticks in _stretches(schedule, total, actual.lead_ticks):
         command = command_of(actual.machine, inertia, setpoints, first // schedule.position_ticks, -(-ticks // schedule.position_ticks))
@@ -98,6 +101,7 @@ def simulate(
             ticks,
             loop.empty_record(-first // schedule.record_ticks + 1, axes) if lead else record.rows(first // schedule.record_ticks),
             np.zeros_like(limited) if lead else limited,
+            NOTHING_COUNTED if lead else counted,
         )
         if failed >= 0:
             raise _divergence(machine, setpoints, record, schedule, failed)
@@ -112,6 +116,7 @@ def simulate(
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
         dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
         machine,
+        {axis.name: drive_load(axis, counted, a) for a, axis in enumerate(machine.axes)} if count_load else {},
     )
 
 

@@ -142,7 +142,7 @@ def _answer(machine: Machine, work: Work) -> Answer:
         found = by_run.setdefault(source.name, {})
         setpoints, programmed = motion_of(source, machine, work.part)
         check_travel(setpoints, machine, f"run {source.name}")
-        run = simulate(machine.with_feedforward(source.feedforward), setpoints)
+        run = simulate(machine.with_feedforward(source.feedforward), setpoints, count_load=True)
         found["cycle_time_s"] = setpoints.duration
         axis_responses(machine, run, setpoints, found.__setitem__)
         contour_responses(machine, run.trace, source.commanded, found.__setitem__)
@@ -152,7 +152,10 @@ def _answer(machine: Machine, work: Work) -> Answer:
         (responses,) = by_run.values()
     else:
         names = dict.fromkeys(name for found in by_run.values() for name in found)
-        responses = {name: joined(name, [found[name] for found in by_run.values() if name in found]) for name in names}
+        responses = {}
+        for name in names:
+            having = [found for found in by_run.values() if name in found]
+            responses[name] = joined(name, [found[name] for found in having], [found["cycle_time_s"] for found in having])
         responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
     drive_responses(machine, responses.__setitem__)
     return Answer(responses, "; ".join(broken_by(study.constraints, responses)) or None)

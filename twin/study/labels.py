@@ -23,21 +23,46 @@ UNITS = {
 """Last word of a response's name -> unit as people write it."""
 
 
+PHRASES = {
+    "current_limit_used": "share of the current limit used by {}",
+    "voltage_limit_used": "share of the voltage limit used by {}",
+    "torque_limit_used": "share of the torque limit used by {}",
+    "speed_limit_used": "share of the speed limit used by {}",
+    "torque_curve_used": "share of the motor's torque curve used by {}",
+    "torque_rms_used": "share of the motor's rated torque used by {} (RMS)",
+    "motor_speed_used": "share of the motor's highest speed used by {}",
+    "inertia_ratio": "load over rotor inertia of {}",
+    "copper_loss": "copper loss of {}",
+    "following_error_max": "largest following error of {}",
+    "settling_time": "settling time of {}",
+    "first_mode": "first mode of {}",
+}
+"""Responses of an axis whose words do not make a phrase by themselves."""
+
+_LOOP = re.compile(r"(?P<what>phase_margin|gain_margin|crossover|bandwidth)_(?P<loop>current|speed|position)_loop")
+
+
 def label_of(name: str) -> str:
     """A response in words, without its unit; a name of another form keeps its words."""
     run, _, name = name.rpartition(".")
     words = name.split("_")
     if words[-1] in UNITS:
         words.pop()
-    axis = ""
-    if len(words) > 1 and re.fullmatch(r"[A-Z][A-Z0-9]*", words[-1]):
-        axis = f" of {words.pop()}"
-    head = ""
-    for word, said in (("max", "largest "), ("rms", "RMS ")):
-        if word in words:
-            words.remove(word)
-            head = said
-    text = f"{head}{' '.join(words)}{axis}"
+    axis = words.pop() if len(words) > 1 and re.fullmatch(r"[A-Z][A-Z0-9]*", words[-1]) else ""
+    stem = "_".join(words)
+    if axis and stem in PHRASES:
+        text = PHRASES[stem].format(axis)
+    else:
+        if loop := _LOOP.fullmatch(stem):
+            words = [*loop["what"].split("_"), "of the", loop["loop"], "loop"]
+        head = ""
+        for word, said in (("smooth", "smooth "), ("max", "largest "), ("rms", "RMS ")):
+            if word in words:
+                words.remove(word)
+                head = said + head
+        if words[0] == "holding":
+            head = "largest "
+        text = f"{head}{' '.join(words)}{f' of {axis}' if axis else ''}"
     return f"{text}, run {run}" if run else text
 
 
@@ -54,7 +79,7 @@ def titled(name: str) -> str:
 
 def valued(name: str, value: float) -> str:
     """A value with its unit; shares in percent."""
-    if name.endswith("_share"):
+    if name.endswith("_share") or "_used_" in name:
         return f"{100.0 * value:.3g} %"
     unit = unit_of(name)
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"

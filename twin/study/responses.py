@@ -4,8 +4,12 @@ following error      set point minus position at the same time
 control deviation    the same with the set point as the position controller gets it, delayed: what the drive leaves
 contour error        distance of the followed from the commanded tool path
 settling time        from the last change of the set point until the error stays inside SETTLED
-copper loss          R i_rms^2 of the one-phase equivalent of the motor
-limits used          largest speed and current over their limits
+current              at every tick of the control, largest and RMS; smooth: its means over position cycles; ripple: what is left of it
+copper loss          Kt / Ke R i_rms^2: R i_rms^2 of the one-phase equivalent, as many times as makes Ke i w the mechanical power Kt i w
+energies             of a run: work of the motors, what of it came back while braking, what the windings took (Kt / Ke u i)
+limits used          largest speed and current over their limits; largest torque over the motor's curve at its speed
+torque RMS used      over the rated torque, where the machine file has one
+holding current      largest current that gravity takes at rest, over all angles of the rotary axes
 first mode           sqrt(stiffness / load) / 2 pi of the axis' transmission; none where it is rigid
 phase, gain margin   of the current, speed and position loop of an axis in the home pose (`twin.machine.loops`)
 mark depth           deepest place of the followed cut below the programmed one (a trace: below the commanded one)
@@ -20,13 +24,15 @@ import math
 import numpy as np
 
 from twin.effects import load_inertia, settings_of
+from twin.effects.change import total_inertia
 from twin.errors import TwinError
 from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, contour_error, search_window, tool_path_of
+from twin.machine.holding import holding_effort
 from twin.machine.loops import Loop, Margins, loops_of, margins_of
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.drive_load import DriveLoad
 from twin.simulation.run import Run
 from twin.simulation.setpoints import Setpoints
 from twin.surface.part import Part
@@ -38,25 +44,29 @@ SETTLED = {"linear": 1e-6, "rotary": math.radians(1.0 / 3600.0)}
 MARGIN_GRID = 300
 """Frequencies on which the crossings of a loop are looked for; they are refined afterwards."""
 
+HELD = 1e-9
+"""An axis that needs less than this share of its limit to stand still carries nothing."""
+
 Add = Callable[[str, float], None]
 
 
-def joined(name: str, values: list[float]) -> float:
-    """One number for all runs: sums of times, root mean square of RMS values, mean of losses, else the largest."""
-    if name == "cycle_time_s":
+def joined(name: str, values: list[float], durations: list[float]) -> float:
+    """One number for all runs: sums of times and energies, RMS and mean values over the time [s] of all runs, else the largest."""
+    if name == "cycle_time_s" or name.endswith("_j"):
         return float(np.sum(values))
     if "_rms" in name:
-        return float(np.sqrt(np.mean(np.square(values))))
+        return float(np.sqrt(np.average(np.square(values), weights=durations)))
     if name.startswith("copper"):
-        return float(np.mean(values))
+        return float(np.average(values, weights=durations))
     return float(np.max(values))
 
 
 def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -> None:
+    """Errors, drives and limits of every axis that moves; energies of all."""
     time = run.trace.time
     delayed = {d: setpoints.at(time - d) for d in {axis.loops.set_point_delay_s for axis in machine.axes}}
     for a, axis in enumerate(machine.axes):
-        setpoint, position, effort = (run.trace.get(axis.name, s) for s in ("setpoint", "position", axis.effort))
+        setpoint, position = (run.trace.get(axis.name, s) for s in ("setpoint", "position"))
         if np.ptp(setpoint) < 1e-9:
             continue  # an axis that stands
         unit, factor = AXIS_UNITS[axis.kind].error
@@ -64,14 +74,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.set_point_delay_s][:, a] - position)):
             add(f"{name}_max_{axis.name}_{unit}", float(np.abs(e).max()) * factor)
             add(f"{name}_rms_{axis.name}_{unit}", math.sqrt(e @ e / len(e)) * factor)
-        largest, square = float(np.abs(effort).max()), float(effort @ effort) / len(effort)
-        per = axis.effort_unit.lower()
-        add(f"{axis.effort}_max_{axis.name}_{per}", largest)
-        add(f"{axis.effort}_rms_{axis.name}_{per}", math.sqrt(square))
-        add(f"{axis.effort}_limit_used_{axis.name}", largest / axis.motor.peak_current_a)
-        add(f"speed_limit_used_{axis.name}", float(np.abs(run.trace.get(axis.name, "velocity")).max()) / axis.max_velocity)
-        if axis.has_current_loop:
-            add(f"copper_loss_{axis.name}_w", axis.motor.resistance_ohm * square)
+        load_responses(axis, run.load[axis.name], add)
         add(f"time_at_{axis.effort}_limit_{axis.name}_share", run.current_limited_s[axis.name] / setpoints.duration)
         if axis.has_current_loop:
             add(f"time_at_voltage_limit_{axis.name}_share", run.voltage_limited_s[axis.name] / setpoints.duration)
@@ -82,6 +85,41 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
             add(f"settling_time_{axis.name}_ms", 0.0)
         elif outside[-1] < len(error) - last - 1:
             add(f"settling_time_{axis.name}_ms", (int(outside[-1]) + 1) * run.trace.period * 1e3)
+    add("mechanical_energy_j", sum(run.load[axis.name].work for axis in machine.axes))
+    if all(axis.has_current_loop and axis.motor.back_emf_v_s_per_rad > 0.0 for axis in machine.axes):
+        add("electrical_energy_j", sum(run.load[axis.name].electrical * axis.motor.phases for axis in machine.axes))
+
+
+def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
+    """What a run took from one drive, counted at every tick, against its limits and ratings."""
+    motor, name, per = axis.motor, axis.name, axis.effort_unit.lower()
+    for part, value in (
+        ("max", load.effort_max),
+        ("rms", load.effort_rms),
+        ("smooth_max", load.smooth_max),
+        ("smooth_rms", load.smooth_rms),
+        ("ripple_rms", load.ripple_rms),
+    ):
+        add(f"{axis.effort}_{part}_{name}_{per}", value)
+    add(f"{axis.effort}_limit_used_{name}", load.effort_max / motor.peak_current_a)
+    add(f"speed_limit_used_{name}", load.speed_max / axis.max_velocity)
+    add(f"mechanical_energy_{name}_j", load.work)
+    add(f"braking_energy_{name}_j", load.braking)
+    if axis.has_current_loop:
+        add(f"copper_loss_{name}_w", motor.phases * motor.resistance_ohm * load.effort_rms**2)
+        if motor.back_emf_v_s_per_rad > 0.0:
+            add(f"electrical_energy_{name}_j", motor.phases * load.electrical)
+    if motor.rated_torque_nm:
+        add(f"torque_rms_used_{name}", motor.torque_constant_nm_per_a * load.effort_rms / motor.rated_torque_nm)
+    if motor.max_speed:
+        add(f"motor_speed_used_{name}", load.speed_max / axis.ratio / motor.max_speed)
+    if axis.has_current_loop:
+        # of the classes of speed that were reached, the one that is nearest to the motor's curve; a class counts at its lower end
+        reached = load.torque > 0.0
+        at = np.concatenate([[0.0], load.speed[:-1]])[reached]
+        curve = motor.torque_at(at)
+        with np.errstate(divide="ignore"):
+            add(f"torque_curve_used_{name}", float(np.max(load.torque[reached] / curve, initial=0.0)))
 
 
 def contour_responses(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:
@@ -113,19 +151,26 @@ def mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath 
 
 
 def drive_responses(machine: Machine, add: Add) -> None:
-    """Numbers of the drives that need no run: margins and crossovers of every loop, inertia ratio, first mode."""
-    inertias = home_inertia_at_motor(machine)
-    for axis, inertia in zip(machine.axes, inertias.tolist()):
+    """Numbers of the drives that need no run: margins, crossover and bandwidth of every loop, inertia ratio, first mode, holding."""
+    for axis in machine.axes:
+        inertia = total_inertia(machine, axis) * axis.ratio**2
         for loop in loops_of(machine, axis, inertia):
             margins = _margins(loop.name, loop.period, *((m.tobytes(), m.shape) for m in (loop.a, loop.b, loop.c)))
             name = f"{loop.name}_loop_{axis.name}"
-            # an unstable loop has no margin: 0 says so in a table of numbers
-            add(f"phase_margin_{name}_deg", margins.phase if margins.stable else 0.0)
-            add(f"gain_margin_{name}_db", 20.0 * math.log10(margins.gain) if margins.stable and 0.0 < margins.gain < math.inf else 0.0)
-            if math.isfinite(margins.crossover):
-                add(f"crossover_{name}_hz", margins.crossover)
+            # an unstable loop has no margin: 0 says so in a table of numbers; one that never reaches a gain of 1 has no least margin
+            for key, value in (
+                (f"phase_margin_{name}_deg", margins.phase if margins.stable else 0.0),
+                (f"gain_margin_{name}_db", 20.0 * math.log10(margins.gain) if margins.stable and margins.gain > 0.0 else 0.0),
+                (f"crossover_{name}_hz", margins.crossover),
+                (f"bandwidth_{name}_hz", margins.bandwidth if margins.stable else math.inf),
+            ):
+                if math.isfinite(value):
+                    add(key, value)
         if axis.rotor_inertia_kg_m2 > 0.0:
             add(f"inertia_ratio_{axis.name}", load_inertia(machine, axis) * axis.ratio**2 / axis.rotor_inertia_kg_m2)
+        held = float(np.abs(holding_effort(machine, axis)).max())
+        if held > HELD * axis.motor.peak_current_a:
+            add(f"holding_{axis.effort}_{axis.name}_{axis.effort_unit.lower()}", held)
     for setting in settings_of(machine):
         if (stiffness := setting.parameters.get("stiffness")) and setting.effect.block == "transmission":
             axis = machine.axis(setting.axis)

@@ -1,0 +1,71 @@
+"""What the drives need to stand still: gravity at every axis over the angles of the rotary axes, linear axes at home."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import itertools
+import math
+
+import mujoco
+import numpy as np
+
+from twin.machine.machine import Axis, Machine
+from twin.simulation.plant_spec import build_plant, inertial_key
+
+ANGLES = 13
+"""Angles of each rotary axis over its travel; of an endless one a step more divides the circle."""
+
+UNCHANGED = 1e-6
+"""A holding torque that differs by less from pose to pose, as a share of its largest value, is the same everywhere."""
+
+
+@dataclass(frozen=True)
+class Holding:
+    """Forces (pose, axis) [N, Nm] that hold the axes against gravity, at angles (pose, rotary axis) [rad] of the named axes."""
+
+    rotary: tuple[str, ...]
+    angles: np.ndarray
+    forces: np.ndarray
+
+
+def holding_of(machine: Machine) -> Holding:
+    """Gravity at every axis; remembered, because gains and motors do not change it. Effects do not count."""
+    key = inertial_key(machine)
+    known = _known.get(key)
+    if known is None:
+        known = _holding(machine)
+        if len(_known) > _MOST:
+            _known.clear()
+        _known[key] = known
+    return known
+
+
+_known: dict[object, Holding] = {}
+_MOST = 256
+
+
+def _holding(machine: Machine) -> Holding:
+    plant = build_plant(machine)
+    rotary = [a for a, axis in enumerate(machine.axes) if axis.kind == "rotary"]
+    grids = [_angles(machine.axes[a]) for a in rotary]
+    poses = np.array(list(itertools.product(*grids))).reshape(-1, len(rotary))
+    forces = np.empty((len(poses), len(machine.axes)))
+    for i, pose in enumerate(poses):
+        plant.data.qpos[:] = 0.0
+        plant.data.qpos[plant.load_position[rotary]] = pose
+        mujoco.mj_forward(plant.model, plant.data)
+        forces[i] = plant.data.qfrc_bias[plant.load_dof]
+    return Holding(tuple(machine.axes[a].name for a in rotary), poses, forces)
+
+
+def _angles(axis: Axis) -> np.ndarray:
+    low, high = axis.travel
+    if math.isfinite(low) and high - low < 2.0 * math.pi:
+        return np.linspace(low, high, ANGLES)
+    return np.arange(ANGLES - 1) * 2.0 * math.pi / (ANGLES - 1)
+
+
+def holding_effort(machine: Machine, axis: Axis) -> np.ndarray:
+    """Effort (pose,) [A, V, Nm] that holds an axis against gravity and its steady load at each pose of `holding_of`."""
+    force = holding_of(machine).forces[:, machine.axis_names.index(axis.name)] + axis.constant_force
+    return force * axis.ratio / axis.motor.torque_constant_nm_per_a
