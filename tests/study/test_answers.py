@@ -113,7 +113,7 @@ def test_a_mass_on_an_axis_is_carried_by_all_that_carry_it() -> None:
     assert [set(carrying_axes(f"added_mass.{axis}", machine, "")) for axis in "XYZ"] == [{"X", "Y"}, {"Y"}, {"X", "Y", "Z"}]
     lighter = with_numbers(machine, {"added_mass.Z": -100.0, "axis.X.moving_mass_kg": 650.0})
     assert [axis.moving_mass_kg for axis in lighter.axes[:3]] == [550.0, 950.0, 250.0]
-    with pytest.raises(InputError, match="no linear axis A"):
+    with pytest.raises(InputError, match="no linear axis and no body A"):
         carrying_axes("added_mass.A", machine, "study")
 
 

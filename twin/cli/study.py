@@ -20,6 +20,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://host:8786 (default: threads of this machine)"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads of this machine (default: one for each core)")
+    parser.add_argument(
+        "--compare",
+        type=int,
+        nargs=2,
+        metavar=("A", "B"),
+        help="two variants side by side: a recording of their runs and their motors' torque",
+    )
     parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
 
 
@@ -29,7 +36,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
     from twin.study.labels import label_of, titled, valued
-    from twin.study.output import write_study
+    from twin.study.output import write_comparison, write_study
     from twin.study.report import sentences, swing_rows
     from twin.study.results import answers_of
     from twin.study.spec import read_study
@@ -60,6 +67,8 @@ def carry_out(args: argparse.Namespace) -> int:
         with Progress("report") as bar:
             bar.say("report")
             written = write_study(study, answers, out, replay=not args.no_replay)
+            if args.compare:
+                written += write_comparison(study, answers, args.compare, out)
     finally:
         store.close()
     print(f"{study.machine.name}: {len(rows)} variants{f', {known} of them done before' if known else ''}")
@@ -68,13 +77,13 @@ def carry_out(args: argparse.Namespace) -> int:
     for r in answers.responses:
         if r.swings:
             print(f"\n{titled(r.name)} ({r.name})")
-            print(table(["factor", "moves it by", "least at", "largest at"], swing_rows(r)))
+            print(table(["factor", "moves it by", "least at", "largest at"], swing_rows(answers, r)))
         if r.sobol:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
     if answers.best is not None:
         number, factors, responses, _ = answers.row(answers.best)
-        at = ", ".join(f"{name} {value:.4g}" for name, value in zip(answers.factors, factors))
+        at = ", ".join(f"{name} {value}" for name, value in zip(answers.factors, answers.shown(factors)))
         first = answers.minimised
         print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {at}")
     print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")

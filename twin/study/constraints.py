@@ -36,6 +36,18 @@ def standing(least_phase_margin_deg: float, most_time_at_limit: float) -> tuple[
     )
 
 
+def in_words(constraint: Constraint) -> str:
+    """A constraint as a phrase: 'phase margin of every loop at least 30 deg'."""
+    name = constraint.pattern
+    what = label_of(name.replace("_*_", "_").rstrip("*").rstrip("_")) if "*" in name else label_of(name)
+    bounds = [
+        f"{words} {valued(name, value)}"
+        for words, value in (("at least", constraint.least), ("at most", constraint.most))
+        if value is not None
+    ]
+    return f"{what}{' (all)' if '*' in name else ''} {' and '.join(bounds)}"
+
+
 def broken_by(constraints: Sequence[Constraint], responses: Mapping[str, float]) -> Iterator[str]:
     """A sentence for each response that breaks a constraint; of several runs the joined number speaks for all."""
     for constraint in constraints:

@@ -14,6 +14,7 @@ from twin.machine.keys import EFFORTS
 from twin.machine.machine import Machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.run import commissioned_inertia
+from twin.study.catalogue import with_choices
 from twin.study.paths import number_at, with_numbers
 from twin.study.spec import INERTIA, Factor, Study
 
@@ -75,8 +76,15 @@ def problem_of(study: Study) -> dict[str, Any]:
 
 def nominal_of(study: Study) -> np.ndarray:
     """Each factor's value (factor,) on the machine as it is; 1 for relative ones; for an effect that it lacks the lower end."""
-    values = [1.0 if f.relative else number_at(study.machine, f.paths[0]) for f in study.factors]
+    values = [_nominal(f, study.machine) for f in study.factors]
     return np.array([f.low if value is None else value for f, value in zip(study.factors, values)])
+
+
+def _nominal(factor: Factor, machine: Machine) -> float | None:
+    if factor.choices:
+        names = [choice.name for choice in factor.choices]
+        return float(names.index(factor.installed)) if factor.installed in names else 0.0
+    return 1.0 if factor.relative else number_at(machine, factor.paths[0])
 
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:
@@ -85,7 +93,10 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
     values: dict[str, float] = {}
     ratio: dict[str, float] = {}
     change: dict[str, float] = {}
+    values |= with_choices([f.choices[round(value)] for f, value in zip(study.factors, np.asarray(row).tolist()) if f.choices], nominal)
     for factor, value in zip(study.factors, np.asarray(row).tolist()):
+        if factor.choices:
+            continue
         base = number_at(nominal, factor.paths[0]) or 0.0
         for path in factor.paths:
             values[path] = value * (number_at(nominal, path) or 0.0) if factor.relative else value

@@ -30,6 +30,7 @@ PHRASES = {
     "speed_limit_used": "share of the speed limit used by {}",
     "torque_curve_used": "share of the motor's torque curve used by {}",
     "torque_rms_used": "share of the motor's rated torque used by {} (RMS)",
+    "winding_heat_used": "share of the rated heat reached in the winding of {}",
     "motor_speed_used": "share of the motor's highest speed used by {}",
     "inertia_ratio": "load over rotor inertia of {}",
     "copper_loss": "copper loss of {}",

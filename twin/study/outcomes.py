@@ -7,7 +7,7 @@ surrogate is that quadratic or a thin-plate spline, whichever predicts left-out 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 import itertools
 from typing import Any
@@ -211,15 +211,22 @@ def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
     return best
 
 
-def swings_of(names: Sequence[str], table: np.ndarray, y: np.ndarray, surrogate: Surrogate) -> list[Swing]:
+def middle_of(table: np.ndarray, listed: Collection[int] = ()) -> np.ndarray:
+    """The median of each factor (factor,); of `listed` ones, between whose values nothing lies, one of the values."""
+    low = np.sort(table, axis=0)[(len(table) - 1) // 2]
+    return np.where(np.isin(np.arange(table.shape[1]), list(listed)), low, np.median(table, axis=0))
+
+
+def swings_of(names: Sequence[str], table: np.ndarray, y: np.ndarray, surrogate: Surrogate, listed: Collection[int] = ()) -> list[Swing]:
     """Swing of each factor on a surrogate of y that fits, largest first: it also sees an optimum inside, which a main effect does not."""
     out: list[Swing] = []
     if not surrogate.fits:
         return out
     reached = (float(y.min()), float(y.max()))
     for i, name in enumerate(names):
-        points = np.tile(np.median(table, axis=0), (201, 1))
-        points[:, i] = np.linspace(table[:, i].min(), table[:, i].max(), 201)
+        values = np.unique(table[:, i]) if i in listed else np.linspace(table[:, i].min(), table[:, i].max(), 201)
+        points = np.tile(middle_of(table, listed), (len(values), 1))
+        points[:, i] = values
         # no factor moves a response further than the variants themselves went
         along = np.clip(surrogate.predict(points), *reached)
         out.append(Swing(name, float(np.ptp(along)), float(points[np.argmin(along), i]), float(points[np.argmax(along), i])))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 
-from twin.errors import InputError, TwinError
+from twin.errors import InputError
 from twin.files import write_json
-from twin.machine.machine import Machine, write_machine
-from twin.recordings.trace import Trace
-from twin.simulation.run import simulate
+from twin.machine.machine import write_machine
+from twin.report import save_png
 from twin.study.design import machine_of
-from twin.study.evaluate import Source, motion_of, work_of
+from twin.study.duty import Duty, driven_axes, duty_of, torque_speed_figure
+from twin.study.evaluate import work_of
 from twin.study.report import write_report
 from twin.study.results import TABLE, Answers, table_of
 from twin.study.spec import Study
@@ -30,13 +31,14 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
         pyarrow.parquet.write_table(table, out / TABLE)
         pyarrow.csv.write_csv(table, out / "table.csv")
         write_json(answers.document(), out / "study.json", "study")
-        written += write_report(study, answers, out)
+        duties = duties_of(study, answers)
+        written += write_report(study, answers, duties, out)
         if answers.best is not None:
             best = machine_of(study, np.array(answers.row(answers.best)[1]))
             write_machine(best, out / BEST_MACHINE)
             written.append(BEST_MACHINE)
-            if replay:
-                written += write_replays(study, best, out)
+            if replay and len(duties) == 2:
+                written += write_replays(duties, "best", out)
     except OSError as error:
         raise InputError(
             f"{out}: cannot be written ({error.strerror}); give another --out with --resume in a copy of this folder"
@@ -44,21 +46,39 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     return written
 
 
-def write_replays(study: Study, best: Machine, out: Path) -> list[str]:
-    """A recording of each run: the best machine, with the nominal one drawn over it."""
+def duties_of(study: Study, answers: Answers) -> list[Duty]:
+    """The runs of the best variant and of the machine as it is; less where there is no best one or a run cannot be done."""
+    if answers.best is None:
+        return []
+    work = work_of(study)
+    best = machine_of(study, np.array(answers.row(answers.best)[1]))
+    found = [duty_of(work, best, "best"), duty_of(work, study.machine, "nominal")]
+    return [duty for duty in found if duty]
+
+
+def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
+    """A recording of each run: the first design, with the others drawn over it and their differences."""
     from twin.replay import write_recording
 
     written = []
-    for source in work_of(study).sources:
-        try:
-            traces = {"best": _trace(source, best), "nominal": _trace(source, study.machine)}
-        except TwinError:
-            continue  # the nominal machine cannot run this: there is nothing to lay beside
-        name = f"best_{source.name}.rrd"
-        write_recording(out / name, best, traces)
-        written.append(name)
+    for run in duties[0].runs:
+        file = f"{name}_{run}.rrd"
+        write_recording(out / file, duties[0].machine, {duty.label: duty.runs[run].trace for duty in duties})
+        written.append(file)
     return written
 
 
-def _trace(source: Source, machine: Machine) -> Trace:
-    return simulate(machine.with_feedforward(source.feedforward), motion_of(source, machine, None)[0]).trace
+def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out: Path) -> list[str]:
+    """Two variants by number: their runs in one recording each, and torque against speed of both."""
+    known = {row[0]: row for row in answers.rows}
+    if wrong := next((n for n in numbers if n not in known or not known[n][2]), None):
+        raise InputError(f"--compare {wrong}: no variant of this number could be run; the numbers stand in {out / 'table.csv'}")
+    work = work_of(study)
+    duties = [duty_of(work, machine_of(study, np.array(known[n][1])), f"variant {n}") for n in numbers]
+    found = [duty for duty in duties if duty]
+    name = "compare_" + "_".join(str(n) for n in numbers)
+    written = write_replays(found, name, out)
+    if driven_axes(found):
+        save_png(torque_speed_figure(found), out / "plots" / f"{name}.png")
+        written.append(f"plots/{name}.png")
+    return written

@@ -5,6 +5,8 @@ body.workpiece.centre_of_mass_m.0        one of several in a list
 axis.*.loops.position_gain_per_s         * stands for any one part
 effect.backlash.X.clearance              parameter of an effect, in SI; the machine gets the effect where it lacks it
 added_mass.X                             kg added to what X moves, and to what every linear axis that carries X moves
+added_mass.workpiece                     kg added to a body of the file where its centre of mass is, of the same shape: its inertia grows alike,
+                                         and so does what every linear axis moves that carries it
 """
 
 from __future__ import annotations
@@ -43,14 +45,15 @@ def _matches(path: str, pattern: str) -> bool:
 
 
 def carrying_axes(path: str, machine: Machine, where: str) -> list[str]:
-    """Linear axes that move a mass added to an axis of `added_mass.AXIS`: the axis itself and all that carry it."""
+    """Linear axes that move a mass added to an axis or a body: those that carry it, and the axis itself."""
     name = path.removeprefix(ADDED_MASS)
     movers = [axis.name for axis in machine.axes if axis.kind == "linear"]
-    if name not in movers:
-        raise InputError(f"{where}: '{path}': no linear axis {name}; {nearest(name, movers)}")
+    known = [*movers, *(body.name for body in machine.bodies)]
+    if name not in known:
+        raise InputError(f"{where}: '{path}': no linear axis and no body {name}; {nearest(name, known)}")
     spec = load_spec(machine.model_path)  # its elements live as long as it does
     bodies = {joint.name: joint.parent for joint in spec.joints}
-    carriers, body = set(), bodies[name]
+    carriers, body = set(), bodies[name] if name in movers else spec.body(name)
     while body is not None:
         carriers.add(body.id)
         body = body.parent
@@ -132,6 +135,8 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
             for axis in carrying_axes(path, machine, "study"):
                 mass = f"axis.{axis}.moving_mass_kg"
                 added[mass] = added.get(mass, 0.0) + value
+            if last not in machine.axis_names:
+                added[f"body.{last}.mass_kg"] = value
         elif last.isdigit():
             whole = ".".join(tables)
             if whole not in changed:
@@ -143,7 +148,12 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
         else:
             changed[path] = value
     for mass, more in added.items():
-        changed[mass] = changed.get(mass, number_at(machine, mass) or 0.0) + more
+        before = changed.get(mass, number_at(machine, mass) or 0.0)
+        changed[mass] = before + more
+        if mass.startswith("body."):
+            inertia = f"{mass.removesuffix('mass_kg')}inertia_kg_m2"
+            table = machine.document["body"][mass.split(".")[1]]
+            changed[inertia] = [(1.0 + more / before) * value for value in changed.get(inertia, table["inertia_kg_m2"])]
     if effects:
         changed["effect"] = copy.deepcopy(list(effects.values()))
     return machine.with_values(changed)

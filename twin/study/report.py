@@ -10,8 +10,10 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.study.constraints import in_words
+from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
 from twin.study.labels import label_of, titled, unit_of, valued
-from twin.study.outcomes import depends
+from twin.study.outcomes import depends, middle_of
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
@@ -31,7 +33,8 @@ def sentences(answers: Answers) -> list[str]:
         text = f"{label_of(r.name)}: {valued(r.name, float(r.y.min()))} to {valued(r.name, float(r.y.max()))}"
         if r.swings:
             s = r.swings[0]
-            text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: least at {s.least_at:.4g}, largest at {s.largest_at:.4g}"
+            text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: "
+            text += f"least at {answers.shown_of(s.factor, s.least_at)}, largest at {answers.shown_of(s.factor, s.largest_at)}"
         elif r.surrogate:
             text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
         said.append(text)
@@ -45,9 +48,10 @@ def sentences(answers: Answers) -> list[str]:
     return said
 
 
-def swing_rows(r: Response) -> list[list[str]]:
+def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
     """A line for each factor: how far it moves the response, and where that is least and largest."""
-    return [[s.factor, valued(r.name, s.swing), f"{s.least_at:.4g}", f"{s.largest_at:.4g}"] for s in r.swings]
+    shown = answers.shown_of
+    return [[s.factor, valued(r.name, s.swing), shown(s.factor, s.least_at), shown(s.factor, s.largest_at)] for s in r.swings]
 
 
 def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
@@ -56,7 +60,7 @@ def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
     change = {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
     for i, factor in enumerate(study.factors):
         width = float(np.ptp(r.table[:, i]))
-        if factor.name not in change or width == 0.0:
+        if factor.name not in change or width == 0.0 or factor.choices:
             continue
         unit = unit_at(factor.paths[0])
         step, said = (
@@ -77,7 +81,7 @@ def effect_rows(r: Response) -> list[list[str]]:
     ]
 
 
-def write_report(study: Study, answers: Answers, out: Path) -> list[str]:
+def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) -> list[str]:
     """Write report.html and the same plots as files; returns the names of the plots."""
     written: list[str] = []
 
@@ -118,12 +122,19 @@ def write_report(study: Study, answers: Answers, out: Path) -> list[str]:
                 _pareto_figure(answers, pair, front), "pareto" if i == 0 else f"pareto_{i + 1}", "Every variant, and those on the front"
             )
             sections.append(_trade_off(answers, pair, front, figure))
+    if duties and driven_axes(duties):
+        caption = (
+            "Torque of each motor against its speed: points of the duty cycle, the largest while driving, curve and rating of the motor"
+        )
+        sections.append(
+            Section("Motors", figures=[shown(torque_speed_figure(duties), "torque_speed", caption)], tables=[torque_table(duties)])
+        )
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
         ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
     ):
         if rows:
-            lines = [[str(n), *_numbers(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
+            lines = [[str(n), *answers.shown(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
             sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.factors, "reason"], lines)]))
     write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections)
     return written
@@ -135,9 +146,9 @@ def _lead(study: Study, answers: Answers) -> str:
     if answers.best is not None:
         number, factors, responses, _ = answers.row(answers.best)
         name = answers.minimised
-        at = ", ".join(f"{k} {v:.4g}" for k, v in zip(answers.factors, factors))
+        at = ", ".join(f"{k} {v}" for k, v in zip(answers.factors, answers.shown(factors)))
         text += f" Least {label_of(name)}: {valued(name, responses[name])} with variant {number} ({at})."
-    return text
+    return f"{text} Constraints: {'; '.join(map(in_words, study.constraints))}."
 
 
 def _of(rows: Sequence[Any]) -> list[str]:
@@ -155,7 +166,7 @@ def _varies(answers: Answers, pair: Sequence[str]) -> bool:
 
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:
     rows = sorted((answers.row(n) for n in front), key=lambda row: row[2][pair[0]])
-    lines = [[str(n), *_numbers(factors), *_numbers([found[k] for k in pair])] for n, factors, found, _ in rows[:MOST_LINES]]
+    lines = [[str(n), *answers.shown(factors), *_numbers([found[k] for k in pair])] for n, factors, found, _ in rows[:MOST_LINES]]
     said = " and ".join(map(label_of, pair))
     words = [f"{len(rows)} variants are beaten by no other one in both {said}; each is to be small.", *_of(rows)]
     return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.factors, *map(titled, pair)], lines)])
@@ -169,18 +180,20 @@ def factors_figure(study: Study, r: Response) -> Any:
     panels = axes.ravel()
     for panel in panels[count:]:
         panel.set_visible(False)
-    middle = np.median(r.table, axis=0)
+    middle = middle_of(r.table, [i for i, f in enumerate(study.factors) if f.choices])
     for i, (factor, panel) in enumerate(zip(study.factors, panels)):
         panel.plot(r.table[:, i], r.y, ".", color=BLUE, alpha=0.7, markersize=6 if len(r.y) < MANY_POINTS else 3, markeredgewidth=0)
-        if r.surrogate is not None and np.ptp(r.table[:, i]) > 0:
+        if factor.choices:
+            panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
+        elif r.surrogate is not None and np.ptp(r.table[:, i]) > 0:
             points = np.tile(middle, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
             panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0, label="surrogate")
-        unit = "times nominal" if factor.relative else unit_at(factor.paths[0])
+        unit = "" if factor.choices else "times nominal" if factor.relative else unit_at(factor.paths[0])
         panel.set_xlabel(f"{factor.name} [{unit}]" if unit else factor.name)
     for row in axes:
         row[0].set_ylabel(titled(r.name))
-    if r.surrogate is not None:
+    if panels[0].get_legend_handles_labels()[1]:
         panels[0].legend(frameon=False, fontsize=8.5)
     return figure
 

@@ -8,7 +8,7 @@ current              at every tick of the control, largest and RMS; smooth: its 
 copper loss          Kt / Ke R i_rms^2: R i_rms^2 of the one-phase equivalent, as many times as makes Ke i w the mechanical power Kt i w
 energies             of a run: work of the motors, what of it came back while braking, what the windings took (Kt / Ke u i)
 limits used          largest speed and current over their limits; largest torque over the motor's curve at its speed
-torque RMS used      over the rated torque, where the machine file has one
+torque RMS used      over the rated torque, where the machine file has one; winding heat with its thermal time constant, the run being repeated
 holding current      largest current that gravity takes at rest, over all angles of the rotary axes
 first mode           sqrt(stiffness / load) / 2 pi of the axis' transmission; none where it is rigid
 phase, gain margin   of the current, speed and position loop of an axis in the home pose (`twin.machine.loops`)
@@ -22,6 +22,7 @@ import functools
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 from twin.effects import load_inertia, settings_of
 from twin.effects.change import total_inertia
@@ -75,6 +76,8 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
             add(f"{name}_max_{axis.name}_{unit}", float(np.abs(e).max()) * factor)
             add(f"{name}_rms_{axis.name}_{unit}", math.sqrt(e @ e / len(e)) * factor)
         load_responses(axis, run.load[axis.name], add)
+        if axis.motor.rated_torque_nm and axis.motor.thermal_time_constant_s:
+            add(f"winding_heat_used_{axis.name}", winding_heat(axis, run))
         add(f"time_at_{axis.effort}_limit_{axis.name}_share", run.current_limited_s[axis.name] / setpoints.duration)
         if axis.has_current_loop:
             add(f"time_at_voltage_limit_{axis.name}_share", run.voltage_limited_s[axis.name] / setpoints.duration)
@@ -120,6 +123,23 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
         curve = motor.torque_at(at)
         with np.errstate(divide="ignore"):
             add(f"torque_curve_used_{name}", float(np.max(load.torque[reached] / curve, initial=0.0)))
+
+
+def winding_heat(axis: Axis, run: Run) -> float:
+    """Largest heat of a winding when the run is repeated for ever, over that of its rated torque [1].
+
+    Heat follows the square of the current through the motor's thermal time constant: T dh/dt = i^2 - h. The way of the square is the
+    record's, its mean that of every tick.
+    """
+    motor = axis.motor
+    square = run.trace.get(axis.name, axis.effort)[:-1] ** 2
+    square *= run.load[axis.name].effort_rms ** 2 / float(square.mean())
+    kept = math.exp(-run.trace.period / (motor.thermal_time_constant_s or math.inf))
+    from_cold = lfilter([1.0 - kept], [1.0, -kept], square)
+    # what the runs before have left: h(start) = h(end)
+    before = from_cold[-1] / -math.expm1(len(square) * math.log(kept))
+    heat = from_cold + before * kept ** np.arange(1, len(square) + 1)
+    return float(heat.max()) * (motor.torque_constant_nm_per_a / (motor.rated_torque_nm or math.inf)) ** 2
 
 
 def contour_responses(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:

@@ -28,7 +28,7 @@ from twin.study.outcomes import (
     swings_of,
     without_effect,
 )
-from twin.study.spec import Study
+from twin.study.spec import Factor, Study
 from twin.study.store import Row
 
 TABLE = "table.parquet"
@@ -62,6 +62,18 @@ class Answers:
     fronts: dict[tuple[str, str], list[int]]
     minimised: str
     best: int | None
+    definitions: tuple[Factor, ...] = ()
+
+    def shown(self, values: Sequence[float]) -> list[str]:
+        """The factors of a variant as people read them, the entries of a catalogue by name."""
+        return [factor.shown(value) for factor, value in zip(self.definitions, values)]
+
+    def shown_of(self, name: str, value: float) -> str:
+        """A value of one factor as people read it."""
+        return self.definitions[self.factors.index(name)].shown(value)
+
+    def _chosen(self, values: Sequence[float]) -> dict[str, str]:
+        return {f.name: f.shown(v) for f, v in zip(self.definitions, values) if f.choices}
 
     @property
     def failed(self) -> int:
@@ -102,6 +114,7 @@ class Answers:
                 "variant": number,
                 "minimises": self.minimised,
                 "factors": dict(zip(self.factors, factors)),
+                **({"choices": chosen} if (chosen := self._chosen(factors)) else {}),
                 "responses": responses,
             }
         return out
@@ -140,6 +153,7 @@ def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
 def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
     """Answer a study from its rows; raises InputError where `answer` names no response."""
     names = tuple(f.name for f in study.factors)
+    listed = [i for i, f in enumerate(study.factors) if f.choices]
     looked = looked_at(study, rows)
     kept = [row for row in rows if row[3] is None]  # what a variant at its limits answers is the limit's doing, not the factor's
     responses = []
@@ -155,7 +169,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
                 y,
                 effects_of(names, table, y),
                 surrogate,
-                swings_of(names, table, y, surrogate) if surrogate else [],
+                swings_of(names, table, y, surrogate, listed) if surrogate else [],
                 sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
             )
         )
@@ -170,6 +184,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         fronts={pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))},
         minimised=looked[0] if looked else "",
         best=fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None,
+        definitions=study.factors,
     )
 
 
@@ -184,6 +199,9 @@ def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:
     """Variant, factors, responses and reason, in the order of the design."""
     columns: dict[str, Any] = {"variant": pa.array([n for n, *_ in rows], pa.int64())}
     columns |= {f.name: pa.array([factors[i] for _, factors, _, _ in rows], pa.float64()) for i, f in enumerate(study.factors)}
+    columns |= {
+        f"{f.name}: choice": pa.array([f.shown(factors[i]) for _, factors, _, _ in rows]) for i, f in enumerate(study.factors) if f.choices
+    }
     columns |= {name: pa.array([found.get(name) for _, _, found, _ in rows], pa.float64()) for name in known_responses(rows)}
     columns["reason"] = pa.array([reason for *_, reason in rows], pa.string())
     return pa.table(columns).replace_schema_metadata({"factors": "\n".join(f.name for f in study.factors)})

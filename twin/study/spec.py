@@ -24,6 +24,13 @@ paths = ["axis.X.moving_mass_kg", "axis.Y.moving_mass_kg"]   # see paths.py; or 
 relative = true                      # values are factors on what the machine has
 range = [0.5, 2.0]                   # or values = [0.5, 1.0, 2.0]
 
+[[factor]]
+name = "X motor"
+catalogue = "motors.toml"            # named motors, screws or gears, see catalogue.py
+axis = "X"                           # or axes = [..], which get the same
+installed = "M80"                    # what the machine has now
+values = ["M80", "M100"]             # optional: else all of that kind
+
 [[tied]]                             # follows: its nominal x (ratio of what it follows)^exponent
 path = "axis.X.loops.speed_gain_nm_s_per_rad"
 to = "inertia.X"                     # a factor's name, or the inertia at an axis' motor in the home pose
@@ -39,13 +46,14 @@ rows = [[0.5], [1.0]]                # list
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 import tomllib
 from typing import Any
 
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.study.catalogue import Choice, choices_of
 from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, MOST_TIME_AT_LIMIT, Constraint, standing
 from twin.study.paths import matching_paths, number_at, with_numbers
 from twin.tables import is_number, known_keys
@@ -77,13 +85,18 @@ SAME_MARGINS = "same margins"
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that is varied: paths into the machine that take the same value (or factor, when `relative`)."""
+    """One thing that is varied: paths into the machine that take the same value (or factor, when `relative`).
+
+    With `choices`, entries of a catalogue, a value is the number of an entry, from 0 on, and `paths` are all that any of them changes.
+    """
 
     name: str
     paths: tuple[str, ...]
     relative: bool
     values: tuple[float, ...]
     range: tuple[float, float] | None
+    choices: tuple[Choice, ...] = ()
+    installed: str = ""
 
     @property
     def low(self) -> float:
@@ -92,6 +105,10 @@ class Factor:
     @property
     def high(self) -> float:
         return self.range[1] if self.range else max(self.values)
+
+    def shown(self, value: float) -> str:
+        """A value as people read it: the name of a choice, else the number."""
+        return self.choices[round(value)].name if self.choices else f"{value:.4g}"
 
 
 @dataclass(frozen=True)
@@ -162,8 +179,13 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     machine = with_numbers(machine, _fixed(document.get("fixed", {}), machine, f"{path}: [fixed]"))
     design = _design(document.get("design", {}), f"{path}: [design]")
     factors = tuple(
-        _factor(table, design, i, machine, f"{path}: factor {i + 1}") for i, table in enumerate(_tables(document, "factor", path))
+        _catalogue_factor(table, machine, path, f"{path}: factor {i + 1}")
+        if isinstance(table, Mapping) and "catalogue" in table
+        else _factor(table, design, i, machine, f"{path}: factor {i + 1}")
+        for i, table in enumerate(_tables(document, "factor", path))
     )
+    _check_apart(factors, path)
+    design = _rows_by_number(design, factors, f"{path}: [design]")
     tied = tuple(_tied(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.get("tied", [])))
     runs = tuple(_run(table, path, f"{path}: run {i + 1}") for i, table in enumerate(_tables(document, "run", path)))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
@@ -304,12 +326,41 @@ def _factor(table: Any, design: Design, column: int, machine: Machine, where: st
         raise InputError(f"{where}: has both values and a range; give one of them")
     if design.kind == "list":
         # the rows show its values
-        return Factor(name, paths, relative, tuple(row[column] for row in design.rows if column < len(row)), None)
+        own = [row[column] for row in design.rows if column < len(row)]
+        return Factor(name, paths, relative, _numbers(own, "rows", where), None)
     if not values and not limits:
         raise InputError(f"{where}: has neither values nor a range; give values = [..] or range = [low, high]")
     if not limits and len(set(values)) < 2:
         raise InputError(f"{where}: has one value only; give two or more, or put it under [fixed]")
     return Factor(name, paths, relative, values, (limits[0], limits[1]) if limits else None)
+
+
+def _catalogue_factor(table: Mapping[str, Any], machine: Machine, path: Path, where: str) -> Factor:
+    _known(table, ("name", "catalogue", "axis", "axes", "installed", "values"), where)
+    names = table.get("axes", [table["axis"]] if "axis" in table else [])
+    if not isinstance(names, list) or not names:
+        raise InputError(f"{where}: 'axis' is missing; name the axis whose drive is chosen, e.g. axis = \"X\"")
+    if wrong := next((name for name in names if name not in machine.axis_names), None):
+        raise InputError(f"{where}: no axis {wrong!r}; {nearest(str(wrong), machine.axis_names)}")
+    values, installed = table.get("values", []), table.get("installed")
+    if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
+        raise InputError(f"{where}: values = {values!r}; give names of the catalogue, or leave it out for all")
+    if not isinstance(installed, str):
+        raise InputError(f"{where}: 'installed' is missing; name the entry of the catalogue that the machine has now")
+    choices = choices_of(path.parent / str(table["catalogue"]), [machine.axis(name) for name in names], installed, values, where)
+    paths = dict.fromkeys(p for c in choices for p, _ in (*c.values, *c.added_inertia))
+    name = str(table.get("name", f"{Path(str(table['catalogue'])).stem} of {' '.join(names)}"))
+    return Factor(name, tuple(paths), False, tuple(float(i) for i in range(len(choices))), None, choices, installed)
+
+
+def _check_apart(factors: Sequence[Factor], path: Path) -> None:
+    """What a catalogue sets no other factor may set; inertias of a motor and a screw add up."""
+    for factor in factors:
+        own = {p for choice in factor.choices for p, _ in choice.values}
+        for other in factors:
+            both = set(other.paths) & (own if other.choices else set(factor.paths) if factor.choices else set())
+            if other is not factor and both:
+                raise InputError(f"{path}: factors '{factor.name}' and '{other.name}' both set {min(both)}; leave one of them out")
 
 
 def _tied(table: Any, factors: Sequence[Factor], machine: Machine, where: str) -> Tied:
@@ -326,6 +377,10 @@ def _tied(table: Any, factors: Sequence[Factor], machine: Machine, where: str) -
         raise InputError(f"{where}: slope goes with a factor and without exponent; give one of them")
     exponent, *slope = _numbers([table.get("exponent", 1.0), *([table["slope"]] if "slope" in table else [])], "exponent, slope", where)
     factor = next((f for f in factors if f.name == to), None)
+    if factor and factor.choices:
+        raise InputError(
+            f"{where}: to = {to!r} is a choice of a catalogue, which has no ratio; tie it to {INERTIA}AXIS, or give the number under [fixed]"
+        )
     if factor and not factor.relative and not slope and number_at(machine, factor.paths[0]) == 0.0:
         raise InputError(f"{where}: {factor.paths[0]} is 0 on the machine as it is, so there is no ratio; give a slope")
     lacking = [p for p in (*paths, *(factor.paths if factor and not factor.relative else ())) if number_at(machine, p) is None]
@@ -355,5 +410,23 @@ def _design(table: Any, where: str) -> Design:
         count=whole("count", 64, lambda n: n >= 2 and n & (n - 1) == 0, "the Sobol sequence needs a power of two, such as 64")
         if kind == "sobol"
         else whole("count", 64, lambda n: n >= 1, "the design has no variant; give a whole number, 1 or more"),
-        rows=tuple(_numbers(row, "rows", where) for row in rows) if kind == "list" else (),
+        rows=tuple(tuple(row) if isinstance(row, list) else (row,) for row in rows) if kind == "list" else (),
     )
+
+
+def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> Design:
+    """Rows of a list in which the names of a catalogue's entries are their numbers."""
+    rows = []
+    for row in design.rows:
+        columns = [(v, next((f for i, f in enumerate(factors) if i == k), None)) for k, v in enumerate(row)]
+        numbers = []
+        for value, factor in columns:
+            if factor and factor.choices:
+                names = [c.name for c in factor.choices]
+                if value not in names:
+                    raise InputError(f"{where} rows: {value!r} is no choice of '{factor.name}'; {nearest(str(value), names)}")
+                numbers.append(float(names.index(value)))
+            else:
+                numbers += _numbers([value], "rows", where)
+        rows.append(tuple(numbers))
+    return replace(design, rows=tuple(rows))

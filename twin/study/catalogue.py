@@ -1,0 +1,160 @@
+"""Catalogues: named motors, screws and gears, whose numbers change together on an axis.
+
+    [[motor]]                                    # numbers under the names of [axis.N.motor]
+    name = "M80"
+    torque_constant_nm_per_a = 1.4
+    back_emf_v_s_per_rad = 0.81
+    resistance_ohm = 0.5
+    inductance_h = 6.0e-3
+    peak_torque_nm = 64.0                        # or peak_current_a
+    inertia_kg_m2 = 4.2e-3                       # of the rotor alone
+    rated_torque_nm = 20.0                       # optional, as rated_speed_rev_per_min, max_speed_rev_per_min, thermal_time_constant_s
+
+    [[screw]]                                    # screw_lead_m_per_rev, inertia_kg_m2; optional: the friction of [axis.N]
+    [[gear]]                                     # gear_ratio, inertia_kg_m2; optional: the friction of [axis.N]
+
+A machine file knows the inertia of rotor and screw, or rotor and gear, as one number. A factor therefore names what is `installed`: its
+inertia goes and that of the other comes, whatever else turns with it stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import tomllib
+from typing import Any
+
+from twin.errors import InputError, nearest
+from twin.machine.machine import Axis, Machine
+from twin.machine.parameters import key_of
+from twin.tables import is_number, known_keys
+
+KINDS = ("motor", "screw", "gear")
+INERTIA = "inertia_kg_m2"
+
+_FRICTION = ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
+_REQUIRED = {
+    "motor": ("torque_constant_nm_per_a", "back_emf_v_s_per_rad", "resistance_ohm", "inductance_h", INERTIA),
+    "screw": ("screw_lead_m_per_rev", INERTIA),
+    "gear": ("gear_ratio", INERTIA),
+}
+_OPTIONAL = {
+    "motor": (
+        "peak_current_a",
+        "peak_torque_nm",
+        "bus_limit_v",
+        "rated_torque_nm",
+        "rated_speed_rev_per_min",
+        "max_speed_rev_per_min",
+        "thermal_time_constant_s",
+    ),
+    "screw": _FRICTION,
+    "gear": _FRICTION,
+}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One entry of a catalogue on the axes of a factor: numbers by path, and the inertia that it adds to what is installed [kg m2]."""
+
+    name: str
+    values: tuple[tuple[str, float], ...]
+    added_inertia: tuple[tuple[str, float], ...]
+
+
+def choices_of(path: Path, axes: Sequence[Axis], installed: str, names: Sequence[str], where: str) -> tuple[Choice, ...]:
+    """The entries of a catalogue (those with these names, else all of the installed one's kind) for some axes of a machine."""
+    entries = _entries(path, where)
+    kind = next((kind for kind, known in entries.items() if installed in known), None)
+    if kind is None:
+        known_names = [name for known in entries.values() for name in known]
+        raise InputError(f"{where}: installed = {installed!r} is not in {path.name}; {nearest(installed, known_names)}")
+    known = entries[kind]
+    if wrong := next((name for name in names if name not in known), None):
+        raise InputError(f"{where}: no {kind} '{wrong}' in {path.name}; {nearest(wrong, list(known))}")
+    chosen = list(names) or list(known)
+    if len(set(chosen)) < 2:
+        raise InputError(f"{where}: has one {kind} only; name two or more")
+    for axis in axes:
+        _check_axis(kind, axis, known[installed], where)
+    return tuple(_choice(kind, name, known[name], known[installed], axes) for name in chosen)
+
+
+def _check_axis(kind: str, axis: Axis, installed: Mapping[str, Any], where: str) -> None:
+    fits = {"motor": axis.has_current_loop, "screw": axis.drive == "screw", "gear": axis.drive == "gear"}[kind]
+    if axis.drive == "direct" or not fits:
+        raise InputError(
+            f"{where}: axis {axis.name} has no {kind} (its drive is {axis.drive}, its structure {axis.structure}); leave it out"
+        )
+    if installed[INERTIA] > axis.rotor_inertia_kg_m2:
+        raise InputError(
+            f"{where}: the installed {kind} has {installed[INERTIA]:g} kg m2, more than the {axis.rotor_inertia_kg_m2:g} kg m2 "
+            f"that turn with the motor of {axis.name}; correct the catalogue or the machine file"
+        )
+
+
+def _choice(kind: str, name: str, entry: Mapping[str, Any], installed: Mapping[str, Any], axes: Sequence[Axis]) -> Choice:
+    values, inertia = [], []
+    for axis in axes:
+        table = f"axis.{axis.name}.motor" if kind == "motor" else f"axis.{axis.name}"
+        for key, value in entry.items():
+            if key == "peak_torque_nm":
+                values.append((f"{table}.peak_current_a", value / entry["torque_constant_nm_per_a"]))
+            elif key not in ("name", INERTIA):
+                values.append((f"{table}.{key}", value))
+        turning = f"axis.{axis.name}.{key_of('rotor_inertia_kg_m2', axis.kind)}"
+        inertia.append((turning, entry[INERTIA] - installed[INERTIA]))
+    return Choice(name, tuple(values), tuple(inertia))
+
+
+def _entries(path: Path, where: str) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Kind -> name -> numbers of all entries of a catalogue."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{where}: catalogue {path.name} cannot be read ({error}); see docs/study.md for the form") from None
+    known_keys(document, KINDS, str(path))
+    out: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for kind, tables in document.items():
+        if not isinstance(tables, list):
+            raise InputError(f"{path}: [{kind}] must be [[{kind}]]; correct it")
+        found = out.setdefault(kind, {})
+        for i, table in enumerate(tables):
+            entry = _checked(kind, table, f"{path}: {kind} {i + 1}")
+            if entry["name"] in found:
+                raise InputError(f"{path}: two of [[{kind}]] have the name '{entry['name']}'; give each its own")
+            found[entry["name"]] = entry
+    return out
+
+
+def _checked(kind: str, table: Any, where: str) -> Mapping[str, Any]:
+    if not isinstance(table, Mapping) or not isinstance(table.get("name"), str):
+        raise InputError(f"{where}: has no name; give it one")
+    where = f"{where} '{table['name']}'"
+    known_keys(table, ("name", *_REQUIRED[kind], *_OPTIONAL[kind]), where)
+    if missing := next((key for key in _REQUIRED[kind] if key not in table), None):
+        raise InputError(f"{where}: '{missing}' is missing; add it")
+    if kind == "motor" and len({"peak_current_a", "peak_torque_nm"} & table.keys()) != 1:
+        raise InputError(f"{where}: give one of peak_current_a and peak_torque_nm")
+    for key, value in table.items():
+        if key != "name" and (not is_number(value) or value < 0.0):
+            raise InputError(f"{where}: {key} = {value!r}; give a number, 0 or more")
+    if kind == "motor" and not table["torque_constant_nm_per_a"] > 0.0:
+        raise InputError(f"{where}: torque_constant_nm_per_a = 0; give a number above 0")
+    return table
+
+
+def with_choices(choices: Sequence[Choice], machine: Machine) -> dict[str, float]:
+    """Numbers by path of a machine on whose axes these entries are put, one of each factor; inertias of several add up."""
+    values: dict[str, float] = {}
+    for choice in choices:
+        values |= dict(choice.values)
+        for path, more in choice.added_inertia:
+            if path not in values:
+                at: Any = machine.document
+                for key in path.split("."):
+                    at = at[key]
+                values[path] = float(at)
+            values[path] += more
+    return values
