@@ -64,6 +64,20 @@ def test_the_gantry_follows_its_spiral(tmp_path: Path) -> None:
     assert (tmp_path / "spiral.rrd").stat().st_size > 10_000
 
 
+@pytest.mark.slow
+def test_half_the_inertia_in_its_quick_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The five-axis program alone: what the page says of it holds."""
+    carried_out("examples/half_inertia/run.py", "--quick", "--out", tmp_path)
+    said = capsys.readouterr().out
+    rows = {line[:28].strip(): line[28:].split() for line in said.splitlines() if line.startswith(("as it is", "half"))}
+    assert len(rows) == 9
+    time, energy = ({name: float(row[k]) for name, row in rows.items()} for k in (1, 3))
+    # lighter axes alone make nothing faster; limits do
+    assert time["half, all axes"] == time["as it is"] > time["half, all axes, limits x 2"]
+    assert energy["half, all axes"] < energy["as it is"]
+    assert (tmp_path / "half_inertia.png").stat().st_size > 10_000
+
+
 def test_the_study_of_the_mark_changes_what_it_says(mikron: Machine) -> None:
     """The whole of mark_depth_study.py takes minutes; each of its changes is made here, and a gain of zero effect would be noticed."""
     example = script("examples/mark_depth_study.py", "mark_depth_study")

@@ -1,15 +1,23 @@
 """The statistics of a study on functions whose answers are known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from tests.builders.study_files import FACTOR, write_spec
 from twin.errors import InputError
 from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import load_machine
 from twin.study.design import retuned
+from twin.study.labels import valued
 from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
 from twin.study.paths import carrying_axes, with_numbers
+from twin.study.report import sentences, swing_rows
+from twin.study.results import answers_of
+from twin.study.spec import read_study
+from twin.study.store import Row
 
 
 def points(count: int, low: list[float], high: list[float], seed: int = 0) -> np.ndarray:
@@ -129,3 +137,26 @@ def test_retuned_loops_have_the_margins_of_the_machine_as_it_was() -> None:
         ]
         assert max(apart) < most
         assert (max(apart) > 5.0) == (variant is changed)
+
+
+def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
+    """A surrogate that misses what was left out moves nothing; a variant at its limit enters no effect; the commonest reason is named."""
+    study = read_study(write_spec(tmp_path, 'answer = ["noise", "line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 30\n'))
+    rng = np.random.default_rng(1)
+    rows: list[Row] = []
+    for n, mass in enumerate(rng.uniform(500.0, 900.0, 30)):
+        rows.append((n, [mass], {"noise": rng.standard_normal() * 10.0 ** rng.uniform(0, 5), "line": 2.0 * mass}, None))
+    rows += [(30 + n, [900.0], {"noise": 0.0, "line": 1e9}, f"copper loss of X is {n + 7.5} W, at most 5 W is allowed") for n in range(3)]
+    rows += [(33, [100.0], {}, "axis X: moving_mass_kg = 100 does not exceed the 350 kg")]
+    answers = answers_of(study, rows)
+    noise, line = answers.responses
+    assert noise.surrogate is not None
+    assert not noise.surrogate.fits
+    assert noise.swings == []
+    assert line.effects[0].value == pytest.approx(np.ptp([row[1][0] for row in rows[:30]]))  # half of 2 kg^-1 x the range
+    said = sentences(answers)
+    assert "too uneven" in said[0]
+    assert f"mass moves it most, by {valued('line', line.swings[0].swing)}" in said[1]  # what the first bar shows
+    assert swing_rows(answers, line)[0][1] == valued("line", line.swings[0].swing)
+    assert any("1 of 34 variants could not be run; commonest reason: axis X: moving_mass_kg = .." in text for text in said)
+    assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)

@@ -69,6 +69,15 @@ def test_a_killed_worker_loses_nothing(
             processes[0].send_signal(signal.SIGKILL)
             processes[0].wait()
 
+    # the workers have done another study before, on another machine of the same name
+    (tmp_path / "before").mkdir()
+    earlier = read_study(write_spec(tmp_path / "before", '[fixed]\n"axis.X.coulomb_friction_nm" = 3.0\n' + FACTOR + GRID))
+    with dask_cluster(address) as workers:
+        first = Store(tmp_path / "earlier", fingerprint(earlier, variants_of(earlier)), resume=False)
+        carry_out(earlier, variants_of(earlier), first, workers, lambda _: None)
+        assert first.rows()[0][2] != expected[0][2]
+        first.close()
+
     with dask_cluster(address) as workers:
         deadline = time.monotonic() + 20.0
         while workers.count() < 2 and time.monotonic() < deadline:

@@ -17,7 +17,7 @@ from twin.errors import InputError, TwinError
 from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, path_of_axes
 from twin.machine.machine import Machine
-from twin.machine.model_file import files_of
+from twin.machine.model_file import files_of, state_of_model
 from twin.program.read import PROGRAM_ENDINGS
 from twin.recordings.trace import read_trace
 from twin.simulation.run import simulate
@@ -173,8 +173,8 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
 
     feedforward = run.feedforward or read_program(run.input, machine).feedforward
     source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix))
-    # what the interpolator reads of a machine: limits, travels, cycles, frames and tools
-    if varies(study, (*GEOMETRY, "control")) or any(".max_" in p or ".travel_" in p for p in study.varied):
+    # what the interpolator reads of a machine: limits, travels, cycles, frames and tools, and how fast an exact stop settles
+    if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
     setpoints, programmed = motion_of(source, machine, part)
     return replace(source, setpoints=setpoints, commanded=_commanded(setpoints, machine), programmed=programmed)
@@ -201,12 +201,38 @@ def motion_of(source: Source, machine: Machine, part: Part | None) -> tuple[Setp
     """Set points of a run on a machine, and the programmed path where there is a part to cut."""
     if source.setpoints is not None:
         return source.setpoints, source.programmed
+    # one thread plans, the others wait for it: planning is not compiled, and most variants have a plan in common
+    key = (source.program, part is not None, _planning_key(machine))
+    with _PLANNING:
+        if key not in _PLANS:
+            while len(_PLANS) >= MOST_PLANS:
+                del _PLANS[next(iter(_PLANS))]
+            _PLANS[key] = _planned(source, machine, part is not None)
+        return _PLANS[key]
+
+
+_PLANNING = threading.Lock()
+_PLANS: dict[object, tuple[Setpoints, ToolPath | None]] = {}
+MOST_PLANS = 16
+"""Interpolated programs that a worker keeps, the oldest goes."""
+
+
+def _planning_key(machine: Machine) -> tuple[object, ...]:
+    """All that reading and interpolating a program asks of a machine: everything but drives, masses, effects and noise, and of the loops how fast they settle."""
+    tables = {k: v for k, v in machine.document.items() if k not in ("axis", "body", "effect", "measurement")}
+    axes = tuple((a.name, a.kind, a.travel, a.max_velocity, a.max_acceleration, a.max_jerk) for a in machine.axes)
+    settling = min(a.loops.position_gain_per_s for a in machine.axes)
+    return repr(tables), axes, settling, str(machine.model_path), state_of_model(machine.model_path)
+
+
+def _planned(source: Source, machine: Machine, programmed: bool) -> tuple[Setpoints, ToolPath | None]:
+    """Interpolate a program on a machine; its programmed path where that is asked for."""
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 
     content, ending = source.program
     with tempfile.TemporaryDirectory(prefix="twin-study-") as folder:
-        path = Path(folder) / f"{source.name}{ending}"
+        path = Path(folder) / f"program{ending}"
         path.write_bytes(content)
         program = read_program(path, machine)
-    return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if part else None
+    return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if programmed else None

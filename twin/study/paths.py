@@ -7,6 +7,7 @@ effect.backlash.X.clearance              parameter of an effect, in SI; the mach
 added_mass.X                             kg added to what X moves, and to what every linear axis that carries X moves
 added_mass.workpiece                     kg added to a body of the file where its centre of mass is, of the same shape: its inertia grows alike,
                                          and so does what every linear axis moves that carries it
+inertia.X                                kg m2 at the motor of X in the home pose, load and rotor: what is saved is taken from rotor and screw (or gear)
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ import copy
 import fnmatch
 from typing import Any
 
+from twin.effects.change import total_inertia
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
+from twin.machine.axis import Axis
 from twin.machine.machine import Machine
-from twin.machine.parameters import unit_of_key
+from twin.machine.parameters import key_of, unit_of_key
 from twin.simulation.plant_spec import load_spec
 
 ADDED_MASS = "added_mass."
+INERTIA = "inertia."
 
 
 def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
@@ -31,6 +35,9 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
         return [_effect_path(pattern, machine, where)]
     if pattern.startswith(ADDED_MASS):
         carrying_axes(pattern, machine, where)
+        return [pattern]
+    if pattern.startswith(INERTIA):
+        _axis_of(pattern, machine, where)
         return [pattern]
     known = numbers_of(machine.document)
     found = [path for path in known if _matches(path, pattern)]
@@ -42,6 +49,21 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
 def _matches(path: str, pattern: str) -> bool:
     parts, wanted = path.split("."), pattern.split(".")
     return len(parts) == len(wanted) and all(fnmatch.fnmatchcase(part, want) for part, want in zip(parts, wanted))
+
+
+def _axis_of(path: str, machine: Machine, where: str) -> Axis:
+    """The axis of `inertia.AXIS`, which has a rotor of its own."""
+    name = path.removeprefix(INERTIA)
+    if name not in machine.axis_names:
+        raise InputError(f"{where}: '{path}': no axis {name}; {nearest(name, machine.axis_names)}")
+    if not machine.axis(name).rotor_inertia_kg_m2 > 0.0:
+        raise InputError(f"{where}: '{path}': axis {name} has no inertia of rotor and screw or gear; vary its masses")
+    return machine.axis(name)
+
+
+def inertia_at_motor(machine: Machine, axis: Axis) -> float:
+    """Load and rotor at the motor of an axis in the home pose [kg m2]."""
+    return total_inertia(machine, axis) * axis.ratio**2
 
 
 def carrying_axes(path: str, machine: Machine, where: str) -> list[str]:
@@ -104,6 +126,8 @@ def unit_at(path: str) -> str:
         return "SI"
     if path.startswith(ADDED_MASS):
         return "kg"
+    if path.startswith(INERTIA):
+        return "kg m2"
     return unit_of_key(next(part for part in reversed(path.split(".")) if not part.isdigit()))
 
 
@@ -115,6 +139,8 @@ def number_at(machine: Machine, path: str) -> float | None:
         return None if value is None else float(value)
     if path.startswith(ADDED_MASS):
         return 0.0
+    if path.startswith(INERTIA):
+        return inertia_at_motor(machine, machine.axis(path.removeprefix(INERTIA)))
     at: Any = machine.document
     for key in path.split("."):
         at = at[int(key)] if isinstance(at, list) else at[key]
@@ -126,9 +152,12 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
     changed: dict[str, Any] = {}
     added: dict[str, float] = {}
     effects = {(table["name"], table["axis"]): dict(table) for table in machine.effects}
+    inertias: dict[str, float] = {}
     for path, value in values.items():
         *tables, last = path.split(".")
-        if path.startswith("effect."):
+        if path.startswith(INERTIA):
+            inertias[last] = value
+        elif path.startswith("effect."):
             _, name, axis = tables
             effects.setdefault((name, axis), {"name": name, "axis": axis})[last] = value
         elif path.startswith(ADDED_MASS):
@@ -156,4 +185,19 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
             changed[inertia] = [(1.0 + more / before) * value for value in changed.get(inertia, table["inertia_kg_m2"])]
     if effects:
         changed["effect"] = copy.deepcopy(list(effects.values()))
-    return machine.with_values(changed)
+    machine = machine.with_values(changed)
+    return machine.with_values(_rotors(machine, inertias)) if inertias else machine
+
+
+def _rotors(machine: Machine, inertias: Mapping[str, float]) -> dict[str, float]:
+    """Numbers by path that give axes these inertias at the motor, load and all: those of rotor and screw or gear."""
+    out = {}
+    for name, wanted in inertias.items():
+        axis = machine.axis(name)
+        load = inertia_at_motor(machine, axis) - axis.rotor_inertia_kg_m2
+        if wanted <= load:
+            raise InputError(
+                f"study: inertia.{name} = {wanted:.4g} kg m2: its load alone has {load:.4g} at the motor; save masses too, or ask for more"
+            )
+        out[f"axis.{name}.{key_of('rotor_inertia_kg_m2', axis.kind)}"] = wanted - load
+    return out

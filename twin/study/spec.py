@@ -48,6 +48,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+import re
 import tomllib
 from typing import Any
 
@@ -304,7 +305,10 @@ def _run(table: Any, path: Path, where: str) -> StudyRun:
     feedforward = table.get("feedforward")
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward = {feedforward!r}; use one of {', '.join(FEEDFORWARD)}")
-    return StudyRun(str(table.get("name", source.stem)), source, feedforward)
+    name = str(table.get("name", source.stem))
+    if not re.fullmatch(r"[^/\\\x00-\x1f.][^/\\\x00-\x1f]*", name):
+        raise InputError(f"{where}: name = {name!r}: files are named after it; leave out / and \\, and a dot at its start")
+    return StudyRun(name, source, feedforward)
 
 
 def _factor(table: Any, design: Design, column: int, machine: Machine, where: str) -> Factor:
@@ -418,9 +422,10 @@ def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> De
     """Rows of a list in which the names of a catalogue's entries are their numbers."""
     rows = []
     for row in design.rows:
-        columns = [(v, next((f for i, f in enumerate(factors) if i == k), None)) for k, v in enumerate(row)]
-        numbers = []
-        for value, factor in columns:
+        numbers: list[float] = []
+        given: tuple[Any, ...] = row
+        for k, value in enumerate(given):
+            factor = factors[k] if k < len(factors) else None
             if factor and factor.choices:
                 names = [c.name for c in factor.choices]
                 if value not in names:

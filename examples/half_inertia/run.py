@@ -1,0 +1,142 @@
+"""What does half the inertia of each axis buy? On the paper's three parts and on a five-axis program.
+
+    python examples/half_inertia/run.py [--out out/half_inertia] [--quick] [--resume]
+
+Nine designs (study.toml beside this file): the machine as it is, half the inertia at the motor of one axis after the other, of all,
+and both ends again with twice the acceleration and jerk. Prints error, time, current and energy of each on each program, and draws
+them. --quick: the five-axis program alone (about a minute; all four take twenty).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+
+from twin.errors import TwinError
+from twin.progress import Progress
+from twin.report import new_figure, save_png
+from twin.report.figure import AMBER, BLUE, GREEN, RED
+from twin.simulation.summary import table
+from twin.study.design import machine_of, variants_of
+from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.paths import inertia_at_motor
+from twin.study.spec import Study, read_study
+from twin.study.store import Row, Store
+
+HERE = Path(__file__).resolve().parent
+DESIGNS = (
+    "as it is",
+    "half X",
+    "half Y",
+    "half Z",
+    "half A",
+    "half C",
+    "half, all axes",
+    "as it is, limits x 2",
+    "half, all axes, limits x 2",
+)
+SHOWN = (
+    ("contour_error_max_um", "largest contour error [um]"),
+    ("cycle_time_s", "time [s]"),
+    ("copper_loss_w", "copper loss of all motors [W]"),
+    ("electrical_energy_j", "electrical energy [kJ]"),
+    ("current_limit_used", "largest share of a current limit [%]"),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/half_inertia"), metavar="DIR", help="folder for results and picture")
+    parser.add_argument("--quick", action="store_true", help="the five-axis program alone")
+    parser.add_argument("--resume", action="store_true", help="simulate only what the folder lacks")
+    args = parser.parse_args(arguments)
+    try:
+        study = read_study(HERE / "study.toml")
+        if args.quick:
+            study = replace(study, runs=study.runs[-1:])
+        rows = simulated(study, args.out, args.resume)
+    except TwinError as error:
+        print(f"twin: {error}", file=sys.stderr)
+        return 2
+    print(
+        table(["axis", "inertia at the motor [kg m2]", "of it rotor and screw or gear", "after halving", "left of the gain"], shares(study))
+    )
+    for run in study.runs:
+        print(f"\n{run.name}")
+        lines = [
+            [name, *(said(numbers(row, run.name, len(study.runs) > 1)[key], key) for key, _ in SHOWN)] for name, row in zip(DESIGNS, rows)
+        ]
+        print(table(["design", *(label for _, label in SHOWN)], lines))
+    marked = [f"{name}: {reason}" for name, (*_, reason) in zip(DESIGNS, rows) if reason]
+    print("\nconstraints: " + ("; ".join(marked) or "all kept"))
+    save_png(picture(study, rows), args.out / "half_inertia.png")
+    print(f"written to {args.out}: half_inertia.png")
+    return 0
+
+
+def simulated(study: Study, out: Path, resume: bool) -> list[Row]:
+    """All designs on all programs."""
+    variants = variants_of(study)
+    store = Store(out, fingerprint(study, variants), resume)
+    try:
+        with threads_here() as workers, Progress("designs", total=len(variants)) as bar:
+            carry_out(study, variants, store, workers, bar)
+        return store.rows()
+    finally:
+        store.close()
+
+
+def shares(study: Study) -> list[list[str]]:
+    """Per axis: inertia at the motor, the rotor's part of it, that part when the whole is halved, and the speed gain that is left."""
+    out = []
+    half = machine_of(study, np.array([0.5] * 5 + [1.0]))
+    for axis in study.machine.axes:
+        whole, own, other = inertia_at_motor(study.machine, axis), axis.rotor_inertia_kg_m2, half.axis(axis.name)
+        share, after = f"{100 * own / whole:.0f} %", f"{100 * other.rotor_inertia_kg_m2 / own:.0f} % of it"
+        gain = f"{other.loops.speed_gain_nm_s_per_rad / axis.loops.speed_gain_nm_s_per_rad:.2f}"
+        out.append([axis.name, f"{whole:.5f}", share, after, gain])
+    return out
+
+
+def numbers(row: Row, run: str, several: bool) -> dict[str, float]:
+    """What is shown of one design on one program; nothing (NaN) of one that could not be run."""
+    prefix = f"{run}." if several else ""
+    found = {name.removeprefix(prefix): value for name, value in row[2].items() if name.startswith(prefix)}
+    if not found:
+        return {key: float("nan") for key, _ in SHOWN}
+    return found | {
+        "copper_loss_w": sum(value for name, value in found.items() if name.startswith("copper_loss_")),
+        "current_limit_used": max(value for name, value in found.items() if name.startswith("current_limit_used_")),
+    }
+
+
+def said(value: float, key: str) -> str:
+    """A number of the table."""
+    if key == "current_limit_used":
+        return f"{100 * value:.0f}"
+    return f"{value / 1e3:.3g}" if key == "electrical_energy_j" else f"{value:.4g}"
+
+
+def picture(study: Study, rows: Sequence[Row]) -> Any:
+    """Change of every number against the machine as it is, a panel each, a colour for each program."""
+    figure, axes = new_figure(1, 4, width=13.0, height=4.2, sharey=True)
+    places = np.arange(len(DESIGNS))[::-1]
+    for panel, (key, label) in zip(axes[0], (s for s in SHOWN if s[0] != "copper_loss_w")):
+        for run, colour, offset in zip(study.runs, (BLUE, GREEN, AMBER, RED), (0.24, 0.08, -0.08, -0.24)):
+            values = np.array([numbers(row, run.name, len(study.runs) > 1)[key] for row in rows])
+            panel.plot(100.0 * (values / values[0] - 1.0), places + offset, "o", color=colour, markersize=5.5, label=run.name)
+        panel.axvline(0.0, color="#9aa3ab", linewidth=0.9)
+        panel.set_xlabel(f"{label.split(' [')[0]}:\nchange [%]")
+    axes[0][0].set_yticks(places, DESIGNS)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""A study's numbers are its own: whatever ran before in the process, in any order, on any number of threads; and its marks hold."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+import sqlite3
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.builders.study_files import rows_of, write_spec
+from twin.errors import InputError
+from twin.machine.check import check_machine
+from twin.machine.machine import Machine
+from twin.study.design import machine_of, variants_of
+from twin.study.evaluate import evaluate, work_of
+from twin.study.execution import fingerprint
+from twin.study.paths import inertia_at_motor, with_numbers
+from twin.study.spec import read_study
+from twin.study.store import FILE
+
+GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_z_m"\nvalues = [0.0, 0.05]\n'
+LIMIT = '[[factor]]\nname = "jerk"\npath = "axis.X.max_jerk_m_per_s3"\nvalues = [5.0, 20.0]\n'
+MASS = '[[factor]]\nname = "load"\npath = "added_mass.workpiece"\nvalues = [0.0, 40.0]\n'
+RUN = '[[run]]\ninput = "tilt.mpf"\n'
+DESIGN = '[design]\nkind = "grid"\n'
+PROGRAM = "G17 G71 G90 G94\nTRAORI\nG1 X0 Y0 Z200 A3=0 B3=0 C3=1 F5000\nX2 A3=0 B3=-0.05 C3=1\nM30\n"
+
+
+def spec_in(folder: Path, factors: str) -> Path:
+    folder.mkdir()
+    (folder / "tilt.mpf").write_text(PROGRAM, encoding="utf-8")
+    return write_spec(folder, factors + DESIGN, RUN)
+
+
+def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
+    """Workers remember models, plans, margins and weights: none of it may reach another machine."""
+    spec, other = spec_in(tmp_path / "a", GEOMETRY + MASS), spec_in(tmp_path / "b", LIMIT + MASS)
+    command = [sys.executable, "-m", "twin", "study", str(spec), "--out", str(tmp_path / "fresh"), "--threads", "1", "--no-replay"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    with sqlite3.connect(tmp_path / "fresh" / FILE) as database:
+        fresh = [json.loads(row[0]) for row in database.execute("SELECT responses FROM variant ORDER BY number")]
+    assert len({row["contour_error_max_um"] for row in fresh}) == 4
+    rows_of(other, tmp_path / "other", threads=2)
+    study = read_study(spec)
+    work, variants = work_of(study), variants_of(study).tolist()
+    backwards = [evaluate(work, tuple(row)).responses for row in variants[::-1]][::-1]
+    assert backwards == fresh
+    assert [found for _, _, found, _ in rows_of(spec, tmp_path / "again", threads=3)] == fresh
+
+
+def test_every_loop_below_the_margin_is_marked(tmp_path: Path) -> None:
+    """As `twin machine check` sees the loops, on its finer grid."""
+    factors = "".join(
+        f'[[factor]]\nname = "{name}"\npath = "axis.X.{path}"\nrange = {span}\n'
+        for name, path, span in (
+            ("gain", "loops.position_gain_per_s", "[30, 700]"),
+            ("speed gain", "loops.speed_gain_nm_s_per_rad", "[0.4, 30]"),
+            ("spring", "loops.speed_integral_time_s", "[0.002, 0.02]"),
+        )
+    )
+    spec = write_spec(tmp_path, factors + '[design]\nkind = "latin_hypercube"\ncount = 24\n')
+    study = read_study(spec)
+    marked = 0
+    for _, row, responses, reason in rows_of(spec, tmp_path / "out"):
+        (check, *_), _ = check_machine(machine_of(study, np.array(row)))
+        least = min(m.phase if m.stable else 0.0 for m in check.margins)
+        if responses:
+            assert min(v for k, v in responses.items() if k.startswith("phase_margin_") and k.endswith("_X_deg")) == pytest.approx(
+                least, abs=1e-6
+            )
+            assert ("phase margin" in (reason or "")) == (least < 30.0)
+        else:
+            assert reason
+        marked += least < 30.0
+    assert 3 <= marked <= 21
+
+
+def test_half_the_inertia_is_half_the_inertia(mikron: Machine) -> None:
+    half = with_numbers(mikron, {f"inertia.{a.name}": 0.5 * inertia_at_motor(mikron, a) for a in mikron.axes})
+    for before, after in zip(mikron.axes, half.axes):
+        assert inertia_at_motor(half, after) == pytest.approx(0.5 * inertia_at_motor(mikron, before), rel=1e-9)
+        assert after.moving_mass_kg == before.moving_mass_kg
+    with pytest.raises(InputError, match=r"its load alone has 0\.001773 at the motor"):
+        with_numbers(mikron, {"inertia.X": 0.001})
+
+
+def test_a_run_is_named_after_no_other_folder(tmp_path: Path) -> None:
+    for name in ("../out", "a/b", "/tmp/x", ".hidden", "a\\\\b"):
+        spec = write_spec(tmp_path, run=f'[[run]]\ninput = "move.csv"\nname = "{name}"\n')
+        with pytest.raises(InputError, match="files are named after it"):
+            read_study(spec)
+
+
+def test_the_fingerprint_counts_what_the_numbers_depend_on(tmp_path: Path) -> None:
+    study = read_study(write_spec(tmp_path))
+    variants = variants_of(study)
+    other = replace(study, machine=study.machine.with_values({"geometry.tool_length_m": 0.13}))
+    assert fingerprint(study, variants) != fingerprint(other, variants)
