@@ -5,6 +5,10 @@
     twin iso 230-4 out/worn --diagnosis out/worn_diagnosis --json out/worn.json
 
 The second plant shares no code with the twin. What is written is what a control records of a circle: set points and scales of two axes, both directions.
+Beside it lies what a ballbar measures of the same run, ballbar.csv, on a machine whose axes are also out of square:
+
+    twin iso 230-4 out/worn/ballbar.csv --radius-mm 50 --feed-mm-per-min 6000 --feedforward off --campaign out/ballbar
+    twin diagnose out/ballbar --out out/ballbar_diagnosis
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import pyarrow.parquet as pq
 from twin.exam.draw import SHIPPED_MACHINE, Case, columns_of, simulate
 from twin.exam.paths import limits_of
 from twin.exam.plant.parameters import Richness, unit_factors
+from twin.exam.plant.plant import Trace
 from twin.exam.programme import TestRun, _circle
 
 SEED = 230
@@ -29,6 +34,8 @@ WORN = (
     {"name": "backlash", "axis": "X", "clearance": 12e-6},
     {"name": "position_gain", "axis": "Y", "factor": 0.92},
 )
+SQUARENESS, OFF_CENTRE, BALLBAR_NOISE = 20e-6, (3e-6, -2e-6), 1e-7
+"""Squareness of Y to X [rad], where the bar stands beside the centre [m], and its noise [m]."""
 
 
 def record(folder: Path) -> None:
@@ -43,6 +50,25 @@ def record(folder: Path) -> None:
     pq.write_table(pa.table(columns), folder / "circle.parquet", compression="zstd")
     lines = ['machine = "mikron_ucp710"', "", "[[run]]", 'file = "circle.parquet"', 'feedforward = "off"', ""]
     (folder / "campaign.toml").write_text("\n".join(lines), encoding="utf-8")
+    write_ballbar(trace, folder / "ballbar.csv")
+
+
+def write_ballbar(trace: Trace, file: Path) -> None:
+    """The middle turn of each direction as a ballbar measures it, a reading each 0.5 degrees."""
+    scales = trace.setpoint[:, :2]
+    centre = 0.5 * (scales.min(axis=0) + scales.max(axis=0))
+    tool = trace.load[:, :2] - centre + SQUARENESS * np.outer(trace.load[:, 1] - centre[1], [1.0, 0.0]) + OFF_CENTRE
+    angle, rng = np.unwrap(np.arctan2(tool[:, 1], tool[:, 0])), np.random.default_rng(SEED)
+    on_circle = np.hypot(*(scales - centre).T) > 0.999 * RADIUS
+    lines = ["direction,angle_deg,deviation_um"]
+    for direction, sign in (("ccw", 1.0), ("cw", -1.0)):
+        rows = np.flatnonzero(on_circle & (sign * np.gradient(angle) > 0.5 * FEED / RADIUS * 1e-3))
+        rows = rows[: np.flatnonzero(np.diff(rows) > 1)[0] + 1] if (np.diff(rows) > 1).any() else rows
+        start = angle[rows[0]] + 0.5 * (angle[rows[-1]] - angle[rows[0]] - sign * 2.0 * np.pi)
+        at = start + sign * np.radians(np.arange(0.0, 360.1, 0.5))
+        radius = np.interp(sign * at, sign * angle[rows], np.hypot(*tool[rows].T)) + rng.normal(0.0, BALLBAR_NOISE, len(at))
+        lines += [f"{direction},{np.degrees(a):.4f},{(r - RADIUS) * 1e6:.4f}" for a, r in zip(at, radius)]
+    file.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
 def main() -> None:
@@ -51,7 +77,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the campaign is written")
     folder = parser.parse_args().folder
     record(folder)
-    print(f"{folder}: a circle of {RADIUS * 1e3:g} mm at {FEED * 60:g} m/min in both directions, set points and scales of X and Y")
+    print(
+        f"{folder}: a circle of {RADIUS * 1e3:g} mm at {FEED * 60:g} m/min in both directions, set points and scales of X and Y; ballbar.csv"
+    )
 
 
 if __name__ == "__main__":

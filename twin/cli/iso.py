@@ -32,13 +32,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the twin's prediction for the same set points")
     parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
     parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
+    parser.add_argument(
+        "--feedforward", metavar="F", help="230-4: off | velocity | velocity+torque in a ballbar's test (default: as the machine file says)"
+    )
     parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")
     parser.add_argument(
         "--diagnosis",
         metavar="DIR",
         help="230-4: folder of `twin diagnose`: the corrected machine beside, and what each effect does to the circle",
     )
-    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write the circles as a campaign for `twin diagnose`")
+    parser.add_argument(
+        "--campaign", metavar="DIR", help="230-4: also write a ballbar's circle as a campaign of two scales for `twin diagnose`"
+    )
     add_machine(parser)
 
 
@@ -141,6 +146,10 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
                     tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test)
         if not tests:
             raise InputError(problems[0] if problems else f"{source}: no run with a circle")
+    if args.campaign and recorded:
+        raise InputError(
+            f"{source}: this is a recording of two scales already; give it to 'twin diagnose' (a single trace: 'twin import' first)"
+        )
     rows, circles, budgets = [], [], []
     for i, (run, by_name) in enumerate(tests):
         if i < len(recorded) and args.diagnosis:
@@ -176,7 +185,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
             ]
             print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
     if args.campaign:
-        _write_campaign([by_name["measured"] for _, by_name in tests], Path(args.campaign), machine, source)
+        _write_campaign(tests[0][1]["measured"], Path(args.campaign), machine, source, args.feedforward)
     return {"standard": "ISO 230-4", "unit": "um", **(circles[0] if len(circles) == 1 else {}), "circles": circles}
 
 
@@ -249,20 +258,25 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
     yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None
 
 
-def _write_campaign(tests: list[CircleTest], folder: Path, machine: Machine, source: Path) -> None:
-    """The circles as a campaign of two scales: one run a direction."""
+def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
+    """A ballbar's circle as a campaign of two scales, one run a direction; what no scale shows is printed."""
     from twin.files import write_text
-    from twin.iso230.readings import trace_of_circle
+    from twin.iso230.two_scales import two_scales
     from twin.recordings.trace import write_trace
 
+    found = two_scales(test, machine.with_feedforward(feedforward))
+    slopes = ", ".join(
+        f"{name} {value * 1e6:+.1f} +- {2.0 * deviation * 1e6:.1f} um/m" for name, (value, deviation) in found.slopes.items()
+    )
     lines = [
-        f"# circles of {source.name}: radius measured, the way along the circle taken from the program",
+        f"# {source.name}: the radius is measured, the way along the circle is what the twin finds most probable",
+        f"# taken out, because no scale shows it: {slopes}",
         f'machine = "{machine.model_path.stem}"',
     ]
-    for test in tests:
-        for direction, trace in trace_of_circle(test).items():
-            name = f"circle_{test.name.lower()}_{direction}.parquet"
-            write_trace(trace, folder / name)
-            lines += ["", "[[run]]", f'file = "{name}"']
+    for direction, trace in found.traces.items():
+        name = f"circle_{test.name.lower()}_{direction}.parquet"
+        write_trace(trace, folder / name)
+        lines += ["", "[[run]]", f'file = "{name}"', *([f'feedforward = "{feedforward}"'] if feedforward else [])]
     write_text("\n".join([*lines, ""]), folder / "campaign.toml")
+    print(f"no scale shows (k = 2): {slopes}")
     print(f"written: {folder}, a campaign for twin diagnose")

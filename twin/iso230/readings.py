@@ -111,26 +111,6 @@ def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
     return _readings({key: values for key, values in found.items() if key[1] in both}, 1.0, where)
 
 
-def trace_of_circle(test: CircleTest, period: float = 1e-3) -> dict[str, Trace]:
-    """A ballbar's paths as traces of its two axes, by direction: what `twin diagnose` reads.
-
-    The bar knows the radius only: along the circle the tool is taken to be where the program has it at constant feed.
-    """
-    if not test.feed > 0.0:
-        raise InputError("a ballbar's campaign needs the feed of its program; give --feed-mm-per-min")
-    out = {}
-    for direction, path in test.paths.items():
-        sweep = float(path.angle[-1] - path.angle[0])
-        count = max(16, round(abs(sweep) * test.radius / test.feed / period))
-        angle = path.angle[0] + sweep * np.arange(count + 1) / count
-        distance = np.interp(angle * np.sign(sweep), path.angle * np.sign(sweep), path.distance)
-        signals = {}
-        for axis, way in zip(test.axes, (np.cos(angle), np.sin(angle))):
-            signals[axis, "setpoint"], signals[axis, "position"] = test.radius * way, distance * way
-        out[direction] = Trace(np.arange(count + 1) * period, signals, dict.fromkeys(test.axes, "linear"))
-    return out
-
-
 def _readings(found: dict[tuple[str, float], list[float]], factor: float, where: str) -> Readings:
     targets = sorted({target for _, target in found})
     columns = {}
