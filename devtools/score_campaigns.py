@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from twin.diagnose import diagnose
+from twin.files import output_folder, write_json
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 
@@ -33,15 +34,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("campaign", nargs="+", type=Path, help="folders with a campaign and its truth")
     machine = load_machine()
-    for folder in parser.parse_args().campaign:
-        start = time.perf_counter()
+    parser.add_argument("--save", type=Path, metavar="DIR", help="folder for each diagnosis.json, by the campaign's name")
+    args = parser.parse_args()
+    for folder in args.campaign:
+        start, worked = time.perf_counter(), time.process_time()
         document = diagnose(read_campaign(folder, machine), machine).document()
-        seconds = time.perf_counter() - start
+        seconds, work = time.perf_counter() - start, time.process_time() - worked
         gap = document["gap"]
         print(
-            f"{folder.name}: verdict {document['verdict']}, gap {gap['before']:.2f} to {gap['after']:.2f} x noise on runs left out, {seconds:.0f} s"
+            f"{folder.name}: verdict {document['verdict']}, gap {gap['before']:.2f} to {gap['after']:.2f} x noise on runs left out, "
+            f"{seconds:.0f} s ({work:.0f} s of processor)",
+            flush=True,
         )
         print_score(document, folder)
+        if args.save:
+            write_json(document, output_folder(args.save) / f"{folder.name}.json", "diagnosis")
 
 
 def print_score(document: dict[str, Any], folder: Path) -> None:

@@ -1,17 +1,23 @@
-"""The gap budget: what an effect is worth at the tool point, against closed forms; noise from a record's own scatter."""
+"""The gap budget: what an effect is worth at the tool point, against closed forms; noise as in the gaps."""
 
 import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import PERIOD_S, found_of, group_of, no_tuning
-from twin.diagnose.budget import ToolPoint, budget_of, document_of, scatter_of
+from twin.diagnose.budget import budget_of, document_of, noise_of
 from twin.diagnose.corrected import corrected_machine
 from twin.diagnose.fit import Fit
+from twin.diagnose.tool_point import ToolPoint
+from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
+from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.gap import SignalGap
 
 SAMPLES, RATE = 1500, 1e-5
+RUNS = {"a": 3.0, "b": 41.0**0.5}
+"""Noise [um] of two runs, 5 um RMS."""
 KINDS = {"X": "linear", "Y": "linear", "Z": "linear", "A": "rotary", "C": "rotary"}
 
 
@@ -73,12 +79,24 @@ def _from_turning_axis(tool):
     return offset[0], offset[1]
 
 
-def test_noise_is_the_scatter_of_a_record_not_what_goes_slowly():
-    rng = np.random.default_rng(1)
-    time = PERIOD_S * np.arange(4000)
-    slow = 1e-5 * np.sin(2 * np.pi * time)
-    setpoint = 0.01 * np.sin(2 * np.pi * time)
-    measured = {("X", "setpoint"): setpoint, ("X", "position"): setpoint + slow + 1e-7 * rng.normal(size=len(time))}
+def test_a_row_is_in_multiples_of_the_noise_that_the_gaps_name():
     machine = load_machine().with_axes(["X"])
-    record, predicted = Trace(time, measured, {"X": "linear"}), Trace(time, {("X", "position"): setpoint}, {"X": "linear"})
-    assert scatter_of([record], [predicted], machine) == {("X", "position"): pytest.approx(1e-7, rel=0.05)}
+    gaps = {
+        run: {"X": {"position": SignalGap(1.0, 2.0, noise, "um"), "current": SignalGap(1.0, 2.0, 0.04, "A")}} for run, noise in RUNS.items()
+    }
+    noise = noise_of(gaps, machine)
+    assert noise == {("X", "position"): pytest.approx(5e-6), ("X", "current"): pytest.approx(0.04)}
+
+
+def test_an_axis_that_stands_counts_where_its_screw_grows(of_drift):
+    _, _, setting = of_drift
+    machine = load_machine()
+    time = PERIOD_S * np.arange(SAMPLES)
+    still = Trace(time, {(axis, "setpoint"): np.zeros(SAMPLES) for axis in machine.axis_names}, machine.kinds)
+    view = view_of(machine, MeasuredRun("still", still, None, 100.0))
+    group = group_of([np.zeros(SAMPLES)])
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    found = [found_of(group, fit=fit)]
+    budget = budget_of(machine, corrected_machine(machine, found), found, [view], [None], {})
+    (row,) = [r for r in budget.rows if r.kind == "effect"]
+    assert row.tool_point == pytest.approx(100.0 * RATE, rel=0.02)

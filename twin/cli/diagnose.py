@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from twin.cli.arguments import add_campaign, add_machine, machine_of, seed
+from twin.cli.arguments import add_campaign, add_machine, add_place, machine_of, seed, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -17,6 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="a first look in less than half the time: fewer candidates, and quiet axes are not searched"
     )
+    parser.add_argument(
+        "--program", metavar="INPUT", help="part program, or trace with set points, on which each effect's share of the error is asked too"
+    )
+    add_place(parser)
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
 
 
@@ -24,13 +29,20 @@ def carry_out(args: argparse.Namespace) -> int:
     """Diagnose a campaign; print the verdict and write the evidence."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
-    from twin.recordings.campaign import read_campaign
+    from twin.recordings.campaign import MeasuredRun, read_campaign
+    from twin.simulation.setpoints import check_travel, setpoints_of
 
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
+    program = None
+    if args.program:
+        source = Path(args.program)
+        read, trace = setpoints_of_input(source, machine, args.place)
+        check_travel(setpoints_of(trace, machine), machine, str(source))
+        program = MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
     out = output_folder(args.out)
     with Progress("diagnosing", total=None) as bar:
-        diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say)
+        diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say, program=program)
     document = write_diagnosis(diagnosis, out)
     print(summary_text(document))
     move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"

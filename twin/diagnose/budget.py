@@ -20,30 +20,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.diagnose.corrected import normal_imperfections, within
-from twin.diagnose.observe import SECOND_DIFFERENCE, Mapper, in_turn, roughness, simulate_group
+from twin.diagnose.observe import Mapper, in_turn, simulate_group
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
-from twin.errors import InputError, TwinError
-from twin.geometry.kinematics import Kinematics, kinematics_of
-from twin.geometry.tool_path import AXIS_ORDER
+from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.gap import LEAST_NOISE, is_moving, sensor_noise
+from twin.simulation.gap import LEAST_NOISE, SignalGap, gap_unit, is_moving, sensor_noise
 
 SIGNALS = ("position", "motor_position", "current")
 """Signals of a row, and those over which its multiple of noise is taken."""
-
-LOAD = "load_position"
 
 UNIT = "um at the tool point, RMS"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One contribution: RMS over all runs, SI. `largest` [m] at the tool point, in run `run` at `at_s`; the interval is that of
-    `tool_point`, from the interval of the effect's size."""
+    """One contribution: RMS over all runs, SI. `largest` [m] at the tool point, in run `run` at `at_s`, where the tool point stands `at`
+    [m] in the part frame."""
 
     kind: str  # effect, law, re-tuned or normal
     name: str
@@ -56,6 +53,7 @@ class Row:
     largest: float
     run: str
     at_s: float
+    at: tuple[float, ...] = ()
     setting: Setting | None = None
 
 
@@ -96,9 +94,10 @@ class _Change(NamedTuple):
     signals: dict[tuple[str, str], float]
     largest: float
     at_s: float
+    at: tuple[float, ...]
 
 
-UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0)
+UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0, ())
 
 
 def budget_of(
@@ -176,14 +175,12 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
 
 
 def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
-    """True motion and signals of those axes that move in a run, without noise; None where none does, or the machine cannot run."""
-    moving = tuple(a for a in axes if view.moves(a))
-    if not moving:
-        return None
-    sources = [s.from_axis for s in settings_of(machine) if s.from_axis and s.axis in moving]
+    """True motion and signals of axes in a run, without noise; None where the machine cannot run. Axes that stand are among them:
+    their screws grow, and they are the lever of a rotary axis."""
+    sources = [s.from_axis for s in settings_of(machine) if s.from_axis and s.axis in axes]
     own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
     try:
-        return simulate_group(view, moving, lambda _: own, also=sources).without_noise
+        return simulate_group(view, axes, lambda _: own, also=sources).without_noise
     except TwinError:
         return None
 
@@ -205,9 +202,9 @@ def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None
             signals[axis, signal] = float(np.mean(difference**2)) if difference.size else 0.0
     own_axis = part.axis if part.axis in shown else (shown[0] if shown else "")
     position = float(np.mean((other.get(own_axis, LOAD) - base.get(own_axis, LOAD)) ** 2)) if own_axis else 0.0
-    at = int(np.argmax(distance)) if distance.size else 0
-    largest = float(distance[at]) if distance.size else 0.0
-    return _Change(float(np.mean(distance**2)) if distance.size else 0.0, position, signals, largest, float(view.trace.time[at]))
+    at = int(np.argmax(distance))
+    largest = float(distance[at])
+    return _Change(float(np.mean(distance**2)), position, signals, largest, float(view.trace.time[at]), tool.at(base, at))
 
 
 def _row(
@@ -236,6 +233,7 @@ def _row(
         largest=out[worst].largest,
         run=names[worst],
         at_s=out[worst].at_s,
+        at=out[worst].at,
         setting=part.setting,
     )
 
@@ -251,23 +249,15 @@ def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
     return Trace(run.time, signals, machine.kinds)
 
 
-def scatter_of(runs: Sequence[Trace], predicted: Sequence[Trace], machine: Machine) -> dict[tuple[str, str], float]:
-    """Standard deviation [SI] of the noise in each signal of each axis, the median over the runs that move it.
-
-    From second differences of what a prediction leaves, which slow faults leave alone; not below the resolution of a motor encoder.
-    """
+def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine: Machine) -> dict[tuple[str, str], float]:
+    """Noise [SI] of each signal of each axis, RMS over the runs: that of the gaps, by run, axis and signal."""
     found: dict[tuple[str, str], float] = {}
     for axis in machine.axes:
         for signal in SIGNALS:
             name = axis.effort if signal == "current" else signal
-            levels = [
-                roughness(run.get(axis.name, name) - of_twin.get(axis.name, name)) / SECOND_DIFFERENCE**0.5
-                for run, of_twin in zip(runs, predicted)
-                if run.has(axis.name, name) and run.moves(axis.name) and len(run.time) > 2
-            ]
+            levels = [gap.noise for axes in gaps.values() if (gap := axes.get(axis.name, {}).get(name)) is not None and gap.noise > 0.0]
             if levels:
-                least = machine.noise(axis).motor_resolution if signal == "motor_position" else 0.0
-                found[axis.name, signal] = max(float(np.median(levels)), least)
+                found[axis.name, signal] = float(np.sqrt(np.mean(np.square(levels)))) / gap_unit(axis, name)[1]
     return found
 
 
@@ -280,63 +270,6 @@ def _noise(machine: Machine, noise: Mapping[tuple[str, str], float], axis: str, 
 
 def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
     return float(np.sqrt(np.average(squares, weights=samples))) if len(squares) and samples.sum() > 0 else 0.0
-
-
-class ToolPoint:
-    """Distances at the tool in the part frame; where a machine has no such chain, the root of the squares of its linear axes."""
-
-    def __init__(self, machine: Machine):
-        self.machine = machine
-        try:
-            self.kinematics: Kinematics | None = kinematics_of(machine)
-        except InputError:
-            self.kinematics = None
-        self._places: dict[int, tuple[Trace, np.ndarray, np.ndarray]] = {}
-
-    def distance(self, base: Trace, other: Trace, axes: Sequence[str]) -> np.ndarray:
-        """Distance (sample,) [m] between the tool points of a motion and of the same one with other positions of these axes."""
-        return self._moved_by(base, {a: other.get(a, LOAD) - base.get(a, LOAD) for a in axes if other.has(a, LOAD)})
-
-    def squares(self, base: Trace | None, other: Trace | None, axes: Sequence[str]) -> float:
-        """Mean square [m2] of that distance."""
-        if base is None or other is None:
-            return 0.0
-        return float(np.mean(self.distance(base, other, axes) ** 2))
-
-    def squares_of(self, base: Trace | None, left: Trace | None, axes: Sequence[str]) -> float:
-        """Mean square [m2] that deviations of positions (a trace of `position`) make at the tool."""
-        if base is None or left is None:
-            return 0.0
-        return float(np.mean(self._moved_by(base, {a: left.get(a, "position") for a in axes if left.has(a, "position")}) ** 2))
-
-    def noise_squares(self, base: Trace | None) -> float:
-        """Mean square [m2] that the noise of the position sensors of the moving axes makes at the tool."""
-        if base is None:
-            return 0.0
-        total = 0.0
-        for axis in base.axes:
-            sigma = sensor_noise(self.machine, self.machine.axis(axis), "position")
-            total += float(np.mean(self._moved_by(base, {axis: np.full(len(base.time), sigma)}) ** 2))
-        return total
-
-    def _moved_by(self, base: Trace, by: dict[str, np.ndarray]) -> np.ndarray:
-        if not by:
-            return np.zeros(len(base.time))
-        if self.kinematics is None:
-            linear = [d**2 for a, d in by.items() if self.machine.axis(a).kind == "linear"]
-            return np.asarray(np.sqrt(np.sum(linear, axis=0))) if linear else np.zeros(len(base.time))
-        _, at, tip = self._place(base, self.kinematics)
-        moved = at.copy()
-        for axis, difference in by.items():
-            moved[:, AXIS_ORDER.index(axis)] += difference
-        return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - tip, axis=1))
-
-    def _place(self, base: Trace, kinematics: Kinematics) -> tuple[Trace, np.ndarray, np.ndarray]:
-        """A motion with its axes (sample, 5) and its tool point (sample, 3), remembered: every contribution is held against the same ones."""
-        if id(base) not in self._places:
-            at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in AXIS_ORDER])
-            self._places[id(base)] = base, at, kinematics.forward(at)[0]
-        return self._places[id(base)]
 
 
 def document_of(budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float]) -> dict[str, Any]:
@@ -366,6 +299,7 @@ def document_of(budget: Budget, machine: Machine, probability: dict[Any, float],
             "largest": 1e6 * r.largest,
             "run": r.run,
             "at_s": r.at_s,
+            "at_mm": [1e3 * x for x in r.at],
         }
 
     return {

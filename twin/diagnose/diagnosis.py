@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.budget import Budget, budget_of, document_of, positions_left, scatter_of
+from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
@@ -35,7 +35,7 @@ from twin.diagnose.where import left_of, places
 from twin.effects import Setting, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign
+from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 
 
@@ -56,6 +56,8 @@ class Diagnosis:
     notes: list[str] = field(default_factory=list)
     thresholds: Thresholds = DEFAULT
     budget: Budget | None = None
+    on_program: Budget | None = None
+    program: str = ""
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
 
@@ -77,6 +79,7 @@ class Diagnosis:
                 "axes": self._axis_gaps(),
             },
             "budget": self._budget(),
+            **({"budget_on_program": self._budget_on_program()} if self.on_program else {}),
             "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
@@ -86,18 +89,22 @@ class Diagnosis:
         }
 
     def _budget(self) -> dict[str, Any] | None:
-        if self.budget is None:
-            return None
+        return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
+
+    def _budget_on_program(self) -> dict[str, Any]:
+        """The contributions on a program that was not measured: what is left there nobody knows."""
+        assert self.on_program is not None
+        document = self._contributions(self.on_program)
+        return {"program": self.program, "unit": document["unit"], "change": document["before"], "rows": document["rows"]}
+
+    def _contributions(self, budget: Budget) -> dict[str, Any]:
         halves = {}
         for setting, found, _ in self.settings:
             size = setting.effect.size
             shown = self._parameters(setting, found).get(size.name)
             if shown is not None and (deviation := size.deviation(shown["value"])) > 0.0:
                 halves[setting.key] = 0.5 * abs(shown["high"] - shown["low"]) / deviation
-        return {
-            **document_of(self.budget, self.machine, {s.key: p for s, _, p in self.settings}, halves),
-            "unexplained": self._unexplained(),
-        }
+        return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves)
 
     def _unexplained(self) -> list[dict[str, Any]]:
         """What the corrected machine leaves of each axis on runs left out, above noise."""
@@ -292,8 +299,11 @@ def diagnose(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
     thresholds: Thresholds = DEFAULT,
+    program: MeasuredRun | None = None,
 ) -> Diagnosis:
     """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core by default.
+
+    `program`: set points of a program, on which the budget is asked as well.
 
     Raises InputError where the campaign is another machine's, holds no measured signal or no motion, or where the machine has effects.
     """
@@ -372,16 +382,16 @@ def diagnose(
         diagnosis.verdict = verdict = "law"
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
     say("what each effect is worth")
+    noise = noise_of(gaps["after"], machine)
     with ThreadPoolExecutor(threads) as pool:
-        diagnosis.budget = budget_of(
-            machine,
-            corrected,
-            found,
-            views,
-            left,
-            scatter_of([run.trace for run in runs], [after[run.name] for run in runs], machine),
-            lambda function, items: list(pool.map(function, items)),
-        )
+
+        def pooled(function, items):  # type: ignore[no-untyped-def]
+            return list(pool.map(function, items))
+
+        diagnosis.budget = budget_of(machine, corrected, found, views, left, noise, pooled)
+        if program is not None:
+            view = view_of(machine_without, program, thresholds)
+            diagnosis.on_program, diagnosis.program = budget_of(machine, corrected, found, [view], [None], noise, pooled), program.name
     order = [row.setting.key for row in diagnosis.budget.rows if row.setting is not None]
     diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     if verdict != "none":

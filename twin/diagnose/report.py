@@ -50,6 +50,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),
         budget=as_image(budget_figure(document["budget"])) if document["effects"] else "",
+        program_picture=as_image(budget_figure(document["budget_on_program"])) if document["effects"] and diagnosis.on_program else "",
         waterfall=as_image(waterfall_figure(diagnosis.waterfall)),
         map=as_image(map_figure(axes, blocks)),
         curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],

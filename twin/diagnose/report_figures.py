@@ -73,31 +73,38 @@ BUDGET_SHOWN = 12
 
 
 def budget_figure(budget: dict[str, Any]) -> Figure:
-    """What each effect is worth at the tool point, largest first, down to what nobody explains (hatched) and the noise floor."""
+    """What each effect is worth at the tool point, largest first, down to what nobody explains (hatched) and the noise floor.
+
+    On a program nothing was measured: the budget starts at what the effects change together, and ends with them.
+    """
+    measured = "after" in budget
     effects = [r for r in budget["rows"] if r["kind"] in ("effect", "law")]
     other = [r for r in budget["rows"] if r["kind"] not in ("effect", "law")]
     shown = effects[:BUDGET_SHOWN]
-    bars: list[tuple[str, float, str]] = [("gap of the machine file", budget["before"], NOMINAL)]
+    whole = ("gap of the machine file", budget["before"]) if measured else ("all together", budget["change"])
+    bars: list[tuple[str, float, str]] = [(*whole, NOMINAL)]
     bars += [(effect_title(r), r["tool_point"], CORRECTED) for r in shown]
     for label, rest in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
         if rest:
             bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in rest))), CLOSED))
-    figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + 1)), layout="constrained")
+    names, values = [name for name, _, _ in bars], [value for _, value, _ in bars]
+    figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + measured)), layout="constrained")
     ax = figure.add_subplot()
-    names = [name for name, _, _ in bars] + ["not explained"]
     for i, (_, value, color) in enumerate(bars):
         ax.barh(i, value, color=color, height=0.64)
-    ax.barh(len(bars), budget["after"], facecolor="white", edgecolor="#c9302c", hatch="////", height=0.64)
     for i, row in enumerate(shown, start=1):
         ax.plot([row["low"], row["high"]], [i, i], color=MEASURED, linewidth=1.2)
-    for i, value in enumerate([value for _, value, _ in bars] + [budget["after"]]):
+    if measured:
+        ax.barh(len(bars), budget["after"], facecolor="white", edgecolor="#c9302c", hatch="////", height=0.64)
+        names, values = [*names, "not explained"], [*values, budget["after"]]
+        ax.axvline(budget["floor"], color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
+        ax.text(budget["floor"], -0.75, " noise floor", color="#5c636d", fontsize=8, va="center")
+    for i, value in enumerate(values):
         ax.text(value, i, f"  {value:.3g} um", va="center", fontsize=8.5, color=MEASURED)
-    ax.axvline(budget["floor"], color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
-    ax.text(budget["floor"], -0.75, " noise floor", color="#5c636d", fontsize=8, va="center")
     ax.set_yticks(range(len(names)), names, fontsize=8.5)
     ax.set_ylim(len(names) - 0.4, -1.1)
-    ax.set_xlim(0.0, 1.14 * max(*(value for _, value, _ in bars), budget["after"], budget["floor"]))
-    ax.set_xlabel("um at the tool point, RMS over the campaign", fontsize=9)
+    ax.set_xlim(0.0, 1.14 * max(*values, budget.get("floor", 0.0), 1e-9))
+    ax.set_xlabel(f"um at the tool point, RMS over {'the campaign' if measured else budget['program']}", fontsize=9)
     _plain(ax)
     return figure
 
