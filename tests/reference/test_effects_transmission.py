@@ -160,6 +160,37 @@ def test_cyclic_error():
     check_motor_speed(trace, "X")
 
 
+@pytest.mark.parametrize("axis", AXES)
+def test_a_rotor_on_a_spring_feels_the_error_of_its_transmission(axis):
+    """At constant speed, M = rotor + load, b viscous friction, G the drive from motor speed to acceleration: a rigid rotor answers with
+    q / e = G s / (s^2 + b/M s + G (s + Kv)), one of its own with (G s + share s^2) / (the same), share = rotor / M. G is read off the rigid one."""
+    r, amplitude, kv = axis_of(axis).ratio, 2e-6, axis_of(axis).loops.position_gain_per_s
+    load, rotor = load_inertia(MACHINE, axis_of(axis)), axis_of(axis).reflected_inertia
+    spring = {
+        "name": "transmission_compliance",
+        "stiffness": (2 * math.pi * 1500.0) ** 2 * reduced_mass(axis),
+        "damping": 0.02 * load * 1e4,
+    }
+    cyclic = {"name": "cyclic_error", "amplitude": amplitude, "phase_rad": 0.7}
+    hz = 25.0
+    move = (-0.5 if axis == "A" else 0.0) + steady(2 * math.pi * hz * r, 0.8)
+    answers = []
+    for beside in ([], [spring]):
+        plain, trace = (follow(axis, move, [NO_COULOMB, *beside, *more]) for more in ([], [cyclic]))
+        held = (trace.time > 0.4) & (trace.time < 0.4 + 10 / hz)
+        carrier = np.exp(-2j * np.pi * hz * trace.time[held])
+        answers.append(np.mean((trace.get(axis, "position") - plain.get(axis, "position"))[held] * carrier))
+    error = np.mean(amplitude * np.sin(plain.get(axis, "position")[held] / r + 0.7) * carrier)
+    s = 2j * np.pi * hz
+    rigid = answers[0] / error
+    inert = s**2 + axis_of(axis).viscous_friction / (load + rotor) * s
+    kv = kv * np.mean(np.exp(-s * TICK * np.arange(16)))  # held over the position cycle of 16 ticks
+    drive = rigid * inert / (s - rigid * (s + kv))
+    own = (drive * s + rotor / (load + rotor) * s**2) / (inert + drive * (s + kv))
+    assert abs(own - rigid) > 0.1  # the spring's own answer is a hundredth of that
+    assert answers[1] / error == pytest.approx(own, abs=0.03 * abs(own))
+
+
 def check_motor_speed(trace, axis):
     """The recorded motor speed is the derivative of the recorded motor position."""
     p, v = trace.get(axis, "motor_position"), trace.get(axis, "velocity")

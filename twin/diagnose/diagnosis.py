@@ -340,7 +340,8 @@ def diagnose(
     corrected = corrected_machine(machine, found)
     with ThreadPoolExecutor(threads) as workers:
         laws = laws_beside(found, machine_without, corrected, folds, lambda function, items: list(workers.map(function, items)), say)
-    runs, fitted_zeros = without_zeros(campaign.runs, machine_without, {key: o for f in found for key, o in f.zeros.items()})
+    offsets = {key: offset for f in found for key, offset in f.zeros.items()}
+    runs, fitted_zeros = without_zeros(campaign.runs, machine_without, offsets)
     campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
     views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
     say("simulating the runs left out")
@@ -353,7 +354,7 @@ def diagnose(
         else:
             laws = None  # what does not shrink the gap on runs left out is no law of this machine
     after = {name: p.trace for name, p in held_out.predictions["after"].items()}
-    runs = at_rest_without_zeros(runs, machine_without, after, fitted_zeros)
+    runs = at_rest_without_zeros(runs, machine_without, after, {axis for axis, _ in offsets})
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
     campaign = replace(campaign, runs=runs)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
@@ -382,7 +383,7 @@ def diagnose(
         diagnosis.verdict = verdict = "law"
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
     say("what each effect is worth")
-    noise = noise_of(gaps["after"], machine)
+    noise = noise_of(gaps["before"], machine)
     with ThreadPoolExecutor(threads) as pool:
 
         def pooled(function, items):  # type: ignore[no-untyped-def]

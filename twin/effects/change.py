@@ -15,7 +15,7 @@ from twin.effects.effect import BLOCKS, EFFECTS
 from twin.effects.setting import Setting, settings_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.simulation.loop_terms import FORCE, X_LOAD_FORCE, Term, arrays, term
+from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, arrays, term
 from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, inertial_key
 
 FASTEST_MODE = 1.5
@@ -32,6 +32,7 @@ class Change:
     terms: list[Term] = field(default_factory=list)
     model_edits: list[ModelEdit] = field(default_factory=list)
     couplings: dict[str, Coupling] = field(default_factory=dict)
+    transmission_errors: list[tuple[Any, Axis, list[float]]] = field(default_factory=list)  # term, axis, its three parameters
     scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
     force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(default_factory=list)  # axis index, force of the start (axis,)
@@ -94,6 +95,11 @@ class Change:
     def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
         """Put a spring, a damper and a dead zone between rotor and load; `cause` is the effect's name, for messages."""
         self.couplings.setdefault(axis.name, Coupling()).add(cause, stiffness, damping, clearance)
+
+    def add_transmission_error(self, law: Any, axis: Axis, parameters: Sequence[float]) -> None:
+        """Let the transmission carry the load ahead of the rotor: a term with at most three parameters; a fourth, 1 where the rotor is a
+        body of its own, is put in when all effects are there."""
+        self.transmission_errors.append((law, axis, [*parameters, *([0.0] * (3 - len(parameters)))]))
 
     def load_inertia(self, axis: Axis) -> float:
         """Mass or inertia of the load alone, without rotor, in the home pose [kg, kg m2]."""
@@ -197,6 +203,8 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
         rate = c.damping * h / mass
         damping = c.damping * (-math.expm1(-rate) / rate if rate > 0 else 1.0)
         change.add_term(coupling, FORCE, axis, [c.clearance / 2.0, c.stiffness, damping])
+    for law, axis, parameters in change.transmission_errors:
+        change.add_term(law, MEASURE, axis, [*parameters, float(axis.name in change.couplings)])
     return change
 
 

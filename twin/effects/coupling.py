@@ -12,6 +12,9 @@ from twin.simulation.loop_terms import (
     X_ROTOR_FORCE,
     X_ROTOR_MIDDLE,
     X_ROTOR_SPEED,
+    X_STEP,
+    X_TRANSMISSION_ERROR,
+    X_TRANSMISSION_ERROR_SPEED,
     arrays,
     term,
 )
@@ -52,15 +55,21 @@ class Coupling:
 
 @term
 def coupling(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F = k (d -+ c/2) + b d' outside the dead zone |d| <= p[0], on the load; its reaction on the rotor."""
+    """F = k (d -+ c/2) + b d' outside the dead zone |d| <= p[0], on the load; its reaction on the rotor.
+
+    d = rotor + error of the transmission - load: an inexact screw carries the load ahead of the rotor.
+    """
     p, s, x = arrays(parameters, state, signals)
-    stretch = x[axis, X_ROTOR_MIDDLE] - x[axis, X_LOAD_MIDDLE]
+    ahead, ahead_speed = x[axis, X_TRANSMISSION_ERROR], x[axis, X_TRANSMISSION_ERROR_SPEED]
+    x[axis, X_TRANSMISSION_ERROR] = 0.0
+    x[axis, X_TRANSMISSION_ERROR_SPEED] = 0.0
+    stretch = x[axis, X_ROTOR_MIDDLE] + ahead + 0.5 * x[axis, X_STEP] * ahead_speed - x[axis, X_LOAD_MIDDLE]
     if stretch > p[0]:
         stretch -= p[0]
     elif stretch < -p[0]:
         stretch += p[0]
     elif p[0] > 0.0:
         return
-    force = p[1] * stretch + p[2] * (x[axis, X_ROTOR_SPEED] - x[axis, X_LOAD_SPEED])
+    force = p[1] * stretch + p[2] * (x[axis, X_ROTOR_SPEED] + ahead_speed - x[axis, X_LOAD_SPEED])
     x[axis, X_LOAD_FORCE] += force
     x[axis, X_ROTOR_FORCE] -= force

@@ -49,8 +49,10 @@ STAGES = 5
     X_CURRENT,  # current of the motor, A, or the command of an axis without current loop
     X_SPEED_SETPOINT,  # axis units a second
     X_FOLLOWING_ERROR,  # delayed set point minus what the position loop is closed on
-) = range(22)
-SIGNAL_COUNT = 22
+    X_TRANSMISSION_ERROR,  # how far the transmission carries the load ahead of a rotor on a joint of its own; the coupling takes it
+    X_TRANSMISSION_ERROR_SPEED,
+) = range(24)
+SIGNAL_COUNT = 24
 PARAMETER_COUNT = 88
 STATE_COUNT = 8
 MAX_AXES = 32

@@ -6,7 +6,8 @@ State rows [axis]: QM VM motor-side position and speed (in axis units), Q V load
     m_l V' = P - viscous - friction - constant - gravity + disturbance - mass_c x acceleration of the other axis
     FD' = ratio V' - 2 zeta w FD - w^2 F
 A and C share the mass matrix of tilting_pair.py; rotors, added inertia are diagonal terms.
-Drive train: d = QM - Q; e = d outside the gap, measured from its edge:
+Drive train: d = QM + ahead(QM) - Q with the transmission's error `ahead`, which a rigid axis shows at its motor encoder alone;
+e = d outside the gap, measured from its edge:
     P = k e + k3 e^3 + soft k clip(d, +-gap/2) + damping (VM - V) [without soft only in contact]
 Friction is one held force per step, found at its start from the free acceleration (friction.py). Units SI at the axis.
 Source: effects.md; ordinary mechanics.
@@ -91,22 +92,34 @@ def drive_force(m: np.ndarray, k: int, d: float, speed: float) -> float:
 
 
 @compiled(inline=True)
-def motor_position(m: np.ndarray, k: int, q: float, q0: np.ndarray) -> float:
-    """What the motor encoder shows, in axis units: lead and cyclic error are zero at q0, or, with a zero that is kept, where they may be."""
+def ahead(m: np.ndarray, k: int, q: float, q0: float) -> float:
+    """How far lead and cyclic error carry the load ahead of the motor side: zero at q0, or, with a zero that is kept, where they may be."""
     start = 1.0 - m[ZERO_KEPT, k]
-    shown = q - m[LEAD, k] * (q - start * q0)
+    error = m[LEAD, k] * (q - start * q0)
     if m[CYCLIC, k] != 0.0:
-        shown -= m[CYCLIC, k] * (math.sin(q / m[RATIO, k] + m[CYCLIC_PHASE, k]) - start * math.sin(q0 / m[RATIO, k] + m[CYCLIC_PHASE, k]))
-    return shown
+        error += m[CYCLIC, k] * (math.sin(q / m[RATIO, k] + m[CYCLIC_PHASE, k]) - start * math.sin(q0 / m[RATIO, k] + m[CYCLIC_PHASE, k]))
+    return error
+
+
+@compiled(inline=True)
+def ahead_slope(m: np.ndarray, k: int, q: float) -> float:
+    """d ahead / d q."""
+    slope = m[LEAD, k]
+    if m[CYCLIC, k] != 0.0:
+        slope += m[CYCLIC, k] / m[RATIO, k] * math.cos(q / m[RATIO, k] + m[CYCLIC_PHASE, k])
+    return slope
+
+
+@compiled(inline=True)
+def motor_position(m: np.ndarray, k: int, q: float, q0: float) -> float:
+    """What the motor encoder shows, in axis units: a rotor on a spring shows where it is, a rigid one lags by what the load is ahead."""
+    return q if m[ELASTIC, k] != 0.0 else q - ahead(m, k, q, q0)
 
 
 @compiled(inline=True)
 def motor_speed(m: np.ndarray, k: int, q: float, v: float) -> float:
     """Motor speed [rad/s]: the derivative of motor_position over r."""
-    slope = 1.0 - m[LEAD, k]
-    if m[CYCLIC, k] != 0.0:
-        slope -= m[CYCLIC, k] / m[RATIO, k] * math.cos(q / m[RATIO, k] + m[CYCLIC_PHASE, k])
-    return slope * v / m[RATIO, k]
+    return v / m[RATIO, k] if m[ELASTIC, k] != 0.0 else (1.0 - ahead_slope(m, k, q)) * v / m[RATIO, k]
 
 
 @compiled()
@@ -150,7 +163,8 @@ def slopes(
         dy[CURRENT, k] = u / m[INDUCTANCE, k]
         v = y[V, k]
         if m[ELASTIC, k] != 0.0:
-            drive = drive_force(m, k, y[QM, k] - y[Q, k], y[VM, k] - v)
+            deflection = y[QM, k] + ahead(m, k, y[QM, k], q0[k]) - y[Q, k]
+            drive = drive_force(m, k, deflection, (1.0 + ahead_slope(m, k, y[QM, k])) * y[VM, k] - v)
             dy[VM, k] = (force - drive) / m[MOTOR_MASS, k]
             force = drive
         drag = m[VISCOUS, k] * v + m[WINDAGE, k] * v * abs(v)

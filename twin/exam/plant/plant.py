@@ -37,6 +37,7 @@ from .mechanics import (
     Q,
     V,
     advance,
+    ahead,
     motor_position,
     motor_speed,
 )
@@ -265,7 +266,7 @@ def run(
     hold[3:] += holding_torque(pair, q0[3], q0[4])
     y = np.zeros((STATES, 5))
     y[Q] = q0
-    y[QM] = q0 + [_deflection(m, k, hold[k]) for k in range(5)]
+    y[QM] = q0 + [_deflection(m, k, hold[k]) - (ahead(m, k, q0[k], q0[k]) if m[ELASTIC, k] else 0.0) for k in range(5)]
     torque = hold * s.ratio / s.kt
     y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
     voltage = s.resistance * y[CURRENT] + s.dead_time_v * np.tanh(y[CURRENT] / DEAD_TIME_A)
