@@ -242,3 +242,30 @@ def test_samples_between_the_ticks_are_an_error(machine: Machine, runs: list[Mea
         )
         with pytest.raises(InputError, match=words):
             axis_run(other, other.axis("X"), odd)
+
+
+def test_a_current_without_its_sign_is_named_and_not_fitted(machine: Machine, runs: list[MeasuredRun]) -> None:
+    unsigned = [with_signal(r, "X", "current", np.abs(r.trace.get("X", "current"))) for r in runs]
+    result = identified(machine, unsigned)
+    assert "current is recorded without a sign" in said(result)
+    assert "record X.current with its sign" in said(result)
+    assert "inertia" not in {p.name for p in result.parameters}
+    assert "position_gain_per_s" in {p.name for p in result.parameters}
+
+
+@pytest.mark.parametrize(
+    ("signal", "factor", "words"),
+    [
+        ("velocity", 60.0, "recorded per minute, taken as per second?"),
+        ("position", 1e3, "mm taken as m?"),
+        ("motor_position", -1.0, "it runs the other way"),
+        ("current", 1e3, "check the unit of the column"),
+    ],
+)
+def test_a_wrong_unit_is_named_before_anything_is_fitted(
+    machine: Machine, runs: list[MeasuredRun], signal: str, factor: float, words: str
+) -> None:
+    result = identified(machine, [with_signal(r, "X", signal, factor * r.trace.get("X", signal)) for r in runs])
+    assert words in said(result)
+    gain = [p for p in result.parameters if p.name == "position_gain_per_s"]
+    assert all(p.estimate.value == pytest.approx(machine.axis("X").loops.position_gain_per_s, rel=0.02) for p in gain)

@@ -79,6 +79,8 @@ class DrivePositionLoop:
 
 def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: float) -> DrivePositionLoop | None:
     """Compare both laws; None where speed set point, position or enough motion lack."""
+    if runs and runs[0].cycle >= min(MOST_DELAY_S, MOST_LAG_S):  # such samples show no delay of a drive
+        return None
     pieces = [p for r in runs for p in _pieces_of(axis, r)]
     if len(pieces) < LEAST_PIECES:
         return None

@@ -17,7 +17,9 @@ from twin.identify.drive_balance import MeanCurrent
 from twin.identify.position_control import linearised
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.force_sign import recorded_sign
 from twin.recordings.least_squares import regress
+from twin.recordings.plausible import contradictions
 
 SIGNALS = {
     "position": "position gain and delays",
@@ -259,9 +261,22 @@ TOO_MUCH = 3.0
 """A current beyond so many times the motor's peak is no current of this motor."""
 
 
+def _doubt_of_sign(run: MeasuredRun, axis: Axis) -> str:
+    """Why the recorded force of an axis cannot be used with its sign, or ''."""
+    if recorded_sign(run, axis.name, axis.effort).unsigned:
+        return (
+            f"{axis.effort} is recorded without a sign (its size only): left out, mass and friction cannot be identified; "
+            f"record {axis.name}.{axis.effort} with its sign"
+        )
+    return ""
+
+
 def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], Finding]:
-    """Channels (axis, signal) that cannot be what their heading says, with the reason: they never change while the axis' set point
-    does, or hold more than the motor can take."""
+    """Channels (axis, signal) that cannot be what their heading says, with the reason.
+
+    They never change while the axis' set point does, contradict the other signals by a unit or a sign, hold more than the motor can take, or are
+    a force of which only the size is recorded.
+    """
     out: dict[tuple[str, str], Finding] = {}
     for axis in machine.axes:
         if axis.name not in run.trace.axes or np.ptp(run.trace.get(axis.name, "setpoint")) < 1e-5:
@@ -270,6 +285,12 @@ def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str
             if run.trace.has(axis.name, signal) and np.ptp(run.trace.get(axis.name, signal)) == 0.0:
                 text = f"{signal} never changes while the set point moves: left out; check the recording of this channel"
                 out[axis.name, signal] = Finding(run.name, axis.name, text)
+        own = {s: v for (a, s), v in run.trace.signals.items() if a == axis.name and (a, s) not in out}
+        for doubt in contradictions(axis.name, own, run.trace.period, axis.kind):
+            if doubt.known:
+                out[axis.name, doubt.signal] = Finding(run.name, axis.name, f"{doubt.text}; {doubt.signal} is left out")
+        if (axis.name, axis.effort) not in out and (text := _doubt_of_sign(run, axis)):
+            out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
         peak, unit = axis.motor.peak_current_a, axis.effort_unit
         largest = float(np.abs(run.trace.get(axis.name, axis.effort)).max()) if run.trace.has(axis.name, axis.effort) else 0.0
         if largest > TOO_MUCH * peak:

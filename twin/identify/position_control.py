@@ -9,6 +9,9 @@ v* is recorded without noise and x as the control saw it, so the law holds to ro
 For known delays the law is linear in Kv and a_v. So the delays are tried on a grid of quarter cycles, for set points between the NC's
 samples on a cubic spline and on a straight line (a delay of 1.5 cycles is then the mean of two neighbouring cycles, as a SINUMERIK makes
 it). The best starts are refined by a damped Gauss-Newton search. A machine file that is far off therefore does no harm.
+
+An encoder that has a zero of its own adds Kv times this constant. The law with a constant in each run is taken where it leaves clearly less.
+Where two laws leave about the same, as on a few smooth waves, the intervals hold both.
 """
 
 from __future__ import annotations
@@ -42,6 +45,9 @@ UNTOLD = 3.0
 
 CLEARLY_LESS = 0.8
 """The other interpolation counts where it leaves less than this part of what the machine file's leaves."""
+
+RIVAL = 2.0
+"""A law that leaves less than so many times the RMS of the best one is not excluded."""
 
 OUT_OF_LINE = 8.0
 """Cycles whose residual is beyond so many robust standard deviations are left out: a lost sample, a step of a counter."""
@@ -88,8 +94,12 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     if not runs:
         return "the axis does not move where its speed set point is recorded"
     ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
-    found = [(law, *law.search()) for law in (_Law(axis, runs, way) for way in ways)]
-    law, x, _ = found[-1] if found[-1][2] < CLEARLY_LESS * found[0][2] else found[0]
+    law = _Law(axis, runs, ways[0])
+    x, least, rivals = law.search()
+    for other in (*(_Law(axis, runs, way) for way in ways[1:]), *(_Law(axis, runs, way, zeros=True) for way in ways)):
+        there = other.search()
+        if there[1] < CLEARLY_LESS * least:
+            law, (x, least, rivals) = other, there
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or a lost sample"
     fit, x = law.polished(x)
@@ -98,7 +108,8 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     if x[0] <= UNTOLD * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     values = dict(zip(NAMES, x.tolist()))
-    deviations = {n: float(np.hypot(d, FLOOR[n])) for n, d in zip(NAMES, fit.deviations)}
+    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
+    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
     return PositionControl(
         values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), law.weights(x), law.way, law.recorded
     )
@@ -114,8 +125,8 @@ def seen_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
 class _Law:
     """The rows of all runs for one way of reading set points between samples."""
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
-        self.axis, self.runs, self.way = axis, runs, way
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, zeros: bool = False) -> None:
+        self.axis, self.runs, self.way, self.zeros = axis, runs, way, zeros
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
@@ -140,6 +151,10 @@ class _Law:
         t = run.start[rows] - delay
         return (self.read(run, t) - self.read(run, t - run.cycle)) / run.cycle
 
+    def level(self, values: np.ndarray) -> np.ndarray:
+        """(..., row) values of one run without their mean, where each run has a constant of its own."""
+        return values - values.mean(axis=-1, keepdims=True) if self.zeros and values.shape[-1] else values
+
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* less the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
@@ -154,19 +169,19 @@ class _Law:
         early = np.arange(len(run.start)) < min(MOST_DELAY_CYCLES, len(run.start) // 4)
         return ~run.limited & ~early
 
-    def search(self) -> tuple[np.ndarray, float]:
-        """Best values of NAMES and the RMS that they leave, from the grid and a damped search."""
+    def search(self) -> tuple[np.ndarray, float, list[np.ndarray]]:
+        """Best values of NAMES, the RMS that they leave, and other laws that leave about as little; from the grid and a damped search."""
         tp = self.runs[0].cycle
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
         every = max(1, sum(len(k) for k in keep) // GRID_ROWS)
         keep = [k[::every] for k in keep]
-        y = np.concatenate([r.speed_setpoint[k] * self.axis.ratio for r, k in zip(self.runs, keep)])  # type: ignore[index]
+        y = np.concatenate([self.level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
         if len(y) < 8:
-            return np.full(4, np.nan), math.inf
+            return np.full(4, np.nan), math.inf, []
         feeds = grid if any(self.on) and not self.recorded else grid[:1]
-        errors = np.array([np.concatenate([self.error(r, d, k) for r, k in zip(self.runs, keep)]) for d in grid])
-        fed = np.array([np.concatenate([o * self.fed(r, d, k) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
+        errors = np.array([np.concatenate([self.level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in grid])
+        fed = np.array([np.concatenate([self.level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         left, kv, a_v = _left(errors, fed, y)
         starts = []
         for i, j in _minima(left)[:STARTS]:
@@ -178,9 +193,10 @@ class _Law:
         scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp])
 
         def rest(x: np.ndarray) -> np.ndarray:
-            return np.concatenate(self.residual(x, keep))
+            return np.concatenate([self.level(e) for e in self.residual(x, keep)])
 
         best, least = starts[0], math.inf
+        ends: list[tuple[float, np.ndarray]] = []
         for start in starts:
             spread = 1.4826 * float(np.median(np.abs(rest(start)))) or 1e-12
             try:
@@ -189,9 +205,11 @@ class _Law:
                 continue
             squares = np.sort(found.fun**2)
             rms = float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)])))
-            if rms < least and found.x[0] > 0.0 and found.x[2] > -tp and found.x[3] > -tp:
-                best, least = found.x, rms
-        return best, least
+            if found.x[0] > 0.0 and np.all(found.x[2:] > -tp) and np.all(found.x[2:] < (MOST_DELAY_CYCLES + 1) * tp):
+                ends.append((rms, found.x))
+                if rms < least:
+                    best, least = found.x, rms
+        return best, least, [x for rms, x in ends if rms < RIVAL * least]
 
     def polished(self, x: np.ndarray) -> tuple[Fit, np.ndarray]:
         """The regression at the solution, with intervals by strokes and without cycles that are far out of line."""
@@ -202,6 +220,8 @@ class _Law:
             for k, (run, on, use) in enumerate(zip(self.runs, self.on, usable)):
                 columns = self._slopes(run, on, x)
                 e = self.residual(x)[k]
+                if self.zeros and use.any():
+                    columns, e = columns - columns[use].mean(axis=0), e - float(np.median(e[use]))
                 spread = max(1.4826 * float(np.median(np.abs(e[use]))) if use.any() else 0.0, 1e-9)
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
                 rows.append(columns[use])

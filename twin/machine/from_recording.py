@@ -97,6 +97,8 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     if not lumps:
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
     tried = _liveliest(runs, common)
+    if not tried:
+        raise InputError(f"{folder}: no run has 40 samples; record a longer move")
     tunings = {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 

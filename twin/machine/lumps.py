@@ -21,6 +21,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from twin.errors import InputError
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.force_sign import recorded_sign
 
 BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
@@ -128,7 +129,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     where = "position" if encoder == "scale" else "motor_position"
     if not all(t.has(axis, where) for t in traces):
         raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
-    unsigned = {s for s in EFFORTS if any(run.fact(axis, s).unsigned for run in runs)}
+    unsigned = {s for s in EFFORTS if any(recorded_sign(run, axis, s).unsigned for run in runs)}
     effort = next((s for s in EFFORTS if s not in unsigned and all(t.has(axis, s) for t in traces)), "")
     parts = [
         _Run(
@@ -146,7 +147,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     ]
     if not parts:
         raise InputError(f"axis {axis}: no run of 40 samples in which it moves; record a longer move")
-    notes: list[str] = [f"{s} is recorded without a sign: not used" for s in sorted(unsigned)]
+    notes: list[str] = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
     law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from twin.recordings.campaign import MeasuredRun
+
 BAND_HZ = 30.0
 CLEAR = 0.25
 """Share of the force's variance that the balance must explain; below, nothing is said of its sign."""
@@ -58,6 +60,17 @@ def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str
     if -parts[parts < 0.0].sum() > MOST * parts[parts > 0.0].sum():
         return ForceSign(sign=-1, remark="turned round: as recorded it pushes against the motion")
     return ForceSign()
+
+
+def recorded_sign(run: MeasuredRun, axis: str, signal: str) -> ForceSign:
+    """Sign of a force of an imported or given run: what the import noted of it, else what its own motion says."""
+    trace = run.trace
+    if run.fact(axis, signal).unsigned:
+        return ForceSign(unsigned=True, remark="only its size is recorded, without a sign")
+    where = next((s for s in ("position", "motor_position") if trace.has(axis, s)), None)
+    if where is None or not trace.has(axis, signal):
+        return ForceSign()
+    return force_sign(trace.get(axis, signal), trace.get(axis, where), trace.period, trace.kinds[axis])
 
 
 def _smooth(values: np.ndarray, period: float) -> np.ndarray:

@@ -50,6 +50,7 @@ _FASTEST = {"linear": 20.0, "rotary": 2.0 * math.pi * 50.0}  # m/s, rad/s
 _LONGEST = {"linear": 50.0, "rotary": 1e5}  # m, rad
 _SHORTEST = {"linear": 5e-6, "rotary": 1e-5}
 MOST_CURRENT = 2000.0
+UNNAMED = "check unit, scale and the travel of a motor turn"
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ class Doubt:
     signal: str
     text: str
 
+    @property
+    def known(self) -> bool:
+        """Is it a mistake that has a name, a wrong unit or sign, and not only a ratio that is odd?"""
+        return UNNAMED not in self.text
+
 
 def doubts_of(
     signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], machine: Machine | None
@@ -68,13 +74,14 @@ def doubts_of(
     out: list[Doubt] = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis}
-        remarks = _against_each_other(axis, own, period, kinds[axis])
+        remarks = contradictions(axis, own, period, kinds[axis])
         # ranges only where the signals agree among themselves: what contradicts is said once
         out += remarks or _ranges(axis, own, period, kinds[axis], machine)
     return out
 
 
-def _against_each_other(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:
+def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:
+    """What the signals of one axis say against each other: units, scales and signs that cannot all be right."""
     out = []
     reference = next((s for s in ("setpoint", "position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
     if reference is None:
@@ -117,7 +124,7 @@ def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
     if abs(size / nearest - 1.0) <= TOLERANCE:
         text = f"{known[nearest]} correct unit or scale" if known[nearest] else ""
     elif (loose and not 0.1 < size < 10.0) or (not loose and fit > SHARP and not 0.8 < size < 1.25):
-        text = "check unit, scale and the travel of a motor turn"
+        text = UNNAMED
     else:
         text = ""
     return "; ".join(part for part in (text, sign) if part)

@@ -20,6 +20,8 @@ LONGER = 1.5
 """A step longer than this many intervals is a gap."""
 LONGER_MIXED = 3.5
 """The same where the map asks for a period: intervals may change."""
+SHORTEST_S, LONGEST_S = 1e-6, 60.0
+"""Intervals that a recording of an axis can have [s]."""
 MANY_GAPS = 0.02
 """More gaps than this fraction of the samples: the interval itself changes."""
 MEDIAN_OF = 1 << 18
@@ -65,6 +67,8 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: the time holds NaN at row {int(np.argmin(np.isfinite(head))) + 1}; repair it")
     quantum = _quantum(head)
     interval, rounded = _usual_step(head, quantum)
+    if interval > LONGEST_S or 0.0 < interval < SHORTEST_S:
+        raise InputError(f"{where}: its samples lie {interval:.3g} s apart: no control records like that; correct the unit of the time")
     notes: list[str] = []
     gaps: list[int] = []
     repeated = 0

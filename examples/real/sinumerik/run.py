@@ -18,10 +18,12 @@ import numpy as np
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
-from twin.identify.held_out import divided
+from twin.identify.held_out import Division, divided
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
+from twin.simulation.fed_speed import beside_slope
 from twin.simulation.gap import is_moving, predict
+from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
 
 
@@ -63,9 +65,10 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
     """Gap of each axis on the part of its motion that was left out, in parts of following error and range of the current."""
     division = divided(machine, campaign.runs)
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}
-    rows = []
+    rows, pulses = [], []
     for axis in machine.axes:
-        gap, lag, current = [], [], []
+        gap, lag, current, late = [], [], [], []
+        delay = best_delay(division, axis.name)
         whole = [run.trace.get(axis.name, "current") for run in campaign.runs]
         for i, left_out in division.judged(axis.name):
             run = division.runs[i]
@@ -73,12 +76,39 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
             simulated = predictions[run.name]
             gap.append((run.trace.get(axis.name, "position") - simulated.get(axis.name, "position"))[moving])
             lag.append((run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint"))[moving])
+            delayed = np.interp(run.trace.time - delay, run.trace.time, run.trace.get(axis.name, "setpoint"))
+            late.append((run.trace.get(axis.name, "position") - delayed)[moving])
             current.append((run.trace.get(axis.name, "current") - simulated.get(axis.name, "current"))[moving])
-        e, f, i = (rms(np.concatenate(x)) for x in (gap, lag, current))
+        e, f, i, d = (rms(np.concatenate(x)) for x in (gap, lag, current, late))
+        fed = [beside_slope(run.trace, machine, setpoints_of(run.trace, machine).at) for run in campaign.runs]
+        a = machine.axis_names.index(axis.name)
+        pulse = max((float(np.abs(one[:, a]).max()) for one in fed if one is not None), default=0.0)
+        pulses.append(f"{axis.name} {pulse * 1e3:.3f} mm/s")
+        whole_gap = [run.trace.get(axis.name, "position") - predictions[run.name].get(axis.name, "position") for run in campaign.runs]
+        standing = np.concatenate([(g - g.mean())[~is_moving(run.trace, axis)] for g, run in zip(whole_gap, campaign.runs)])
+        frequency = strongest(whole_gap, campaign.runs[0].trace.period)
         span = float(np.ptp(np.concatenate(whole)))
-        rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %"])
-    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "gap of the current [A RMS]", "of its range"]
-    return "\non the motion that no fit has seen:\n" + table(heading, rows, left=1)
+        rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %", f"{100 * d / f:.0f} %", f"{rms(standing) * 1e6:.2f}", f"{frequency:.0f}"])  # fmt: skip
+    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "gap of the current [A RMS]", "of its range", "a pure delay leaves", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
+    said = f"\nlargest pulse of the recorded feedforward beside the slope of the set points: axis {', axis '.join(pulses)}"
+    return "\non the motion that no fit has seen:\n" + table(heading, rows, left=1) + said
+
+
+def best_delay(division: Division, axis: str) -> float:
+    """The delay [s] by which the set point comes nearest to the position on the motion that was fitted: what no simulation is needed for."""
+    delays = np.arange(0.0, 0.03, 1e-4)
+    left = np.zeros(len(delays))
+    for run, fitted in zip(division.runs, division.fitted[axis]):
+        time, setpoint, position = run.trace.time, run.trace.get(axis, "setpoint"), run.trace.get(axis, "position")
+        left += [np.sum((position - np.interp(time - d, time, setpoint))[fitted] ** 2) for d in delays]
+    return float(delays[np.argmin(left)])
+
+
+def strongest(parts: Sequence[np.ndarray], period: float) -> float:
+    """Frequency [Hz] at which most of the parts' motion lies."""
+    longest = max(parts, key=len)
+    spectrum = np.abs(np.fft.rfft((longest - longest.mean()) * np.hanning(len(longest))))
+    return float(np.fft.rfftfreq(len(longest), period)[int(np.argmax(spectrum))])
 
 
 def rms(values: np.ndarray) -> float:

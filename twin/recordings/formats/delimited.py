@@ -214,6 +214,11 @@ def _heading(lines: list[str], width: int, delimiter: str, given: Mapping[str, A
         units_at = names_at + 1 if given.get("units_row") and names_at + 1 < len(lines) else None
     elif len(full) > 1 and given.get("units_row", _looks_like_units(split[full[-1]])):
         units_at, names_at = full[-1], full[-2]
+    if names_at is not None and "header_line" not in given and names_at > 0:
+        # words above numbers: a line of numbers with one bad cell is no heading
+        bad = [c for c in split[names_at] if not _number(c, ".") and not _number(c, ",")]
+        if bad and 2 * len(bad) <= len(split[names_at]) and any(len(cells) == width for cells in split[:names_at]):
+            raise InputError(f"{path}: line {names_at + 1}: {bad[0].strip()[:40]!r} is no number; correct or remove it")
     if (
         names_at is not None
         and len([c for c in split[names_at] if c.strip()]) > 1

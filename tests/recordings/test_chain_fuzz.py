@@ -1,0 +1,29 @@
+"""A seeded part of `devtools/fuzz_chain.py`: mutilated recordings all the way to an identified machine, without traceback or wrong claim."""
+
+from pathlib import Path
+
+import pytest
+
+from devtools.fuzz_chain import impossible_numbers, real, run_case
+from tests.conftest import SHARED
+
+
+def test_mutilated_recordings_of_a_known_axis(tmp_path: Path) -> None:
+    results = [run_case(seed, tmp_path / str(seed), [], no_refine=True) for seed in range(100, 130)]
+    assert [fault for _, fault in results if fault] == []
+    reached = {step for step, _ in results}
+    assert {"nothing", "gap"} <= reached  # some are refused, some come all the way: the test sees both
+
+
+@pytest.mark.slow
+def test_mutilated_recordings_of_real_machines(tmp_path: Path) -> None:
+    recordings = real(SHARED / "data")
+    if not recordings:
+        pytest.skip("no recordings of real machines: ../shared/data is not beside this repository")
+    results = [run_case(seed, tmp_path / str(seed), recordings) for seed in range(200, 240)]
+    assert [fault for _, fault in results if fault] == []
+
+
+def test_a_number_that_is_none_is_a_fault(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text('{"parameters": [{"name": "inertia", "value": -1.0}]}', encoding="utf-8")
+    assert "inertia" in impossible_numbers(tmp_path / "m.toml", tmp_path / "n.toml", tmp_path / "result.json")
