@@ -25,7 +25,18 @@ import warnings
 import numpy as np
 
 from devtools.fuzz_import import (
-    Table, cells_bad, column_gone, columns_swapped, gap, noise, order_wrong, rate_changed, repeated, rows_gone, still, unit_wrong,
+    Table,
+    cells_bad,
+    column_gone,
+    columns_swapped,
+    gap,
+    noise,
+    order_wrong,
+    rate_changed,
+    repeated,
+    rows_gone,
+    still,
+    unit_wrong,
     write_csv,
 )  # fmt: skip
 from twin.cli import main as twin
