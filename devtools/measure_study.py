@@ -290,7 +290,7 @@ def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
     rows = pyarrow.parquet.read_table(out / "table.parquet").to_pylist()
     machines = [machine_of(study, np.array([row[f.name] for f in study.factors])) for row in rows]
     theory = [float(np.abs(rigid_body_current(m, tilt, turn, setpoints.period)).max()) for m in machines]
-    return np.array([row["current_max_A_a"] for row in rows]), np.array(theory)
+    return np.array([row["current_smooth_max_A_a"] for row in rows]), np.array(theory)
 
 
 def payload(out: Path) -> None:
@@ -312,7 +312,7 @@ def matching(out: Path) -> None:
         inertia = rotor * x.rotor_inertia_kg_m2
         plain = math.sqrt(inertia / x.moving_mass_kg)
         friction = math.sqrt((inertia + x.viscous_friction_nm_s_per_rad * 0.5 * speed / a_peak) / x.moving_mass_kg)
-        lead, value = least_at(out, "set_points.current_max_X_a", rotor, 0.01, 0.06)
+        lead, value = least_at(out, "set_points.current_smooth_max_X_a", rotor, 0.01, 0.06)
         cost = (inertia / friction + x.moving_mass_kg * friction) * a_peak + x.coulomb_friction_nm
         cost += x.viscous_friction_nm_s_per_rad * 0.5 * speed / friction
         torque = cost / x.motor.torque_constant_nm_per_a

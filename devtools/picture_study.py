@@ -97,7 +97,7 @@ def matching(folder: Path) -> Any:
         here = t["rotor inertia"] == rotor
         leads = t["screw lead"][here]
         fine = np.linspace(leads.min(), leads.max(), 300)
-        for panel, response in ((left, "set_points.current_max_X_a"), (right, "rapid.cycle_time_s")):
+        for panel, response in ((left, "set_points.current_smooth_max_X_a"), (right, "rapid.cycle_time_s")):
             predict = surrogate_from(folder, response)
             panel.plot(leads * 1e3, t[response][here], ".", color=colour, label=f"rotor and screw x {rotor:g}")
             panel.plot(fine * 1e3, [predict({"screw lead": v, "rotor inertia": rotor})[0] for v in fine], color=colour, linewidth=1.0)

@@ -94,9 +94,13 @@ def test_half_the_inertia_in_its_quick_form(tmp_path: Path, capsys: pytest.Captu
     """The five-axis program alone: what the page says of it holds."""
     carried_out("examples/half_inertia/run.py", "--quick", "--out", tmp_path)
     said = capsys.readouterr().out
-    rows = {line[:28].strip(): line[28:].split() for line in said.splitlines() if line.startswith(("as it is", "half"))}
-    assert len(rows) == 9
-    time, energy = ({name: float(row[k]) for name, row in rows.items()} for k in (1, 3))
+    rows = {line[:30].strip(): line[30:].split() for line in said.splitlines() if line.startswith(("as it is", "half"))}
+    assert len(rows) == 11
+    error, time, energy = ({name: float(row[k]) for name, row in rows.items()} for k in (0, 1, 3))
+    # friction decides: half the inertia at the same margins has half the gain against it
+    assert error["half, all axes"] == pytest.approx(2.0 * error["as it is"], rel=0.1)
+    assert error["half, gains kept"] == pytest.approx(error["as it is"], rel=0.1)
+    assert error["as it is, gains x 2"] < 0.6 * error["as it is"]
     # lighter axes alone make nothing faster; limits do
     assert time["half, all axes"] == time["as it is"] > time["half, all axes, limits x 2"]
     assert energy["half, all axes"] < energy["as it is"]

@@ -2,8 +2,8 @@
 
     python examples/half_inertia/run.py [--out out/half_inertia] [--quick] [--resume]
 
-Nine designs (study.toml beside this file): the machine as it is, half the inertia at the motor of one axis after the other, of all,
-and both ends again with twice the acceleration and jerk. Prints error, time, current and energy of each on each program, and draws
+Eleven designs (study.toml beside this file): the machine as it is, half the inertia at the motor of one axis after the other, of all
+with the margins that the loops had and with the gains that they had; twice the gains on the machine as it is; twice the acceleration and jerk. Prints error, time, current and energy of each on each program, and draws
 them. --quick: the five-axis program alone (about a minute; all four take twenty).
 """
 
@@ -38,6 +38,8 @@ DESIGNS = (
     "half A",
     "half C",
     "half, all axes",
+    "half, gains kept",
+    "as it is, gains x 2",
     "as it is, limits x 2",
     "half, all axes, limits x 2",
 )
@@ -74,7 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ]
         print(table(["design", *(label for _, label in SHOWN)], lines))
     marked = [f"{name}: {reason}" for name, (*_, reason) in zip(DESIGNS, rows) if reason]
-    print("\nconstraints: " + ("; ".join(marked) or "all kept"))
+    least = [min(value for key, value in row[2].items() if key.startswith("phase_margin_")) for row in rows if row[2]]
+    print(f"\nleast phase margin of all loops and designs: {min(least):.0f} degrees")
+    print("constraints: " + ("; ".join(marked) or "all kept"))
     save_png(picture(study, rows), args.out / "half_inertia.png")
     print(f"written to {args.out}: half_inertia.png")
     return 0
@@ -95,7 +99,7 @@ def simulated(study: Study, out: Path, resume: bool) -> list[Row]:
 def shares(study: Study) -> list[list[str]]:
     """Per axis: inertia at the motor, the rotor's part of it, that part when the whole is halved, and the speed gain that is left."""
     out = []
-    half = machine_of(study, np.array([0.5] * 5 + [1.0]))
+    half = machine_of(study, np.array([0.5] * 5 + [1.0, 1.0]))
     for axis in study.machine.axes:
         whole, own, other = inertia_at_motor(study.machine, axis), axis.rotor_inertia_kg_m2, half.axis(axis.name)
         share, after = f"{100 * own / whole:.0f} %", f"{100 * other.rotor_inertia_kg_m2 / own:.0f} % of it"

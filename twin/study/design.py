@@ -125,18 +125,18 @@ def retuned(machine: Machine, like: Machine) -> Machine:
     """The machine with gains that give its loops the margins of another one, `like`: otherwise a comparison of designs is one of tunings.
 
     Speed gain in proportion to the inertia at the motor; current gain to the inductance, current integral time to L / R. The position
-    gain stays: it acts on closed speed loops that are then alike.
+    gain stays: it acts on closed speed loops that are then alike. A gain that a factor sets is taken as that of `like`'s inertia.
     """
     values: dict[str, float] = {}
     grown = home_inertia_at_motor(machine) / home_inertia_at_motor(like)
     for axis, model, factor in zip(machine.axes, like.axes, grown.tolist()):
         where = f"axis.{axis.name}.loops"
-        values[f"{where}.speed_gain_nm_s_per_rad"] = model.loops.speed_gain_nm_s_per_rad * factor
+        values[f"{where}.speed_gain_nm_s_per_rad"] = axis.loops.speed_gain_nm_s_per_rad * factor
         if axis.has_current_loop:
             winding = axis.motor.inductance_h / model.motor.inductance_h
             lag = winding * model.motor.resistance_ohm / axis.motor.resistance_ohm
-            values[f"{where}.current_gain_v_per_a"] = model.loops.current_gain_v_per_a * winding
-            values[f"{where}.current_integral_time_s"] = model.loops.current_integral_time_s * lag
+            values[f"{where}.current_gain_v_per_a"] = axis.loops.current_gain_v_per_a * winding
+            values[f"{where}.current_integral_time_s"] = axis.loops.current_integral_time_s * lag
     return machine.with_values(values)
 
 
