@@ -14,6 +14,7 @@ import numpy as np
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.choice import chosen, tables_of
+from twin.identify.delivered import delivered_effort
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.drive_balance import load_answered
 from twin.identify.drive_fit import fit_drives, is_driven_ideally
@@ -76,6 +77,9 @@ def identify_campaign(
     parameters = parameters_of(machine, direct, other, splits)
     not_found, notes = _on_position_control(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *_on_known_loads(machine, direct)]
+    for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
+        if one is not None:
+            (findings if one.off else notes).append(Finding("", one.axis, one.text()))
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:

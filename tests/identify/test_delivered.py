@@ -1,0 +1,57 @@
+"""Commanded against delivered effort: gain, delay, offset and limit of an actuator that is known."""
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import campaign, recorded, with_signal
+from twin.identify.campaign_fit import identify_campaign
+from twin.identify.delivered import delivered_effort
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+
+TIME = np.arange(3000) * 1e-3
+
+
+def run_of(gain: float, delay: float, offset: float, limit: float = np.inf) -> MeasuredRun:
+    """A torque that follows its set point with noise."""
+    asked = 10.0 * np.sin(2.0 * np.pi * 1.3 * TIME) + 4.0 * np.sin(2.0 * np.pi * 5.1 * TIME)
+    made = np.clip(gain * np.interp(TIME - delay, TIME, asked) + offset, -limit, limit)
+    made = made + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
+    signals = {("X", "setpoint"): np.sin(TIME), ("X", "torque_setpoint"): asked, ("X", "torque"): made}
+    return MeasuredRun("made", Trace(TIME, signals, {"X": "linear"}), None, 0.0)
+
+
+@pytest.mark.parametrize(("gain", "delay", "offset"), [(1.0, 0.0, 0.0), (0.9, 2.4e-3, 0.5), (1.1, 7e-3, -0.2)])
+def test_gain_delay_and_offset_are_found(mikron: Machine, gain: float, delay: float, offset: float) -> None:
+    found = delivered_effort(mikron.axis("X"), [run_of(gain, delay, offset)])
+    assert found is not None
+    assert found.gain == pytest.approx(gain, abs=max(4.0 * found.gain_deviation, 1e-3))
+    assert found.gain_deviation < 2e-3
+    assert found.delay_s == pytest.approx(delay, abs=2e-4)
+    assert found.offset == pytest.approx(offset, abs=0.01)
+    assert found.limit is None
+    assert found.off == (gain != 1.0)
+
+
+def test_a_limit_is_found_and_does_not_bend_the_gain(mikron: Machine) -> None:
+    found = delivered_effort(mikron.axis("X"), [run_of(1.0, 1e-3, 0.0, limit=8.0)])
+    assert found is not None
+    assert found.limit == pytest.approx(8.0, abs=0.1)
+    assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert "a limit" in found.text()
+
+
+def test_signals_without_a_common_law_say_nothing(mikron: Machine) -> None:
+    run = with_signal(run_of(1.0, 0.0, 0.0), "X", "torque", np.random.default_rng(1).standard_normal(len(TIME)))
+    assert delivered_effort(mikron.axis("X"), [run]) is None
+    assert delivered_effort(mikron.axis("X"), [with_signal(run, "X", "torque", None)]) is None
+
+
+def test_identification_says_what_the_actuator_makes_of_its_command(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"])
+    run = recorded(machine, "strokes", 0.05 * (1.0 - np.cos(4.0 * np.arange(2400) * 1e-3)), "velocity", 0)
+    current = run.trace.get("X", "current")
+    asked = with_signal(run, "X", "current_setpoint", current / 0.9)
+    result = identify_campaign(machine, campaign([asked]), refine=False, gaps=False)
+    assert any("delivered current = 0.9 " in str(f) for f in result.findings)
