@@ -130,6 +130,12 @@ class Fit:
         tuning, loss = about.solve(left), about.loss(left)
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
+    @property
+    def straight_slopes(self) -> dict[Slope, np.ndarray]:
+        """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
+        straight = {s.key for s in self.settings if s.effect.is_linear}
+        return {name: column for name, column in self.slopes.items() if name[0] in straight}
+
     def sizes(self) -> Sizes:
         """What is known of the free parameters, without the rows that it was found from."""
         return Sizes(self.settings, tuple(self.free), self.information(), self.about.prior_weight)
@@ -160,15 +166,17 @@ def fit_effects(
     narrowest: float | None = None,
     moving: Collection[int] | None = None,
     known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
+    residual: np.ndarray | None = None,
 ) -> Fit | None:
     """Gauss-Newton from these settings; None where they cannot be simulated. `mapper` maps over threads.
 
     Slopes are taken over `slope` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
     `steps` and `narrowest` left out are those of the thresholds. `moving`: the settings whose parameters move, all by default; the others
     stay as they are, and stand in the tuning as free columns where they may answer. `known` slopes (row,), from a fit next to this one, are
-    taken again only where they do not hold what they promise.
+    taken again only where they do not hold what they promise. `residual` (row,) is what is to be explained, that of the group by default.
     """
     settings, t = tuple(settings), group.thresholds
+    residual = group.residual if residual is None else residual
     narrowest = t.narrow_slope if narrowest is None else narrowest
     if not settings:
         return no_effect(group, tuning)
@@ -176,7 +184,7 @@ def fit_effects(
         response = answer(group, settings, mapper)
     except TwinError:
         return None
-    best = tuning.loss(group.residual - response)
+    best = tuning.loss(residual - response)
     free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
     columns, reach = beside(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)), np.full(len(free), t.slope)
     asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
@@ -187,9 +195,9 @@ def fit_effects(
         except TwinError:
             return None
         information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(columns, (group.residual - response)[:, None])[:, 0]
+        gradient = tuning.inner(columns, (residual - response)[:, None])[:, 0]
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
-        lower = _lower(group, tuning, settings, free, move, best, mapper)
+        lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
             gain, promised = best - lower.loss, float(gradient @ lower.move - 0.5 * lower.move @ information @ lower.move)
             best, settings, response = lower.loss, lower.settings, lower.response
@@ -204,7 +212,7 @@ def fit_effects(
             break
         else:
             reach = np.full(len(free), narrowest)
-    return Fit(settings, free, best, tuning.solve(group.residual - response), response, columns, tuning)
+    return Fit(settings, free, best, tuning.solve(residual - response), response, columns, tuning)
 
 
 def _name(free: Free, settings: Sequence[Setting]) -> Slope:
@@ -220,6 +228,7 @@ class _Lower(NamedTuple):
 
 def _lower(
     group: Group,
+    residual: np.ndarray,
     tuning: Tuning,
     settings: tuple[Setting, ...],
     free: Sequence[Free],
@@ -236,7 +245,7 @@ def _lower(
             response = answer(group, tried, mapper)
         except TwinError:
             continue
-        loss = tuning.loss(group.residual - response)
+        loss = tuning.loss(residual - response)
         if loss < best:
             return _Lower(loss, tried, response, part * move)
     return None

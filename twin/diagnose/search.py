@@ -197,10 +197,20 @@ def _contest(
     """Settings fitted one by one beside a fit, best first."""
     t = found.thresholds
     steps = t.quick_steps if quick else t.fit_steps
-    moving = {len(base.settings)}
+    bending = tuple(s for s in base.settings if not s.effect.is_linear)
+    # those in proportion to their size add to what the others answer; they are simulated together once, at the end
+    rest = found.group.residual - base.response + (answer(found.group, bending, mapper) if bending else 0.0)
 
     def fitted(setting: Setting) -> Fit | None:
-        return fit_effects(found.group, machine, base.about, [*base.settings, setting], mapper, steps, moving=moving)
+        alone = fit_effects(found.group, machine, base.about, [*bending, setting], mapper, steps, moving={len(bending)}, residual=rest)
+        if alone is None or len(bending) == len(base.settings):
+            return alone
+        moving, known = {len(base.settings)}, alone.slopes
+        settings = [*base.settings, alone.settings[-1]]
+        together = fit_effects(found.group, machine, base.about, settings, mapper, 1, moving=moving, known=known)
+        if together is None or together.loss < alone.loss + max(t.price, t.doubt * (base.loss - alone.loss)):
+            return together
+        return fit_effects(found.group, machine, base.about, settings, mapper, steps, moving=moving)
 
     with ThreadPoolExecutor(len(settings)) as fitting:  # they wait for the workers' simulations
         fits = [fit for fit in fitting.map(fitted, settings) if fit is not None]
@@ -259,8 +269,7 @@ def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
         tuning = tuning_beside(found.group, found.fit, machine, mapper)
     except TwinError:  # next to unstable: as it acts without the effects
         return found
-    known = _straight(found.fit.slopes, settings)
-    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=known)
+    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=found.fit.straight_slopes)
     return found if fit is None or fit.loss > found.fit.loss else replace(found, tuning=tuning, fit=fit)
 
 

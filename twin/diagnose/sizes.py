@@ -33,7 +33,8 @@ def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
     change = found.fit.response / found.group.weights
     for _ in range(t.size_rounds):
         found = found.doubted(change * found.group.weights, found.fit.left(found.group))
-        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, mapper, t.size_steps, narrowest=t.slope)
+        known = found.fit.straight_slopes
+        fit = fit_effects(found.group, machine, found.tuning, found.fit.settings, mapper, t.size_steps, narrowest=t.slope, known=known)
         if fit is None:
             break
         found = found.with_fit(fit)
