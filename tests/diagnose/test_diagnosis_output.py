@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from examples.diagnose import record, short_runs
+from tests.conftest import ROOT
 from twin.cli import main
 from twin.diagnose import diagnose
 from twin.diagnose.check import notes_of
@@ -47,7 +48,7 @@ def campaign(case: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def diagnosed(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that `twin diagnose` wrote."""
     out = tmp_path_factory.mktemp("diagnosis") / "new folder"
-    assert main(["diagnose", str(campaign), "--out", str(out)]) == 0
+    assert main(["diagnose", str(campaign), "--out", str(out), "--program", str(ROOT / "examples" / "x_200mm.csv")]) == 0
     return out
 
 
@@ -116,6 +117,19 @@ def test_the_same_seed_says_the_same_on_any_number_of_threads(campaign: Path, tm
     first = said(1, 1)
     assert said(1, 4) == first
     assert said(2, 4) != first
+
+
+def test_the_budget_is_asked_on_a_program_as_well(diagnosed: Path, document: dict[str, Any], case: Any) -> None:
+    """200 mm forth and back in X: a scale on the load sees the backlash for as long as the loop takes to cross it, where X turns round."""
+    on_program = document["budget_on_program"]
+    assert (on_program["program"], on_program["unit"]) == ("x_200mm.csv", document["budget"]["unit"])
+    (row,) = [r for r in on_program["rows"] if r["kind"] == "effect"]
+    assert (row["effect"], row["axis"], row["run"]) == ("backlash", "X", "x_200mm.csv")
+    assert 0.0 < row["tool_point"] < row["largest"] < 1e6 * case[0].effects[0]["clearance"]
+    setpoint = read_trace(ROOT / "examples" / "x_200mm.csv", axes=load_machine().kinds, need=("setpoint",))
+    assert len(row["at_mm"]) == 3
+    assert 0.0 <= row["at_s"] <= setpoint.time[-1]
+    assert "The same on x_200mm.csv" in (diagnosed / "report.html").read_text(encoding="utf-8")
 
 
 def test_every_number_is_plain_json(diagnosed: Path) -> None:
