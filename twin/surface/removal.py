@@ -22,7 +22,8 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.surface.height_rays import TILE, HeightRays, tile_bounds, tiles_of
 from twin.surface.steps import Steps
-from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_rim, swept_sphere
+from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_sphere
+from twin.surface.swept_rim import swept_rim
 from twin.surface.tools import Tool
 
 GROUP = 32

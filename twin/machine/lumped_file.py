@@ -1,0 +1,285 @@
+"""The file of a machine made from a recording alone: each number with a comment that says whether it was measured, is a lump, or was assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import json
+import math
+from pathlib import Path
+import re
+
+from twin.machine.check import ASSUMED
+from twin.machine.lumps import AxisLumps, Mechanics
+
+LUMP = "lump"
+BY_LOAD = "measured against the recorded outside load"
+ROOM = 1.5
+"""Speeds and accelerations of the file are this much above the recorded ones."""
+PEAK_ROOM = 4.0
+"""The same of the peak command: the recording need not show the limit, and a limit set too low would be a fault of its own."""
+TRAVEL_ROOM_M = 2.0
+LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
+"""Speed that every axis of the file may reach at least [m/s, rad/s]: another recording may be quicker than this one."""
+SMALL_FORCE = 0.02
+"""A constant force below this part of the peak command is left out."""
+UNKNOWN_MASS = 10.0
+_COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
+G = 9.81
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Speed controller and delay of one axis, as tried."""
+
+    lag: float
+    integral: float
+    delay: float
+
+
+def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping[str, Tuning], source: str) -> None:
+    """Write the machine file and, beside it, its model; `source` names the recording."""
+    model = out.with_suffix(".xml")
+    lines = _head(out, model, lumps, source)
+    bodies = []
+    for i, one in enumerate(lumps):
+        vertical = _hangs(one)
+        lines += _axis(one, tunings[one.name], vertical)
+        bodies.append(_body(one, i, vertical))
+    lines += _measurement(lumps)
+    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    model.write_text(_MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)), encoding="utf-8")
+
+
+_MODEL = """<mujoco model="{name}">
+  <!-- Lumped axes of the recording {source}, side by side: how they stand on each other the recording does not say. -->
+  <compiler angle="radian" inertiafromgeom="false"/>
+  <worldbody>
+{bodies}
+  </worldbody>
+</mujoco>
+"""
+
+
+def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> list[str]:
+    period = lumps[0].period
+    measured = any(one.law.measured for one in lumps)
+    whole = all(not one.law.integral for one in lumps)
+    cycle = period if measured else _part_of(period, 2e-3)
+    speed = cycle if whole else _part_of(cycle, 125e-6)
+    lines = [
+        f"# Machine of the recording {source}, made by: twin machine new --from-recording",
+        "# No data sheet is behind it. Drive and load are lumps: a number with the word 'lump' is counted at the axis in units of the recorded",
+        "# command, with a torque constant of 1 that stands for all between command and motion (torque constant, gear, lead). Its absolute",
+        "# value means nothing, its ratio to the other lumps does. 'measured' follows from the recording alone, 'tried' was chosen so that the",
+        f"# simulated axis follows like the recorded one, '{ASSUMED}' was made up: replace what you know better.",
+        "",
+        f"name = {json.dumps(out.stem)}",
+        f"model = {json.dumps(model.name)}",
+        f"gravity_m_per_s2 = {G}",
+        f"parameter_tolerance = 0.05                 # {ASSUMED}; the lumps of another recording lie this close",
+        f"axis_order = [{', '.join(json.dumps(one.name) for one in lumps)}]",
+        "",
+        "[control]",
+        _line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
+        _line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
+    ]
+    if measured:
+        lines.append(_aligned('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
+    return lines
+
+
+def _part_of(period: float, longest: float) -> float:
+    """The longest whole part of a period that is not above `longest`."""
+    return period / math.ceil(period / longest - 1e-9)
+
+
+def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
+    linear, m = one.kind == "linear", _forces(one)
+    known = m is not None and m.force_per_unit is not None
+    table = f"axis.{_key(one.name)}"
+    unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
+    per = "m" if linear else "rad"
+    lumped = BY_LOAD if known else LUMP
+    structure = "P/PI" if one.law.integral else "P/P"
+    lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
+    lines.append(_aligned(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
+    if linear:
+        lines.append(_aligned('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
+    lines.append(_aligned(f'encoder = "{one.encoder}"', "closes the position loop"))
+    inertia = m.inertia if m else UNKNOWN_MASS
+    lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
+    low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
+    speed = max(ROOM * one.speed, LEAST_SPEED[one.kind])
+    acceleration = ROOM * max(one.acceleration, 0.1)
+    if linear:
+        weight = m.constant / G if vertical and m else inertia
+        lines += [
+            _aligned(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel and {TRAVEL_ROOM_M:g} m on both sides"),
+            _line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
+            _line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            _line("max_jerk_m_per_s3", 50.0 * acceleration),
+            _line("moving_mass_kg", weight, f"{lump}; as heavy as it hangs" if vertical else lump),
+        ]
+        if vertical:
+            lines.append(_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
+        lines += [
+            _line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            _line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
+        ]
+    else:
+        turn = 2.0 * math.pi
+        lines += [
+            _aligned('travel_deg = "endless"', ASSUMED),
+            _line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
+            _line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            _line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
+            _line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
+            _line("rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"),
+            _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED),
+        ]
+    lines += [] if vertical else _constant(one, unit)
+    return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
+
+
+def _forces(one: AxisLumps) -> Mechanics | None:
+    """Mechanics of an axis as the file counts them: in newtons where a known load fixes them, else lumps."""
+    return one.mechanics.forces if one.mechanics else None
+
+
+def _actuator(one: AxisLumps, table: str) -> list[str]:
+    linear, m = one.kind == "linear", one.mechanics
+    lines = [f"[{table}.actuator]"]
+    if m is None:
+        peak = 20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1)
+        return [*lines, 'command = "torque"', _line("peak_force_n" if linear else "peak_torque_nm", peak)]
+    lines.append(_aligned(f'command = "{m.effort}"', "as recorded"))
+    letter = {"current": "a", "voltage": "v"}.get(m.effort)
+    if letter:
+        key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
+        said = f"{LUMP}: stands for all between command and motion" if m.force_per_unit is None else BY_LOAD
+        lines.append(_line(key, m.scale, said))
+        return [*lines, _line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
+    return [
+        *lines,
+        _line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
+    ]
+
+
+def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[str]:
+    law, linear = one.law, one.kind == "linear"
+    letter = {"current": "a", "voltage": "v"}.get(one.mechanics.effort if one.mechanics else "")
+    per = "m" if linear else "rad"
+    key = f"speed_gain_{letter}_s_per_{per}" if letter else "speed_gain_n_s_per_m" if linear else "speed_gain_nm_s_per_rad"
+    said = "measured" if law.measured else ASSUMED
+    lines = [
+        f"[{table}.loops]",
+        _line("position_gain_per_s", law.gain, said),
+        _line(
+            key,
+            law.speed_gain or inertia / tuning.lag,
+            "measured" if law.speed_gain else f"tried: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
+        ),
+    ]
+    if law.integral:
+        lines.append(_line("speed_integral_time_s", tuning.integral, "tried"))
+    elif law.mean_cycles:
+        lines.append(
+            _aligned(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions so many cycles apart")
+        )
+    lines += [
+        _line("velocity_feedforward", law.feedforward, said),
+        _line("position_delay_s", tuning.delay, said),
+        _line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
+    ]
+    if law.dsc_delay:
+        lines.append(_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop, the command reaches it so late"))
+    return lines
+
+
+_BODY_PART = 0.1
+"""Part of a rotary lump that stands in the model."""
+
+
+def _hangs(one: AxisLumps) -> bool:
+    """Is the constant force of a slide its weight? Only where both directions show it apart from friction, and inertia allows it."""
+    m = _forces(one)
+    if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
+        return False
+    return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
+
+
+def _constant(one: AxisLumps, unit: str) -> list[str]:
+    """The steady load of an axis that does not hang."""
+    m = _forces(one)
+    if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
+        return []
+    key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
+    return [
+        _line(
+            key,
+            m.constant,
+            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them",
+        )
+    ]
+
+
+def _body(one: AxisLumps, i: int, vertical: bool) -> str:
+    """A slide or a hinge with a box to look at."""
+    m, place = _forces(one), f"0 {0.4 * i:.3g} 0"
+    inertia = m.inertia if m else UNKNOWN_MASS
+    shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
+    if one.kind == "linear":
+        mass = m.constant / G if vertical and m else inertia
+        side = max(1e-6, 1e-3 * mass)
+        axis = "0 0 1" if vertical else "1 0 0"
+        return (
+            f'    <body name="{_xml(one.name)}_body" pos="{place}">\n'
+            f'      <inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{side:.6g} {side:.6g} {side:.6g}"/>\n'
+            f'      <joint name="{_xml(one.name)}" type="slide" axis="{axis}"/>\n{shape}'
+        )
+    # weight that turns with the axis: a mass off the axis whose own inertia is a small part of the lump
+    own = _BODY_PART * inertia
+    cosine, sine = m.gravity if m and math.hypot(*m.gravity) > SMALL_FORCE * m.peak else (0.0, 0.0)
+    weight = math.hypot(cosine, sine) / G
+    mass = max(weight**2 / (0.5 * own), own) if weight else max(own, 1e-6)
+    x, z = -cosine / (mass * G), -sine / (mass * G)
+    rest = max(own - mass * (x * x + z * z), 0.1 * own)
+    return (
+        f'    <body name="{_xml(one.name)}_body" pos="{place}">\n'
+        f'      <inertial pos="{x:.9g} 0 {z:.9g}" mass="{mass:.9g}" diaginertia="{rest:.6g} {rest:.6g} {rest:.6g}"/>\n'
+        f'      <joint name="{_xml(one.name)}" type="hinge" axis="0 1 0"/>\n{shape}'
+    )
+
+
+def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
+    lines = ["", "[measurement]                              # noise: of single samples, in the quietest part of the recording"]
+    lines.append(_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
+    for kind, scale, motor in (
+        ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
+        ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),
+    ):
+        own = [one for one in lumps if one.kind == kind]
+        for key, encoder in ((scale, "scale"), (motor, "motor")):
+            if noises := [one.noise for one in own if one.encoder == encoder]:
+                lines.append(_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
+    currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
+    return [*lines, *([_line("current_noise_a", max(currents), "measured")] if currents else [])]
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def _xml(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;").replace("--", "- -")
+
+
+def _line(key: str, value: float, comment: str = ASSUMED) -> str:
+    number = f"{float(value):.9g}"
+    return _aligned(f"{key} = {number if any(c in number for c in '.en') else number + '.0'}", comment)
+
+
+def _aligned(text: str, comment: str) -> str:
+    return f"{text:42} # {comment}"

@@ -1,0 +1,123 @@
+"""Where a ray first meets a rounded element of a moving tool: the lowest of the spheres of radius r about each point of a circle of radius Rm.
+
+Each of these spheres is a closed form (`swept_sphere`); the angle of the lowest one is searched. All lengths in m.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.compiled_functions import compiled
+from twin.surface.sweep import GOLDEN, TINY, swept_sphere
+
+RIM_SAMPLES = 12
+"""Points of the rim of a rounded element from which the search starts."""
+
+RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
+"""Golden section on the rim ends at these intervals [rad]: once the ray is met, and where it never is."""
+
+
+@compiled(ieee_division=True, allocates=True)
+def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
+    """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the ray lies.
+
+    f1, f2 span the circle at the start, g1, g2 at the end; y = ray point - first centre. Returns t, angle, squared distance.
+    """
+    c, s = math.cos(phi), math.sin(phi)
+    e0 = (c * f1[0] + s * f2[0], c * f1[1] + s * f2[1], c * f1[2] + s * f2[2])
+    e1 = (c * g1[0] + s * g2[0], c * g1[1] + s * g2[1], c * g1[2] + s * g2[2])
+    v = (y[0] - major * e0[0], y[1] - major * e0[1], y[2] - major * e0[2])
+    w = (d[0] + major * (e1[0] - e0[0]), d[1] + major * (e1[1] - e0[1]), d[2] + major * (e1[2] - e0[2]))
+    ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    t, at = swept_sphere(v, n, w, ww, square)
+    gap = 0.0
+    if t == math.inf:
+        # closest approach of the ray and the way of this point
+        nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
+        vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
+        vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+        det = ww - nw * nw
+        at = min(1.0, max(0.0, (vw - nw * vn) / det)) if det > TINY else 0.0
+        near = nw * at - vn
+        q = (v[0] + near * n[0] - at * w[0], v[1] + near * n[1] - at * w[1], v[2] + near * n[2] - at * w[2])
+        gap = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    else:
+        near = t
+    x = (y[0] + near * n[0] - at * d[0], y[1] + near * n[1] - at * d[1], y[2] + near * n[2] - at * d[2])
+    h1 = (f1[0] + at * (g1[0] - f1[0]), f1[1] + at * (g1[1] - f1[1]), f1[2] + at * (g1[2] - f1[2]))
+    h2 = (f2[0] + at * (g2[0] - f2[0]), f2[1] + at * (g2[1] - f2[1]), f2[2] + at * (g2[2] - f2[2]))
+    return t, math.atan2(x[0] * h2[0] + x[1] * h2[1] + x[2] * h2[2], x[0] * h1[0] + x[1] * h1[1] + x[2] * h1[2]), gap
+
+
+@compiled(ieee_division=True, allocates=True)
+def _turn(angle):  # type: ignore[no-untyped-def]
+    """An angle brought to -pi .. pi."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@compiled(ieee_division=True, allocates=True)
+def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
+    """Lowest t on the rim between two angles: golden section, on the distance until the ray is met, then secants to the end."""
+    x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+    t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+    best, where = math.inf, 0.0
+    while True:
+        if t1 < best:
+            best, where = t1, x1
+        if t2 < best:
+            best, where = t2, x2
+        if high - low < (RIM_CLOSEST if best == math.inf else RIM_CLOSE):
+            break
+        if t1 < t2 or (t1 == t2 and gap1 <= gap2):
+            high, x2, t2, gap2 = x2, x1, t1, gap1
+            x1 = high - GOLDEN * (high - low)
+            t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+        else:
+            low, x1, t1, gap1 = x1, x2, t2, gap2
+            x2 = low + GOLDEN * (high - low)
+            t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+    if best == math.inf:
+        return best
+    # secants on (angle of the touching point) - (angle of the sphere), which vanishes for the lowest sphere
+    before = where
+    _, angle, _ = _rim(y, n, where, d, f1, f2, g1, g2, major, square)
+    off_before = _turn(angle - before)
+    now = before + 0.5 * off_before
+    for _ in range(20):
+        t, angle, _ = _rim(y, n, now, d, f1, f2, g1, g2, major, square)
+        if t == math.inf:
+            now = 0.5 * (now + where)
+            continue
+        off = _turn(angle - now)
+        best = min(best, t)
+        if abs(off) < 1e-9 or off == off_before:
+            break
+        ahead = now - off * (now - before) / (off - off_before)
+        if abs(ahead - now) > 0.1:
+            ahead = now + 0.5 * off
+        before, off_before, now = now, off, ahead
+        if abs(now - before) < 1e-9:
+            break
+    return best
+
+
+@compiled(ieee_division=True, allocates=True)
+def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untyped-def]
+    """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = ray point - first centre.
+
+    From samples of the rim, about each that is lower (or, where the ray misses it, nearer) than both of its neighbours.
+    """
+    square = radius * radius
+    step = 2.0 * math.pi / RIM_SAMPLES
+    t1, _, gap1 = _rim(y, n, -2.0 * step, d, f1, f2, g1, g2, major, square)
+    t2, _, gap2 = _rim(y, n, -step, d, f1, f2, g1, g2, major, square)
+    best = math.inf
+    for i in range(RIM_SAMPLES):
+        t3, _, gap3 = _rim(y, n, i * step, d, f1, f2, g1, g2, major, square)
+        lower = t2 <= t1 and t2 <= t3 and t2 < math.inf
+        nearer = t1 == math.inf and t2 == math.inf and t3 == math.inf and gap2 <= gap1 and gap2 <= gap3
+        if lower or nearer:
+            best = min(best, _lowest_near(y, n, d, f1, f2, g1, g2, major, square, (i - 2) * step, i * step))
+        t1, gap1, t2, gap2 = t2, gap2, t3, gap3
+    return best
