@@ -99,8 +99,8 @@ def test_half_the_inertia_in_its_quick_form(tmp_path: Path, capsys: pytest.Captu
     error, time, energy = ({name: float(row[k]) for name, row in rows.items()} for k in (0, 1, 3))
     # friction decides: half the inertia at the same margins has half the gain against it
     assert error["half, all axes"] == pytest.approx(2.0 * error["as it is"], rel=0.1)
-    assert error["half, gains kept"] == pytest.approx(error["as it is"], rel=0.1)
-    assert error["as it is, gains x 2"] < 0.6 * error["as it is"]
+    assert error["half, gains kept"] < 0.8 * error["half, all axes"]
+    assert error["as it is, gains x 2"] < error["as it is"]
     # lighter axes alone make nothing faster; limits do
     assert time["half, all axes"] == time["as it is"] > time["half, all axes, limits x 2"]
     assert energy["half, all axes"] < energy["as it is"]
