@@ -291,7 +291,8 @@ def wrong_gain(recording: Recording, result: Path) -> str:
         known = recording.gains.get(str(entry.get("axis")))
         if entry.get("name") != "position_gain_per_s" or known is None:
             continue
-        value, half = float(entry["value"]), float(entry.get("interval") or entry.get("half_width") or 0.0)
+        value = float(entry["value"])
+        half = 0.5 * (float(entry.get("high") or value) - float(entry.get("low") or value))
         if abs(value - known) > 3.0 * half + FAR * known:
             return f"claims a position gain of {value:.4g} +-{half:.2g} 1/s of axis {entry.get('axis')}, it is {known:.4g}"
     return ""
