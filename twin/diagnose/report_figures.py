@@ -99,8 +99,9 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
         names, values = [*names, "not explained"], [*values, budget["after"]]
         ax.axvline(budget["floor"], color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
         ax.text(budget["floor"], -0.75, " noise floor", color="#5c636d", fontsize=8, va="center")
+    ends = dict(enumerate((row["high"] for row in shown), start=1))
     for i, value in enumerate(values):
-        ax.text(value, i, f"  {value:.3g} um", va="center", fontsize=8.5, color=MEASURED)
+        ax.text(max(value, ends.get(i, 0.0)), i, f"  {value:.3g} um", va="center", fontsize=8.5, color=MEASURED)
     ax.set_yticks(range(len(names)), names, fontsize=8.5)
     ax.set_ylim(len(names) - 0.4, -1.1)
     ax.set_xlim(0.0, 1.14 * max(*values, budget.get("floor", 0.0), 1e-9))
