@@ -124,7 +124,7 @@ def said(value: float, key: str) -> str:
     """A number of the table."""
     if key == "current_limit_used":
         return f"{100 * value:.0f}"
-    return f"{value / 1e3:.3g}" if key == "electrical_energy_j" else f"{value:.4g}"
+    return f"{value / 1e3 if key == 'electrical_energy_j' else value:.4g}"
 
 
 def picture(study: Study, rows: Sequence[Row]) -> Any:

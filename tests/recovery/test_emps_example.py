@@ -118,7 +118,7 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
     page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
     record = example.read_emps(RECORD)
     example.import_record(RECORD, tmp_path, picture=False)
-    example.command("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
+    example.show_and_run("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
     axis = example.identified(tmp_path).axis("X")
     machines = {"start": load_machine(example.MACHINE), "published": example.published(), "identified": example.identified(tmp_path)}
     run, predictions = example.last_third(tmp_path, machines)
