@@ -132,9 +132,8 @@ class Fit:
 
     @property
     def straight_slopes(self) -> dict[Slope, np.ndarray]:
-        """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
-        straight = {s.key for s in self.settings if s.effect.is_linear}
-        return {name: column for name, column in self.slopes.items() if name[0] in straight}
+        """Those of them that hold elsewhere, too."""
+        return straight(self.slopes, self.settings)
 
     def sizes(self) -> Sizes:
         """What is known of the free parameters, without the rows that it was found from."""
@@ -143,6 +142,12 @@ class Fit:
     def information(self) -> np.ndarray:
         """Information of the channels about the free parameters (free, free) in scale units, tuning eliminated."""
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
+
+
+def straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
+    """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
+    keys = {s.key for s in settings if s.effect.is_linear}
+    return {name: column for name, column in slopes.items() if name[0] in keys}
 
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:

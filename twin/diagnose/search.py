@@ -8,7 +8,7 @@ leave. The rounds end when no effect earns its place. At the end each effect is 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
@@ -19,7 +19,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
-from twin.diagnose.fit import Fit, Slope, answer, fit_effects, held, no_effect, tuning_beside
+from twin.diagnose.fit import Fit, Slope, answer, fit_effects, held, no_effect, straight, tuning_beside
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
 from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
@@ -240,7 +240,7 @@ def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, map
     t = found.thresholds
     settings = [*found.fit.settings, *(w.candidate.setting for w in winners)]
     slopes = {name: column for w in winners for name, column in w.slopes.items()} | found.fit.slopes
-    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=_straight(slopes, settings))
+    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=straight(slopes, settings))
     if fit is None:
         return found
     found = replace(found, fit=fit).doubted(fit.response)
@@ -252,12 +252,6 @@ def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, map
         found = replace(found, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
     found = _retuned_beside(found, machine, mapper)
     return replace(found, accepted=(*found.accepted, found.fit)).inflated()
-
-
-def _straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
-    """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
-    straight = {s.key for s in settings if s.effect.is_linear}
-    return {name: column for name, column in slopes.items() if name[0] in straight}
 
 
 def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
