@@ -16,26 +16,26 @@ import tomllib
 from typing import Any
 
 import numpy as np
-from scipy.stats import kendalltau
 
 from twin.diagnose import diagnose
+from twin.exam.mark_budget import VISIBLE, mark_budget, what_of
 from twin.files import output_folder, write_json
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
-
-LARGE = 3.0
-"""Contribution in multiples of noise from which an effect must be named."""
+from twin.units import ARCSEC
 
 LEAST = 0.3
-"""The same from which its contribution is compared."""
+"""Contribution in multiples of noise from which it is compared."""
+
+NOTHING = {"times_noise": 0.0}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("campaign", nargs="+", type=Path, help="folders with a campaign and its truth")
-    machine = load_machine()
     parser.add_argument("--save", type=Path, metavar="DIR", help="folder for each diagnosis.json, by the campaign's name")
     args = parser.parse_args()
+    machine = load_machine()
     for folder in args.campaign:
         start, worked = time.perf_counter(), time.process_time()
         document = diagnose(read_campaign(folder, machine), machine).document()
@@ -62,18 +62,21 @@ def print_score(document: dict[str, Any], folder: Path) -> None:
             print(f"  {what}: " + ", ".join(" ".join(k) for k in keys))
     if not (folder / "budget.json").is_file():
         return
-    known = {(b["effect"], b["axis"]): b for b in json.loads((folder / "budget.json").read_text(encoding="utf-8"))}
-    rows = {(r["effect"], r["axis"]): r for r in document["budget"]["rows"] if r["kind"] == "effect"}
-    large = [k for k, b in known.items() if b["times_noise"] >= LARGE]
-    print(f"  of those above {LARGE:g} x noise: {sum(k in rows for k in large)} of {len(large)}")
-    both = [k for k in rows if k in known and known[k]["times_noise"] >= LEAST and known[k]["true_position_rms"] > 0.0]
-    to_si = {"um": 1e-6, "arcsec": np.radians(1.0 / 3600.0)}
-    errors = [abs(rows[k]["position"] * to_si[rows[k]["position_unit"]] / known[k]["true_position_rms"] - 1.0) for k in both]
+    budget = json.loads((folder / "budget.json").read_text(encoding="utf-8"))
+    marks = mark_budget({"budget": budget}, document)
+    print(f"  of those above {VISIBLE:g} x noise: {marks['recall'][0]} of {marks['recall'][1]}")
+    known = {what_of(b): b for b in budget}
+    rows = [r for r in document["budget"]["rows"] if r["kind"] == "effect" and known.get(what_of(r), NOTHING)["times_noise"] >= LEAST]
+    to_si = {"um": 1e-6, "arcsec": ARCSEC}
+    true = [known[what_of(r)]["true_position_rms"] for r in rows]
+    errors = [abs(r["position"] * to_si[r["position_unit"]] / rms - 1.0) for r, rms in zip(rows, true) if rms > 0.0]
     if errors:
         print(f"  true position of the axis without it: off by {100 * float(np.median(errors)):.0f} % in the median of {len(errors)}")
-    first = sorted(known, key=lambda k: -known[k]["times_noise"])[:5]
-    tau = kendalltau([known[k]["times_noise"] for k in first], [rows[k]["times_noise"] if k in rows else 0.0 for k in first])[0]
-    print(f"  order of the five largest in multiples of noise: Kendall tau {tau:.2f}; largest named: {first[0] in rows}")
+    brier = np.mean([(probability - there) ** 2 for probability, there in marks["candidates"]])
+    print(
+        f"  order of the five largest in multiples of noise: Kendall tau {marks['order']:.2f}; largest named: {marks['largest']}; "
+        f"Brier score of {len(marks['candidates'])} candidates {brier:.4f}"
+    )
 
 
 if __name__ == "__main__":

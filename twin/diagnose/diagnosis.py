@@ -23,7 +23,7 @@ from twin.diagnose.law.laws import Law
 from twin.diagnose.law.step import ALL_BUT, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
-from twin.diagnose.observe import axis_groups, observe
+from twin.diagnose.observe import axis_groups, observe, on_threads
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.search import search
 from twin.diagnose.settings import DEFAULT, Thresholds
@@ -56,8 +56,7 @@ class Diagnosis:
     notes: list[str] = field(default_factory=list)
     thresholds: Thresholds = DEFAULT
     budget: Budget | None = None
-    on_program: Budget | None = None
-    program: str = ""
+    on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
 
@@ -79,7 +78,7 @@ class Diagnosis:
                 "axes": self._axis_gaps(),
             },
             "budget": self._budget(),
-            **({"budget_on_program": self._budget_on_program()} if self.on_program else {}),
+            **({"budget_on_program": self._budget_on_program(*self.on_program)} if self.on_program else {}),
             "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
@@ -91,11 +90,10 @@ class Diagnosis:
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
 
-    def _budget_on_program(self) -> dict[str, Any]:
+    def _budget_on_program(self, program: str, budget: Budget) -> dict[str, Any]:
         """The contributions on a program that was not measured: what is left there nobody knows."""
-        assert self.on_program is not None
-        document = self._contributions(self.on_program)
-        return {"program": self.program, "unit": document["unit"], "change": document["before"], "rows": document["rows"]}
+        document = self._contributions(budget)
+        return {"program": program, "unit": document["unit"], "change": document["before"], "rows": document["rows"]}
 
     def _contributions(self, budget: Budget) -> dict[str, Any]:
         halves = {}
@@ -319,9 +317,7 @@ def diagnose(
     threads = threads or os.cpu_count() or 1
     # groups are searched side by side, each asking the same workers for its simulations
     with ThreadPoolExecutor(threads) as workers, ThreadPoolExecutor(threads) as searches:
-
-        def mapper(function, items):  # type: ignore[no-untyped-def]
-            return list(workers.map(function, items))
+        mapper = on_threads(workers)
 
         def search_group(axes: tuple[str, ...]) -> Found | None:
             say(f"{'+'.join(axes)}: what noise makes")
@@ -339,7 +335,7 @@ def diagnose(
     settings = named(found)
     corrected = corrected_machine(machine, found)
     with ThreadPoolExecutor(threads) as workers:
-        laws = laws_beside(found, machine_without, corrected, folds, lambda function, items: list(workers.map(function, items)), say)
+        laws = laws_beside(found, machine_without, corrected, folds, on_threads(workers), say)
     offsets = {key: offset for f in found for key, offset in f.zeros.items()}
     runs, fitted_zeros = without_zeros(campaign.runs, machine_without, offsets)
     campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
@@ -385,14 +381,10 @@ def diagnose(
     say("what each effect is worth")
     noise = noise_of(gaps["before"], machine)
     with ThreadPoolExecutor(threads) as pool:
-
-        def pooled(function, items):  # type: ignore[no-untyped-def]
-            return list(pool.map(function, items))
-
-        diagnosis.budget = budget_of(machine, corrected, found, views, left, noise, pooled)
+        diagnosis.budget = budget_of(machine, corrected, found, views, left, noise, on_threads(pool))
         if program is not None:
             view = view_of(machine_without, program, thresholds)
-            diagnosis.on_program, diagnosis.program = budget_of(machine, corrected, found, [view], [None], noise, pooled), program.name
+            diagnosis.on_program = program.name, budget_of(machine, corrected, found, [view], [None], noise, on_threads(pool))
     order = [row.setting.key for row in diagnosis.budget.rows if row.setting is not None]
     diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     if verdict != "none":

@@ -16,6 +16,7 @@ Axes that the mass matrix does not couple are looked at apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -53,6 +54,11 @@ Mapper = Callable[..., list[Any]]
 def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
     """Map on the calling thread."""
     return [function(item) for item in items]
+
+
+def on_threads(pool: ThreadPoolExecutor) -> Mapper:
+    """Map on the threads of a pool."""
+    return lambda function, items: list(pool.map(function, items))
 
 
 @dataclass(frozen=True)

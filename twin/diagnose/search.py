@@ -181,25 +181,36 @@ def _contests(
 ) -> list[tuple[Fitted, ...]]:
     """Each pick and its rivals fitted in closed loop beside what was found, the others' answers free; best first."""
     answers = [beside(*(remembered_answer(found, x)[:, None] for x in screened.starts[p.start].settings)) for p in picks]
+    bending = tuple(s for s in found.fit.settings if not s.effect.is_linear)
+    # effects in proportion to their size add to what the others answer; they are simulated together once, at the end
+    rest = found.group.residual - found.fit.response + (answer(found.group, bending, mapper) if bending else 0.0)
 
     def contest(i: int) -> tuple[Fitted, ...]:
         about = found.tuning.with_free(beside(found.fit.columns, *(a for j, a in enumerate(answers) if j != i)))
         pick, base = picks[i], held(found.group, about, found.fit.settings, found.fit.response)
-        return _contest(found, base, (pick.setting, *pick.rivals), machine, folds, mapper, quick)
+        return _contest(found, base, bending, rest, (pick.setting, *pick.rivals), machine, folds, mapper, quick)
 
     with ThreadPoolExecutor(2) as contests:  # each holds a wide matrix
         return list(contests.map(contest, range(len(picks))))
 
 
 def _contest(
-    found: Found, base: Fit, settings: Sequence[Setting], machine: Machine, folds: Folds, mapper: Mapper, quick: bool
+    found: Found,
+    base: Fit,
+    bending: tuple[Setting, ...],
+    rest: np.ndarray,
+    settings: Sequence[Setting],
+    machine: Machine,
+    folds: Folds,
+    mapper: Mapper,
+    quick: bool,
 ) -> tuple[Fitted, ...]:
-    """Settings fitted one by one beside a fit, best first."""
+    """Settings fitted one by one beside a fit, best first.
+
+    `bending` are those of the fit's effects that are simulated with each; `rest` (row,) is the residual that the other ones leave them.
+    """
     t = found.thresholds
     steps = t.quick_steps if quick else t.fit_steps
-    bending = tuple(s for s in base.settings if not s.effect.is_linear)
-    # those in proportion to their size add to what the others answer; they are simulated together once, at the end
-    rest = found.group.residual - base.response + (answer(found.group, bending, mapper) if bending else 0.0)
 
     def fitted(setting: Setting) -> Fit | None:
         alone = fit_effects(found.group, machine, base.about, [*bending, setting], mapper, steps, moving={len(bending)}, residual=rest)

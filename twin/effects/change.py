@@ -16,7 +16,7 @@ from twin.effects.setting import Setting, settings_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, arrays, term
-from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, inertial_key
+from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, remembered
 
 FASTEST_MODE = 1.5
 """Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
@@ -162,24 +162,14 @@ def total_inertia(machine: Machine, axis: Axis) -> float:
     return load_inertia(machine, axis) + axis.reflected_inertia
 
 
+@remembered
 def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia with rotor and bias of every axis in the home pose (axis,); remembered, because fits ask again and again."""
-    key = inertial_key(machine)
-    known = _homes.get(key)
-    if known is None:
-        plant = build_plant(machine)
-        plant.data.qpos[:] = 0.0
-        mujoco.mj_forward(plant.model, plant.data)
-        inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof].copy()
-        known = inertia, plant.data.qfrc_bias[plant.load_dof].copy()
-        if len(_homes) > _MOST_HOMES:
-            _homes.clear()
-        _homes[key] = known
-    return known
-
-
-_homes: dict[object, tuple[np.ndarray, np.ndarray]] = {}
-_MOST_HOMES = 256
+    """Inertia with rotor and bias of every axis in the home pose (axis,)."""
+    plant = build_plant(machine)
+    plant.data.qpos[:] = 0.0
+    mujoco.mj_forward(plant.model, plant.data)
+    inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof].copy()
+    return inertia, plant.data.qfrc_bias[plant.load_dof].copy()
 
 
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:

@@ -17,14 +17,13 @@ from dataclasses import dataclass, replace
 import math
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.fit import answer
 from twin.diagnose.next_measurement import KINDS, move_of
-from twin.diagnose.observe import Group, Mapper, axis_groups, observe
+from twin.diagnose.observe import Group, Mapper, axis_groups, observe, on_threads
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
@@ -183,9 +182,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
     names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
     out: dict[str, list[Outlook]] = {name: [] for name in names}
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-
-        def mapper(function: Callable[..., Any], items: Any) -> list[Any]:
-            return list(pool.map(function, items))
+        mapper = on_threads(pool)
 
         def answers(runs: Sequence[MeasuredRun], group_axes: tuple[str, ...], actual: Machine, starts: Mapping[Key, Start]) -> Answers:
             return answers_of(observe([view_of(actual, run) for run in runs], group_axes), actual, starts, mapper)

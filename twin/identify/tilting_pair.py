@@ -127,5 +127,5 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
     if n == len(run.speed):
         return run
     names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
-    known = {k: getattr(run, k)[:n] for k in ("outside",) if getattr(run, k) is not None}
-    return replace(run, **{k: getattr(run, k)[:n] for k in names}, **known)
+    outside = None if run.outside is None else run.outside[:n]
+    return replace(run, **{k: getattr(run, k)[:n] for k in names}, outside=outside)

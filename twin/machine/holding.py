@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from twin.machine.machine import Axis, Machine
-from twin.simulation.plant_spec import build_plant, inertial_key
+from twin.simulation.plant_spec import build_plant, remembered
 
 ANGLES = 13
 """Angles of each rotary axis over its travel; of an endless one a step more divides the circle."""
@@ -28,23 +28,9 @@ class Holding:
     forces: np.ndarray
 
 
+@remembered
 def holding_of(machine: Machine) -> Holding:
     """Gravity at every axis; remembered, because gains and motors do not change it. Effects do not count."""
-    key = inertial_key(machine)
-    known = _known.get(key)
-    if known is None:
-        known = _holding(machine)
-        if len(_known) > _MOST:
-            _known.clear()
-        _known[key] = known
-    return known
-
-
-_known: dict[object, Holding] = {}
-_MOST = 256
-
-
-def _holding(machine: Machine) -> Holding:
     plant = build_plant(machine)
     rotary = [a for a, axis in enumerate(machine.axes) if axis.kind == "rotary"]
     grids = [_angles(machine.axes[a]) for a in rotary]

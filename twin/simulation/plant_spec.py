@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import functools
 import math
 from pathlib import Path
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -18,6 +19,8 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.model_file import state_of_model
+
+Answer = TypeVar("Answer")
 
 ModelEdit = Callable[["mujoco.MjSpec"], None]
 """A change of the model that an effect makes, for example a body added to the table."""
@@ -176,6 +179,28 @@ def inertial_key(machine: Machine) -> tuple[object, ...]:
     axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
     geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
     return (str(machine.model_path), state_of_model(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
+
+
+MOST_REMEMBERED = 256
+"""Machines whose answers are remembered at once."""
+
+
+def remembered(of_machine: Callable[[Machine], Answer]) -> Callable[[Machine], Answer]:
+    """A function of what stands in the `inertial_key` of a machine alone, remembered: fits and studies ask again and again."""
+    known: dict[object, Answer] = {}
+
+    @functools.wraps(of_machine)
+    def answer(machine: Machine) -> Answer:
+        key = inertial_key(machine)
+        found = known.get(key)
+        if found is None:
+            found = of_machine(machine)
+            if len(known) > MOST_REMEMBERED:
+                known.clear()
+            known[key] = found
+        return found
+
+    return answer
 
 
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:

@@ -25,7 +25,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from twin.effects import load_inertia, settings_of
-from twin.effects.change import total_inertia
 from twin.errors import TwinError
 from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, contour_error, search_window, tool_path_of
@@ -36,6 +35,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.drive_load import DriveLoad
 from twin.simulation.run import Run
 from twin.simulation.setpoints import Setpoints
+from twin.study.paths import inertia_at_motor
 from twin.surface.part import Part
 from twin.units import AXIS_UNITS
 
@@ -173,8 +173,7 @@ def mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath 
 def drive_responses(machine: Machine, add: Add) -> None:
     """Numbers of the drives that need no run: margins, crossover and bandwidth of every loop, inertia ratio, first mode, holding."""
     for axis in machine.axes:
-        inertia = total_inertia(machine, axis) * axis.ratio**2
-        for loop in loops_of(machine, axis, inertia):
+        for loop in loops_of(machine, axis, inertia_at_motor(machine, axis)):
             margins = _margins(loop.name, loop.period, *((m.tobytes(), m.shape) for m in (loop.a, loop.b, loop.c)))
             name = f"{loop.name}_loop_{axis.name}"
             # an unstable loop has no margin: 0 says so in a table of numbers; one that never reaches a gain of 1 has no least margin
