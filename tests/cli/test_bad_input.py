@@ -203,7 +203,7 @@ CAMPAIGNS: dict[str, tuple[str | None, str]] = {
     "unknown key of a run": ("[[run]]\nfile = 'a.csv'\nfeedfoward = 'off'\n", "did you mean 'feedforward'"),
     "no file": ("[[run]]\nfeedforward = 'off'\n", "'file' is missing"),
     "file missing": ("[[run]]\nfile = 'b.csv'\n", "no such file"),
-    "file outside": ("[[run]]\nfile = '../a.csv'\n", "leaves the campaign's folder"),
+    "file outside": ("[[run]]\nfile = '../a.csv'\n", "leaves the folder"),
     "feedforward": ("[[run]]\nfile = 'a.csv'\nfeedforward = 'on'\n", "off, velocity, velocity+torque"),
     "start time": ("[[run]]\nfile = 'a.csv'\nstarted_at_s = 'noon'\n", "expected a number"),
     "two runs of one name": ("[[run]]\nfile = 'a.csv'\n[[run]]\nfile = 'a.csv'\n", "two runs are named a"),

@@ -9,9 +9,14 @@ import pytest
 
 from tests.builders.other_structures import MJCF, machine_text, write_slides
 from twin.errors import InputError
+from twin.geometry.mesh_file import load_mesh
+from twin.machine import model_limits
 from twin.machine.machine import load_machine, write_machine
-from twin.machine.model_file import check_mjcf, check_urdf, files_of
-from twin.simulation.plant_spec import build_plant
+from twin.machine.model_file import check_mjcf, check_safe, files_of
+from twin.machine.model_limits import compiles
+from twin.machine.urdf_file import check_urdf
+from twin.machine.urdf_visuals import read_visuals
+from twin.simulation.plant_spec import build_plant, load_spec
 
 ROOT = Path(__file__).resolve().parents[2]
 BOMB = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa">' + "".join(
@@ -42,18 +47,18 @@ BAD_MJCF = {
     "no mass": (mjcf('mass="90"', 'mass="0"'), "mass = 0 is impossible"),
     "mass no number": (mjcf('mass="90"', 'mass="heavy"'), "'heavy' is no number"),
     "negative inertia": (mjcf('diaginertia="1 1 1"', 'diaginertia="1 -1 1"'), "diaginertia = -1 is impossible"),
-    "mesh missing": (mjcf("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'), "no file 'none.stl'"),
+    "mesh missing": (mjcf("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'), "'none.stl': no such file"),
     "mesh elsewhere": (
         mjcf("<worldbody>", '<asset><mesh name="m" file="../../etc/x.stl"/></asset><worldbody>'),
-        "leaves the machine's folder",
+        "leaves the folder",
     ),
     "mesh folder elsewhere": (
         mjcf('<compiler angle="radian"', '<compiler meshdir="/etc" angle="radian"').replace(
             "<worldbody>", '<asset><mesh name="m" file="hostname"/></asset><worldbody>', 1
         ),
-        "leaves the machine's folder",
+        "leaves the folder",
     ),
-    "include elsewhere": (mjcf("<worldbody>", '<include file="/etc/hostname"/><worldbody>'), "leaves the machine's folder"),
+    "include elsewhere": (mjcf("<worldbody>", '<include file="/etc/hostname"/><worldbody>'), "leaves the folder"),
     "include of itself": (mjcf("<worldbody>", '<include file="slides.xml"/><worldbody>'), "includes itself"),
     "plugin": (mjcf("<worldbody>", '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>'), "code from elsewhere"),
     "two joints of a name": (mjcf('name="Z" type', 'name="X" type'), "two joints are named 'X'"),
@@ -89,7 +94,7 @@ def test_model_outside_the_folder(tmp_path: Path) -> None:
     (tmp_path / "inside").mkdir()
     file = write_slides(tmp_path, machine_text("X").replace("slides.xml", "../slides.xml"))
     shutil.move(file, tmp_path / "inside" / "m.toml")
-    with pytest.raises(InputError, match="leaves the machine's folder"):
+    with pytest.raises(InputError, match="leaves the folder"):
         load_machine(tmp_path / "inside" / "m.toml")
 
 
@@ -110,11 +115,11 @@ BAD_URDF = {
     "mimic": (URDF.replace('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="y"/>'), "mimic"),
     "mesh elsewhere": (
         URDF.replace('<link name="b"/>', '<link name="b"><visual><geometry><mesh filename="../b.stl"/></geometry></visual></link>'),
-        "leaves the machine's folder",
+        "leaves the folder",
     ),
     "mesh missing": (
         URDF.replace('<link name="b"/>', '<link name="b"><visual><geometry><mesh filename="b.stl"/></geometry></visual></link>'),
-        "no file 'b.stl'",
+        "'b.stl': no such file",
     ),
 }
 
@@ -165,3 +170,128 @@ def test_a_model_made_for_something_else_runs_as_a_machine(tmp_path: Path) -> No
         assert getattr(model, name)[-1] == pytest.approx(getattr(expected, name)[-1]), name
     for name in ("integrator", "solver", "tolerance", "disableflags"):
         assert getattr(model.opt, name) == getattr(expected.opt, name), name
+
+
+HOSTILE_MJCF = {
+    "attaches itself": (
+        '<asset><model name="m" file="m.xml"/></asset><worldbody><attach model="m" body="b" prefix="p"/></worldbody>',
+        "itself",
+    ),
+    "replicate": ('<worldbody><replicate count="100000"><geom size="1"/></replicate></worldbody>', "the limit is 2e+04"),
+    "replicate of replicate": (
+        '<worldbody><replicate count="900"><replicate count="900"><geom size="1"/></replicate></replicate></worldbody>',
+        "elements with all copies, the limit is",
+    ),
+    "height field": ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "values, the limit is"),
+    "texture": ('<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/></asset>', "values, the limit is"),
+    "memory": ('<size memory="100G"/>', "bytes of memory, the limit is"),
+    "table": ('<custom><numeric name="n" size="2000000000"/></custom>', "values, the limit is"),
+    "flexible": ('<worldbody><flexcomp name="f" type="grid" count="900 900 900"/></worldbody>', "the limit is"),
+    "flexible of a file": ('<worldbody><flexcomp name="f" type="gmsh" file="../../x.msh"/></worldbody>', "leaves the folder"),
+    "joints": (
+        f"<worldbody>{'<body><joint/></body>' * 3000}</worldbody>",
+        "joints, the limit is",
+    ),
+    "depth": (f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>", "inside each other more than"),
+    "not a number": ('<worldbody><body pos="nan 0 0"/></worldbody>', "NaN"),
+    "builtin mesh": ('<asset><mesh name="m" builtin="torus" params="99999 99999"/></asset>', "corners, the limit is"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE_MJCF)
+def test_a_model_that_would_fill_the_engine(tmp_path: Path, case: str) -> None:
+    text, words = HOSTILE_MJCF[case]
+    (tmp_path / "m.xml").write_text(f"<mujoco>{text}</mujoco>", encoding="utf-8")
+    with pytest.raises(InputError, match=words.replace("+", r"\+")) as error:
+        load_spec(tmp_path / "m.xml")
+    assert "\n" not in str(error.value)
+
+
+def test_limits_can_be_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m.xml").write_text('<mujoco><asset><hfield name="h" nrow="5000" ncol="5000" size="1 1 1 1"/></asset></mujoco>')
+    with pytest.raises(InputError, match="--limits 2"):
+        check_safe(tmp_path / "m.xml")
+    monkeypatch.setenv("TWIN_LIMITS", "2")
+    assert check_safe(tmp_path / "m.xml").tag == "mujoco"
+
+
+def test_a_model_on_which_the_engine_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trial in a process of its own notices a crash and memory that is not to be had."""
+    shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", tmp_path / "a.stl")
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><asset><mesh name="m" file="a.stl"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+    )
+    root = check_safe(tmp_path / "m.xml")
+    compiles(tmp_path / "m.xml", root)
+    monkeypatch.setattr(model_limits, "TRIAL", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    with pytest.raises(InputError, match="the engine crashes on this model"):
+        compiles(tmp_path / "m.xml", root)
+    monkeypatch.setattr(model_limits, "TRIAL", "import sys; sys.exit(3)")
+    with pytest.raises(InputError, match="needs more than 6 GB"):
+        compiles(tmp_path / "m.xml", root)
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "ebcdic-cp-be", "bogus"])
+def test_an_encoding_that_two_parsers_read_otherwise(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "m.xml").write_text(f'<?xml version="1.0" encoding="{encoding}"?><mujoco/>')
+    with pytest.raises(InputError, match="not written in UTF-8"):
+        check_safe(tmp_path / "m.xml")
+
+
+PACKAGE = '<robot name="r"><link name="a"><visual><geometry><mesh filename="package://{}"/></geometry></visual></link></robot>'
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.stl", "robot/../../secret.stl", "../../secret.stl", "robot/../../../secret.stl", ".ssh/secret.stl"]
+)
+def test_a_package_is_not_left(tmp_path: Path, name: str) -> None:
+    """What lies above the package is not read, also where it has the name that is asked for."""
+    home = tmp_path / "robot" / "urdf"
+    home.mkdir(parents=True)
+    for place in (tmp_path, tmp_path / ".ssh", tmp_path / "robot"):
+        place.mkdir(exist_ok=True)
+    for place in (tmp_path, tmp_path / ".ssh"):
+        shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", place / "secret.stl")
+    (home / "r.urdf").write_text(PACKAGE.format(name))
+    with pytest.raises(InputError, match=r"leaves the folder|names no package|no mesh"):
+        read_visuals(home / "r.urdf")
+
+
+def test_meshes_of_a_package_are_found(tmp_path: Path) -> None:
+    home = tmp_path / "robot" / "urdf"
+    home.mkdir(parents=True)
+    (tmp_path / "robot" / "meshes").mkdir()
+    shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", tmp_path / "robot" / "meshes" / "s.stl")
+    (home / "r.urdf").write_text(PACKAGE.format("robot/meshes/s.stl"))
+    assert len(read_visuals(home / "r.urdf").shapes) == 1
+
+
+def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
+    """An OBJ names its materials, and those their pictures: none is looked for."""
+    (tmp_path / "m.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    assert len(load_mesh(tmp_path / "m.obj", process=False).faces) == 1
+    (tmp_path / "m.dae").write_text('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]><COLLADA>&x;</COLLADA>')
+    with pytest.raises(InputError, match="cannot be read as a mesh"):
+        load_mesh(tmp_path / "m.dae", process=False)
+
+
+WRONG_URDF = {
+    "two components": (URDF.replace('xyz="1 0 0"', 'xyz="1 0"'), "has 2 numbers; give 3"),
+    "axis nowhere": (URDF.replace('xyz="1 0 0"', 'xyz="0 0 0"'), "points nowhere"),
+    "NaN": (URDF.replace('xyz="1 0 0"', 'xyz="nan 0 0"'), "NaN"),
+    "huge": (URDF.replace('upper="1"', 'upper="1e300"'), "impossible; give finite numbers"),
+    "no name": (URDF.replace('<link name="b"/>', "<link/>"), "link 3 has no name"),
+    "name twice": (URDF.replace('<link name="b"/>', '<link name="a"/>'), "two of <link> are named 'a'"),
+    "no type": (URDF.replace('name="x" type="prismatic"', 'name="x"'), "joint 'x': type = ''"),
+    "follows nothing": (URDF.replace('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="z"/>'), "follows joint 'z'"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_URDF)
+def test_a_urdf_that_no_reader_can_take(tmp_path: Path, case: str) -> None:
+    text, words = WRONG_URDF[case]
+    assert text != URDF
+    (tmp_path / "r.urdf").write_text(text, encoding="utf-8")
+    for read in (check_urdf, read_visuals):
+        with pytest.raises(InputError, match=words):
+            read(tmp_path / "r.urdf")

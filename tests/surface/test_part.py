@@ -56,9 +56,9 @@ FAULTS = {
     "polar of text": (TOOL + SPHERE, "[10, 60]", '"ab"', "polar_deg = 'ab'; give a list of 2 numbers"),
     "no file": (TOOL + MESH, 'file = "part.stl"', "", "file is missing; add it"),
     "file is a number": (TOOL + MESH, '"part.stl"', "5", "file = 5 is no text; write it in quotes"),
-    "file is not there": (TOOL + MESH, "part.stl", "prat.stl", "file = 'prat.stl': no such mesh"),
+    "file is not there": (TOOL + MESH, "part.stl", "prat.stl", "file: 'prat.stl': no such file"),
     "unit is a number": (TOOL + MESH, '"part.stl"', '"part.stl"\nunit = 5', "unit = 5 is no text"),
-    "stock is not there": (TOOL + PLANE, "[tool]", '[stock]\nmesh = "none.stl"\n[tool]', r"\[stock\]: mesh = 'none.stl': no such mesh"),
+    "stock is not there": (TOOL + PLANE, "[tool]", '[stock]\nmesh = "none.stl"\n[tool]', r"\[stock\]: mesh: 'none.stl': no such file"),
     "rotation of text": (
         TOOL + PLANE,
         "[tool]",

@@ -6,9 +6,9 @@ import argparse
 import hashlib
 import json
 from pathlib import Path
-import tomllib
 
 import twin
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.files import stamped
 
@@ -76,7 +76,7 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(
             f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
         )
-    table = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    table = read_toml(Path(machine_file))
     if (lack := what_lacks(table)) is not None:
         raise InputError(f"{machine_file}: the examination's plant cannot be made of it: {lack}; it needs what the Mikron's file has")
     out = Path(args.out).resolve()

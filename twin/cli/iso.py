@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -206,6 +205,7 @@ _ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
 
 def _budget(folder: Path, recorded: tuple[Trace, str | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
     """The budget of one circle by the diagnosis in a folder; the corrected circle goes beside the others."""
+    from twin.documents import read_json_table
     from twin.iso230.circle_budget import circle_budget
     from twin.machine import load_machine
 
@@ -216,7 +216,7 @@ def _budget(folder: Path, recorded: tuple[Trace, str | None], by_name: dict[str,
     measured = by_name["measured"]
     by_name["corrected"], rows = circle_budget(
         load_machine(file).with_feedforward(feedforward),
-        json.loads(document.read_text(encoding="utf-8")),
+        read_json_table(document, "a diagnosis"),
         measured,
         lambda machine: _predicted(trace, machine, measured),
     )

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import twin
 from twin.errors import TwinError, nearest
+from twin.limits import RAISED_BY
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
 
@@ -113,6 +114,8 @@ def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[N
 def _carried_out(args: argparse.Namespace) -> int:
     """The command's exit code; silent with --quiet, with versions and time on standard error with --verbose."""
     began = time.perf_counter()
+    if args.limits is not None:
+        os.environ[RAISED_BY] = repr(args.limits)
     if args.quiet:
         os.environ["TQDM_DISABLE"] = "1"
     with open(os.devnull, "w") if args.quiet else contextlib.nullcontext(sys.stdout) as out, contextlib.redirect_stdout(out):
@@ -140,6 +143,7 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
             _add_effect_files(sub)
+            sub.add_argument("--limits", type=_factor, metavar="FACTOR", help="raise all limits on sizes by this factor (default: 1)")
             sub.add_argument("--quiet", action="store_true", help="print errors only; the results are in the files")
             sub.add_argument("--verbose", action="store_true", help="also print versions and run time")
     return parser
@@ -151,6 +155,14 @@ def show_and_run(*arguments: object) -> None:
     print(f"\n$ twin {' '.join(words)}", flush=True)
     if code := main(words):
         raise SystemExit(code)
+
+
+def _factor(text: str) -> float:
+    """A factor on the limits, for argparse."""
+    with contextlib.suppress(ValueError):
+        if 1.0 <= (value := float(text)) <= 1e6:
+            return value
+    raise argparse.ArgumentTypeError(f"'{text[:40]}': give a factor from 1 to 1e6")
 
 
 def _add_effect_files(parser: argparse.ArgumentParser) -> None:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-import tomllib
 from typing import Any
 
+from twin.documents import read_toml
 from twin.effects.change import with_effects
 from twin.machine.machine import Machine
 from twin.machine.parameters import SPREAD, key_of
@@ -17,7 +17,7 @@ from twin.machine.parameters import SPREAD, key_of
 
 def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Machine:
     """The machine with the factors on its parameters and the effects that a `truth.toml` lists (its path or its content)."""
-    document = truth if isinstance(truth, Mapping) else tomllib.loads(Path(truth).read_text(encoding="utf-8"))
+    document = truth if isinstance(truth, Mapping) else read_toml(Path(truth))
     values: dict[str, Any] = {}
     for axis, factors in document.get("parameter", {}).items():
         if axis == "bodies":

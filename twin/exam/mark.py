@@ -8,11 +8,11 @@ from dataclasses import replace
 import json
 import math
 from pathlib import Path
-import tomllib
 from typing import Any
 
 import numpy as np
 
+from twin.documents import read_json_table, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
 from twin.errors import TwinError
@@ -48,7 +48,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     place = Path(folder)
     kept = place / "mark.json"
     if kept.exists():
-        return json.loads(kept.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+        return read_json_table(kept)
     truth = truth_of(case)
     result: dict[str, Any] = {
         "case": question.name,
@@ -62,11 +62,10 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
         result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8").strip()}
     else:
-        answer = json.loads((place / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
+        answer = read_json_table(place / "answer" / "diagnosis.json")
         result |= mark_answer(truth, answer)
         result["baselines"] = {
-            name: marked_baseline(truth, said)
-            for name, said in json.loads((place / "answer" / "baselines.json").read_text(encoding="utf-8")).items()
+            name: marked_baseline(truth, said) for name, said in read_json_table(place / "answer" / "baselines.json").items()
         }
     result["gap"] = _exam_gap(case, truth, place, machine_file)
     write_whole(kept, json.dumps(result, indent=1) + "\n")
@@ -196,7 +195,7 @@ def _again(case: Case) -> Case:
 
 def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> tuple[MeasuredRun, ...]:
     if not (folder / "campaign.toml").exists():
-        write_campaign(case, folder, tomllib.loads(Path(machine_file).read_text(encoding="utf-8")), runs="exam")
+        write_campaign(case, folder, read_toml(Path(machine_file)), runs="exam")
     return read_campaign(folder, machine).runs
 
 

@@ -21,6 +21,7 @@ import time
 import tomllib
 from typing import Any
 
+from twin.documents import read_json_table
 from twin.errors import InputError
 from twin.files import write_whole
 
@@ -64,7 +65,7 @@ def same_examination(out: Path, asked: dict[str, Any]) -> None:
     file = out / ASKED
     text = json.dumps(asked, indent=1) + "\n"
     if file.exists():
-        before = json.loads(file.read_text(encoding="utf-8"))
+        before = read_json_table(file)
         other = sorted(key for key in asked if before.get(key) != asked[key])
         if other:
             raise InputError(f"{out}: this examination was begun with another {', '.join(other)}; give the same again, or another --out")

@@ -12,9 +12,9 @@ import copy
 from dataclasses import InitVar, dataclass, field
 import functools
 from pathlib import Path
-import tomllib
 from typing import Any
 
+from twin.documents import named_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine import keys
 from twin.machine.axis import Axis
@@ -241,17 +241,13 @@ def default_machine_path() -> Path:
 
 
 def _read_document(path: Path) -> dict[str, Any]:
-    try:
-        return _parsed(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    about = path.stat()
+    return _parsed(path, about.st_mtime_ns, about.st_size, about.st_ino)
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(text: str) -> dict[str, Any]:
-    return tomllib.loads(text)
+def _parsed(path: Path, changed_ns: int, size: int, place: int) -> dict[str, Any]:
+    return read_toml(path)
 
 
 @functools.lru_cache(maxsize=8)
@@ -268,11 +264,7 @@ def load_machine(path: str | Path | None = None) -> Machine:
     model = document.get("model")
     if not isinstance(model, str):
         raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
-    model_path = path.parent / model
-    if not model_path.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f"{path}: model '{model}' leaves the machine's folder; copy the MJCF beside the machine file")
-    if not model_path.is_file():
-        raise InputError(f"{path}: model '{model}': no such file beside the machine file; correct 'model' or copy the MJCF there")
+    model_path = named_file(model, path.parent, f"{path}: model")
     _check_model(model_path, state_of_model(model_path))
     return Machine(copy.deepcopy(document), model_path, path)
 

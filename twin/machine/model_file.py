@@ -12,16 +12,22 @@ import functools
 import hashlib
 import math
 from pathlib import Path
+import re
 import shutil
 from typing import TYPE_CHECKING
 
+from twin.documents import named_file
 from twin.errors import InputError
+from twin.machine.model_limits import check_depth, check_size
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 LARGEST_BYTES = 50_000_000
 """Largest MJCF or URDF that is read [bytes]. A machine needs less; meshes are files of their own."""
+
+MOST_ATTACHED = 4
+"""Models that attach models that attach models."""
 
 _ASSET_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "texturedir", "texture": "texturedir"}
 _LOOPS = ("connect", "weld")
@@ -35,6 +41,7 @@ def read_xml(path: Path) -> Element:
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give an MJCF or a URDF")
+    _check_encoding(path)
     if path.stat().st_size > LARGEST_BYTES:
         raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no description of a machine; move meshes into files of their own")
     try:
@@ -42,19 +49,31 @@ def read_xml(path: Path) -> Element:
     except DefusedXmlException as error:
         what = type(error).__name__.replace("Forbidden", "").replace("DTD", "a document type").replace("Entities", "entities")
         raise InputError(f"{path}: holds {what}, which can read other files or fill the memory; remove the <!DOCTYPE ...>") from None
-    except (ParseError, OSError, UnicodeError, ValueError) as error:
+    except (ParseError, OSError, UnicodeError, ValueError, LookupError, RecursionError) as error:
         raise InputError(f"{path}: no readable XML ({error}); correct it there") from None
+    check_depth(root, path)
     return root
+
+
+def _check_encoding(path: Path) -> None:
+    """Refuse what another parser could read otherwise: the engine takes every file for UTF-8."""
+    with path.open("rb") as file:
+        head = file.read(200)
+    said = re.match(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"']", head.removeprefix(b"\xef\xbb\xbf"))
+    if (
+        b"\0" in head
+        or head[:2] in (b"\xff\xfe", b"\xfe\xff")
+        or (said and said[1].lower() not in (b"utf-8", b"utf8", b"us-ascii", b"ascii"))
+    ):
+        raise InputError(f"{path}: not written in UTF-8; save it as UTF-8 and say so in its first line, or leave the encoding out")
 
 
 def check_mjcf(path: Path) -> Element:
     """Refuse an MJCF that is unsafe or no tree of slides and hinges; returns its root with all includes in place."""
-    root = read_xml(path)
-    if root.tag != "mujoco":
-        raise InputError(f"{path}: <{root.tag}> is no MJCF; a URDF becomes one with: twin machine new {path.name} --out machine.toml")
-    _include(root, path, (path.resolve(),))
-    for file in _named_files(root, path):
-        _inside(file, path)
+    root = check_safe(path)
+    for tag in ("model", "attach"):
+        if root.find(f".//{tag}") is not None:
+            raise InputError(f"{path}: <{tag}> attaches another model; write the parts of a machine into one file")
     joints = [joint.get("name", "") for joint in root.iter("joint") if joint.get("class") or joint.get("name")]
     twice = next((name for name in joints if name and joints.count(name) > 1 and not _only_default(root, name)), None)
     if twice:
@@ -80,48 +99,35 @@ def check_mjcf(path: Path) -> Element:
     return root
 
 
-def check_urdf(path: Path) -> Element:
-    """Refuse a URDF that is unsafe or no tree of slides and hinges; returns its root."""
+def check_safe(path: Path, seen: tuple[Path, ...] = ()) -> Element:
+    """Refuse an MJCF that reads other folders, or is too large for the engine; returns its root with all includes in place.
+
+    `seen` are the models that attach this one.
+    """
     root = read_xml(path)
-    if root.tag != "robot":
-        raise InputError(f"{path}: <{root.tag}> is no URDF; its root must be <robot>")
-    links = [link.get("name", "") for link in root.findall("link")]
-    parents: dict[str, str] = {}
-    if not links:
-        raise InputError(f"{path}: no <link>; give a robot description")
-    for joint in root.findall("joint"):
-        name, kind = joint.get("name", "without name"), joint.get("type", "")
-        if kind in ("floating", "planar"):
-            raise InputError(f"{path}: joint '{name}' is {kind}; an axis is prismatic, revolute or continuous: fix or split it")
-        if joint.find("mimic") is not None:
-            raise InputError(f"{path}: joint '{name}' follows another one (mimic); drive each axis by itself: remove it")
-        parent, child = (e.get("link", "") if (e := joint.find(tag)) is not None else "" for tag in ("parent", "child"))
-        for link in (parent, child):
-            if link not in links:
-                raise InputError(f"{path}: joint '{name}' names link '{link}', which does not exist; correct it")
-        if child in parents:
-            raise InputError(f"{path}: link '{child}' hangs on two joints, which closes a loop; a machine is a tree of axes: remove one")
-        parents[child] = parent
-    for link in links:
-        seen, at = {link}, link
-        while at in parents:
-            at = parents[at]
-            if at in seen:
-                raise InputError(f"{path}: link '{link}' hangs on itself: its joints form a circle; one link must have no parent")
-            seen.add(at)
-    for element in root.findall("link"):
-        if (mass := element.find("inertial/mass")) is not None:
-            _positive(mass.get("value", ""), f"{path}: link " + repr(element.get("name")) + ": mass")
-    for mesh in root.iter("mesh"):
-        if not mesh.get("filename", "").startswith("package://"):
-            _inside(Path(mesh.get("filename", "").removeprefix("file://")), path)
+    if root.tag != "mujoco":
+        raise InputError(
+            f"{path}: <{str(root.tag)[:40]}> is no MJCF; a URDF becomes one with: twin machine new {path.name} --out machine.toml"
+        )
+    _include(root, path, [path.resolve()])
+    for file in _named_files(root, path):
+        _inside(file, path)
+    for child in root.iter("model"):
+        if (name := child.get("file")) is not None:
+            attached = _inside(Path(name), path)
+            if attached.resolve() in (path.resolve(), *seen):
+                raise InputError(f"{path}: <model file='{name}'> attaches the model to itself; remove the circle")
+            if len(seen) >= MOST_ATTACHED:
+                raise InputError(f"{path}: models attach each other more than {MOST_ATTACHED} deep; put them into one")
+            check_safe(attached, (*seen, path.resolve()))
+    check_size(root, path)
     return root
 
 
 def files_of(path: Path) -> list[Path]:
     """The files that an MJCF names, relative to its folder, checked."""
     root = read_xml(path)
-    _include(root, path, (path.resolve(),), keep=True)
+    _include(root, path, [path.resolve()], keep=True)
     included = [Path(e.get("file", "")) for e in root.iter("include")]
     return list(dict.fromkeys([*included, *_named_files(root, path)]))
 
@@ -171,15 +177,16 @@ def copy_model(path: Path, folder: Path) -> None:
             shutil.copyfile(path.parent / file, target)
 
 
-def _include(element: Element, path: Path, seen: tuple[Path, ...], keep: bool = False) -> None:
-    """Put the children of included files where they are included."""
+def _include(element: Element, path: Path, seen: list[Path], keep: bool = False) -> None:
+    """Put the children of included files where they are included; `seen` are the files that are in place already."""
     for child in list(element):
         if child.tag == "include":
             file = _inside(Path(child.get("file", "")), path)
             if file.resolve() in seen:
-                raise InputError(f"{path}: '{file.name}' includes itself; remove the circle")
+                raise InputError(f"{path}: '{file.name}' includes itself or is included twice; include it once")
+            seen.append(file.resolve())
             included = read_xml(file)
-            _include(included, path, (*seen, file.resolve()), keep)
+            _include(included, path, seen, keep)
             at = list(element).index(child)
             if not keep:
                 element.remove(child)
@@ -199,6 +206,9 @@ def _named_files(root: Element, path: Path) -> Iterator[Path]:
                 folders[kind] = value
         if compiler.get("strippath", "false") == "true":
             raise InputError(f"{path}: strippath hides where files lie; write their paths in full and remove it")
+    for flexible in root.iter("flexcomp"):
+        if name := flexible.get("file"):
+            yield Path(folders.get("meshdir", "")) / name
     for asset in root.iter("asset"):
         for child in asset:
             for key in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
@@ -211,22 +221,18 @@ def _named_files(root: Element, path: Path) -> Iterator[Path]:
 def _inside(file: Path, path: Path) -> Path:
     """The file that a model names: it must lie inside the model's folder and exist."""
     folder = path.parent
-    whole = folder / file
-    if file.is_absolute() or not whole.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{path}: '{file}' leaves the machine's folder; copy the file into it and name it relative to the model")
-    if not whole.is_file():
-        raise InputError(f"{path}: no file '{file}' beside the model; copy it there or correct the name")
-    return whole
+    return named_file(str(file), folder, str(path))
 
 
 def _check_masses(element: Element | None, where: str) -> None:
     for key in _PHYSICAL if element is not None else ():
         given = element.get(key) if element is not None else None
         for value in (given or "").split():
-            _positive(value, f"{where}: {key}", zero=element is not None and element.tag == "geom")
+            positive_mass(value, f"{where}: {key}", zero=element is not None and element.tag == "geom")
 
 
-def _positive(text: str, where: str, zero: bool = False) -> None:
+def positive_mass(text: str, where: str, zero: bool = False) -> None:
+    """Refuse a mass or a moment of inertia that no body can have; `zero` is allowed for a shape without mass."""
     try:
         value = float(text)
     except ValueError:

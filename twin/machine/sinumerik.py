@@ -18,9 +18,9 @@ import copy
 import math
 from pathlib import Path
 import re
-import tomllib
 from typing import Any
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.parameters import Datum, machine_data_of
 from twin.tables import is_number
@@ -184,13 +184,11 @@ def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, di
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give machine data as TOML or as an archive of the control")
-    text = path.read_text(encoding="utf-8", errors="replace")
     if path.suffix.lower() == ".toml":
-        try:
-            document = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
+        document = read_toml(path)
         tables = document.get("axis", document)
+        if not isinstance(tables, Mapping):
+            raise InputError(f"{path}: axis = {tables!r} is no table; write [axis.X] and the data below it")
         out = {}
         for name, table in tables.items():
             if name not in axes:
@@ -198,7 +196,7 @@ def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, di
             given = table.get("sinumerik", table) if isinstance(table, Mapping) else {}
             out[name] = by_number(given, axes[name], f"{path}: [{name}]")
         return out, []
-    return _read_archive(text, path, axes)
+    return _read_archive(path.read_text(encoding="utf-8", errors="replace"), path, axes)
 
 
 def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[str, dict[int, float]], list[str]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine.model_file import check_urdf
+from twin.machine.urdf_file import check_urdf, read_urdf
 
 MOST_FACES = 2000
 """A finer mesh stands in the MJCF as its convex hull."""
@@ -43,14 +42,8 @@ class JointLimits:
 
 def spec_of_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, JointLimits]]:
     """The MJCF of a URDF and the limits of its joints; every fault is an InputError in one line."""
-    from yourdfpy import URDF  # type: ignore[import-untyped]
-
     check_urdf(path)
-    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
-    try:
-        robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
-    except Exception as error:
-        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it there") from None
+    robot = read_urdf(path)
     joints, links = robot.joint_map, robot.link_map
     _check_moving_masses(joints, links, path)
     spec = mujoco.MjSpec()

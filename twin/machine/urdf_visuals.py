@@ -7,7 +7,6 @@ read: masses and collision shapes are not needed to replay a motion.
 from __future__ import annotations
 
 from dataclasses import dataclass
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,9 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.mesh_file import load_mesh
 from twin.geometry.shape import Shape
+from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 
 _GREY = (160, 164, 170, 255)
 _KINDS = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
@@ -38,24 +39,11 @@ class Visuals:
 
 def read_visuals(path: Path) -> Visuals:
     """Read a URDF file; one that cannot be read or lacks a mesh is an InputError."""
-    from yourdfpy import URDF  # type: ignore[import-untyped]
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a URDF")
-    # the reader reports a missing mesh in the log and goes on; here it is an error, found below
-    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
-    try:
-        robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
-    except Exception as error:
-        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it there") from None
-    if not robot.link_map:
-        raise InputError(f"{path}: not a URDF: it has no link; give a robot description")
+    robot = read_urdf(path)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     children = {joint.child for joint in robot.joint_map.values()}
     roots = [name for name in robot.link_map if name not in children]
-    if not roots:
-        raise InputError(f"{path}: its joints form a circle; one link must have no parent")
     bodies: dict[str, Any] = {}
     for root in roots:
         bodies[root] = spec.worldbody if root == "world" else _add_body(spec.worldbody, root, np.eye(4))
@@ -63,10 +51,6 @@ def read_visuals(path: Path) -> Visuals:
     waiting = list(robot.joint_map.values())
     while waiting:
         ready = [joint for joint in waiting if joint.parent in bodies]
-        if not ready:
-            raise InputError(
-                f"{path}: joint '{waiting[0].name}' hangs on link '{waiting[0].parent}', which does not exist or hangs on itself"
-            )
         for joint in ready:
             body = _add_body(bodies[joint.parent], joint.child, joint.origin if joint.origin is not None else np.eye(4))
             _add_joint(body, joint)
@@ -128,35 +112,10 @@ def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
 
 
 def _mesh(mesh: Any, link: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    import trimesh
-
-    file = _mesh_file(mesh.filename, path)
-    if file is None:
-        raise InputError(f"{path}: link '{link}': no mesh '{mesh.filename}' beside the file; copy it there or correct the name")
-    try:
-        read: Any = trimesh.load(str(file), force="mesh", process=False)
-        vertices, faces = np.asarray(read.vertices, float), np.asarray(read.faces, np.int64)
-    except Exception as error:
-        raise InputError(
-            f"{file}: not a readable mesh ({' '.join(str(error).split())[:120]}); export it again as STL, OBJ or DAE"
-        ) from None
-    if not len(faces):
-        raise InputError(f"{file}: the mesh has no face; export it again")
+    file = mesh_of_urdf(str(mesh.filename or ""), path, f"{path}: link '{link}'")
+    read = load_mesh(file, process=False)
     scale = 1.0 if mesh.scale is None else np.asarray(mesh.scale, float)
-    return vertices * scale, faces
-
-
-def _mesh_file(name: str, path: Path) -> Path | None:
-    """The file of a mesh: as named, or for `package://a/b/c` below any folder above the URDF."""
-    plain = name.removeprefix("file://")
-    if not name.startswith("package://"):
-        return next((file for file in (path.parent / plain, Path(plain)) if file.is_file()), None)
-    package, _, rest = name.removeprefix("package://").partition("/")
-    for folder in path.resolve().parents:
-        for file in (folder / package / rest, folder / rest):
-            if file.is_file():
-                return file
-    return None
+    return np.asarray(read.vertices, float) * scale, np.asarray(read.faces, np.int64)
 
 
 def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:

@@ -27,8 +27,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-import tomllib
 
+from twin.documents import named_file, read_toml
 from twin.errors import InputError
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, read_trace
@@ -116,10 +116,7 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     file = path / "campaign.toml"
     if not file.is_file():
         raise InputError(f'{file}: no such file; list the runs there, e.g. [[run]] file = "circle.parquet"')
-    try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{file}: not a valid TOML file: {error}") from None
+    document = read_toml(file)
     known_keys(document, ("machine", "run"), str(file))
     tables = document.get("run", [])
     if not isinstance(tables, list) or not tables:
@@ -188,9 +185,7 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, ev
     known_keys(table, _RUN_KEYS, where)
     if not isinstance(table.get("file"), str):
         raise InputError(f"{where}: 'file' is missing; name the trace of this run")
-    file = folder / table["file"]
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{where}: file '{table['file']}' leaves the campaign's folder; put the trace inside it")
+    file = named_file(table["file"], folder, f"{where}: file")
     feedforward = table.get("feedforward")
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")

@@ -49,9 +49,9 @@ from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 import re
-import tomllib
 from typing import Any
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path, load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
@@ -129,12 +129,9 @@ class Map:
 def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     """Read and check a map; every fault is an InputError with table, key and remedy."""
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such map; 'twin import FILES --out CAMPAIGN' without --map writes one to start from") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a valid TOML file: {error}") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such map; 'twin import FILES --out CAMPAIGN' without --map writes one to start from")
+    document = read_toml(path)
     where = str(path)
     known_keys(document, _TOP, where)
     for key, choices in _CHOICES.items():

@@ -13,6 +13,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from twin.documents import read_json_table
 from twin.errors import InputError
 from twin.recordings.trace import Trace, read_trace, unit_of
 from twin.regress.outcome import Feature, Outcome, kept_trace
@@ -65,7 +66,7 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
     if not file.is_file():
         raise InputError(f"{case.where}: no golden result {file}; {update}")
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = read_json_table(file, "a golden result")
         if document["format"] != FORMAT:
             raise InputError(
                 f"{file}: golden result of format {document['format']} (twin {document['versions']['twin']}), this twin "
@@ -132,6 +133,6 @@ def write_small(trace: Trace, path: Path) -> None:
 def history_of(case: Case) -> list[Mapping[str, Any]]:
     """Reasons and dates of a golden result so far; empty where there is none that can be read."""
     try:
-        return list(json.loads(golden_paths(case)[0].read_text(encoding="utf-8"))["history"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return list(read_json_table(golden_paths(case)[0])["history"])
+    except (InputError, ValueError, KeyError, TypeError):
         return []

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-import tomllib
 from typing import Any
 
 import numpy as np
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path
@@ -93,7 +93,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
         raise InputError(f"{where}: feedforward = {words!r}: give a list of {', '.join(FEEDFORWARD)}")
     if not isinstance(table.get("seed"), int):
         raise InputError(f"{where}: seed = {table.get('seed')!r}: give a whole number")
-    document = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
+    document = read_toml(default_machine_path())
     effect, axis = table.get("effect"), table.get("axis")
     try:
         drawn = draw_case(

@@ -12,9 +12,9 @@ import hashlib
 import json
 from pathlib import Path
 import re
-import tomllib
 from typing import Any
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD
 from twin.tables import is_number, known_keys
@@ -128,10 +128,7 @@ def read_suite(path: str | Path) -> tuple[Case, ...]:
 
 
 def _read_file(file: Path) -> list[Case]:
-    try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{file}: not a valid TOML file: {error}; correct it there") from None
+    document = read_toml(file)
     shared = {k: v for k, v in document.items() if k != "case"}
     tables = document.get("case", [{"name": document.get("name", file.stem)}])
     if not isinstance(tables, list) or not tables or not all(isinstance(t, dict) for t in tables):

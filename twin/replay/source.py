@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-import tomllib
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 
 TRACE_ENDINGS = (".parquet", ".csv")
@@ -92,8 +92,8 @@ def _trace_in(folder: Path) -> Path | None:
 
 def _tables_of(file: Path) -> dict:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_toml(file)
+    except InputError:
         return {}
 
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
-from twin.machine.model_file import state_of_model
+from twin.machine.model_file import check_safe, state_of_model
+from twin.machine.model_limits import compiles
 
 Answer = TypeVar("Answer")
 
@@ -55,6 +56,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=8)
 def _parsed(path: Path, _state: bytes) -> mujoco.MjSpec:
+    compiles(path, check_safe(path))
     try:
         return mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:

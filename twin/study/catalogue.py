@@ -22,9 +22,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-import tomllib
 from typing import Any
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of
@@ -111,9 +111,9 @@ def _choice(kind: str, name: str, entry: Mapping[str, Any], installed: Mapping[s
 def _entries(path: Path, where: str) -> dict[str, dict[str, Mapping[str, Any]]]:
     """Kind -> name -> numbers of all entries of a catalogue."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{where}: catalogue {path.name} cannot be read ({error}); see docs/study.md for the form") from None
+        document = read_toml(path)
+    except InputError as error:
+        raise InputError(f"{where}: catalogue: {error}; see docs/study.md for the form") from None
     known_keys(document, KINDS, str(path))
     out: dict[str, dict[str, Mapping[str, Any]]] = {}
     for kind, tables in document.items():

@@ -49,9 +49,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 import re
-import tomllib
 from typing import Any
 
+from twin.documents import outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine
 from twin.study.catalogue import Choice, choices_of
@@ -168,15 +168,12 @@ class Study:
 def read_study(path: str | Path, machine_path: str | Path | None = None) -> Study:
     """Read and check a study file; every fault is an InputError with table, key and remedy."""
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such study file; see docs/study.md for the form") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such study file; see docs/study.md for the form")
+    document = read_toml(path)
     _known(document, TOP, str(path))
     own = document.get("machine")
-    machine = load_machine(machine_path or (path.parent / str(own) if own else None))
+    machine = load_machine(machine_path or (outer_file(own, path.parent, f"{path}: machine") if own else None))
     machine = with_numbers(machine, _fixed(document.get("fixed", {}), machine, f"{path}: [fixed]"))
     design = _design(document.get("design", {}), f"{path}: [design]")
     factors = tuple(
@@ -195,8 +192,6 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     seed, answer, part = document.get("seed", 0), document.get("answer", []), document.get("part")
     if not isinstance(seed, int) or seed < 0:
         raise InputError(f"{path}: seed = {seed!r}; give a whole number, 0 or more")
-    if part is not None and not (path.parent / str(part)).is_file():
-        raise InputError(f"{path}: part '{part}': no such file beside {path.name}; correct it")
     return Study(
         path=path,
         machine=machine,
@@ -206,7 +201,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         design=design,
         seed=seed,
         answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
-        part=path.parent / str(part) if part is not None else None,
+        part=outer_file(part, path.parent, f"{path}: part") if part is not None else None,
         recommission=_flag(document, "recommission", str(path)),
         retune=_retune(document, path),
         constraints=_constraints(document, path),
@@ -299,9 +294,7 @@ def _run(table: Any, path: Path, where: str) -> StudyRun:
     _known(table, ("name", "input", "feedforward"), where)
     if "input" not in table:
         raise InputError(f"{where}: 'input' is missing; name a program or a trace beside the study file")
-    source = path.parent / str(table["input"])
-    if not source.is_file():
-        raise InputError(f"{where}: input '{table['input']}': no such file beside {path.name}; correct it")
+    source = outer_file(table["input"], path.parent, f"{where}: input")
     feedforward = table.get("feedforward")
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward = {feedforward!r}; use one of {', '.join(FEEDFORWARD)}")
@@ -351,7 +344,9 @@ def _catalogue_factor(table: Mapping[str, Any], machine: Machine, path: Path, wh
         raise InputError(f"{where}: values = {values!r}; give names of the catalogue, or leave it out for all")
     if not isinstance(installed, str):
         raise InputError(f"{where}: 'installed' is missing; name the entry of the catalogue that the machine has now")
-    choices = choices_of(path.parent / str(table["catalogue"]), [machine.axis(name) for name in names], installed, values, where)
+    choices = choices_of(
+        outer_file(table["catalogue"], path.parent, f"{where}: catalogue"), [machine.axis(name) for name in names], installed, values, where
+    )
     paths = dict.fromkeys(p for c in choices for p, _ in (*c.values, *c.added_inertia))
     name = str(table.get("name", f"{Path(str(table['catalogue'])).stem} of {' '.join(names)}"))
     return Factor(name, tuple(paths), False, tuple(float(i) for i in range(len(choices))), None, choices, installed)

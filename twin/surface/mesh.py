@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.mesh_file import load_mesh
 from twin.surface.height_rays import HeightRays
 from twin.units import UNITS
 
@@ -33,20 +34,7 @@ GUESSES = ("mm", "m", "um")
 
 def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
     """A mesh in metres, and one line that says in which unit it was read."""
-    import trimesh
-
-    if path.suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: not a mesh that can be read; give one of {', '.join(ENDINGS)}")
-    try:
-        mesh: Any = trimesh.load(path, force="mesh")
-    except Exception as error:  # trimesh raises whatever its readers raise
-        raise InputError(
-            f"{path}: cannot be read as a mesh ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
-        ) from None
-    if len(getattr(mesh, "faces", ())) == 0:
-        raise InputError(f"{path}: the mesh has no triangle; export it again")
-    if not np.all(np.isfinite(mesh.vertices)):
-        raise InputError(f"{path}: a vertex of the mesh is no finite number; export it again")
+    mesh: Any = load_mesh(path, process=True, endings=ENDINGS)
     size = float(np.ptp(mesh.vertices, axis=0).max())
     if unit is None:
         fits = [u for u in GUESSES if SMALLEST_PART <= size * UNITS[u][1] <= LARGEST_PART]

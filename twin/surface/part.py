@@ -14,11 +14,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-import tomllib
 from typing import Any
 
 import numpy as np
 
+from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
@@ -112,11 +112,7 @@ def read_part(path: str | Path) -> Part:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such part file; give a .toml (see examples/parts)")
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a valid TOML file: {error}; correct it there") from None
-    return part_from_document(document, path.parent, str(path))
+    return part_from_document(read_toml(path), path.parent, str(path))
 
 
 def part_from_document(document: Mapping[str, Any], folder: Path, where: str) -> Part:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twin.documents import outer_file
 from twin.errors import InputError
 from twin.tables import known, limits, listed, number, numbers, positive, text
 from twin.units import rad_from_deg
@@ -167,9 +168,7 @@ def shape_of(table: Mapping[str, Any], kind: str, folder: Path, where: str) -> P
 
 def mesh_file(table: Mapping[str, Any], key: str, folder: Path, where: str) -> MeshFile:
     """The mesh that `key` of a table names, and its unit."""
-    path = folder / text(table, key, where)
-    if not path.is_file():
-        raise InputError(f"{where}: {key} = {table[key]!r}: no such mesh as {path}; correct it or put the mesh there")
+    path = outer_file(text(table, key, where), folder, f"{where}: {key}")
     return MeshFile(path, text(table, "unit", where) if "unit" in table else None)
 
 

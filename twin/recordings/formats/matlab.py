@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -10,9 +11,29 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.limits import refuse_above
 from twin.recordings.signals import How, Recording, share_time, starts_with
 
-_TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
+MOST_VALUES = 100_000_000
+"""Numbers in one file: 800 MB in memory."""
+TRIAL_BYTES = 4_000_000_000
+_TRIAL = """
+import sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+except ImportError:
+    pass
+from scipy.io import loadmat, whosmat
+import math
+print(sum(math.prod(shape) for _, shape, _ in whosmat(sys.argv[1])))
+try:
+    loadmat(sys.argv[1])
+except MemoryError:
+    sys.exit(3)
+"""
 
 
 def read(path: Path, how: How) -> Recording:
@@ -42,7 +63,16 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     from scipy.io import loadmat
 
     # a damaged file can make the library crash instead of raising: it is tried in a process of its own first
-    trial = subprocess.run([sys.executable, "-c", _TRIAL, str(path)], capture_output=True, check=False)
+    trial = subprocess.run(
+        [sys.executable, "-c", _TRIAL, str(path), str(TRIAL_BYTES)],
+        capture_output=True,
+        check=False,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+    if (said := trial.stdout.strip()).isdigit():
+        refuse_above(int(said), MOST_VALUES, "values", str(path), "save fewer signals, or in parts")
+    if trial.returncode == 3:
+        raise InputError(f"{path}: a damaged MATLAB file (reading it fills the memory); save it again")
     if trial.returncode not in (0, 1):
         raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
     try:
@@ -77,8 +107,14 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
             f"{path}: MATLAB 7.3 (HDF5) needs the package h5py; install it, or save in MATLAB with: save('{path.name}', ..., '-v7')"
         ) from None
 
+    values = [0]
+
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and not name.startswith("#") and np.issubdtype(item.dtype, np.number) and item.size:
+            if item.external or item.is_virtual:
+                raise InputError(f"{path}: '{name}' stands in another file, which is not opened; save it as one file")
+            values[0] += item.size
+            refuse_above(values[0], MOST_VALUES, "values", f"{path}", "save fewer signals, or in parts")
             if "MATLAB_class" in item.attrs and item.attrs["MATLAB_class"] in (b"char", b"cell"):
                 return
             columns[name.replace("/", ".")] = np.asarray(item).T
@@ -86,5 +122,6 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-    except OSError as error:
-        raise InputError(f"{path}: not a readable MATLAB file ({str(error).splitlines()[0]}); save it again") from None
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:  # whatever a damaged file brings up
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"{path}: not a readable MATLAB file ({reason}); save it again") from None

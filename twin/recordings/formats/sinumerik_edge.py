@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 import itertools
-import json
 from pathlib import Path, PurePosixPath
 import re
 from typing import Any
 
 import numpy as np
 
+from twin.documents import read_json
 from twin.errors import InputError
 from twin.recordings.signals import Event, How, Recording, Signal, date_of, is_count, starts_with
 
@@ -68,10 +68,7 @@ def read(path: Path, how: How) -> Recording:
 
 def _parts(path: Path) -> tuple[Mapping[str, Any], list[Any]]:
     """Header and payload."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a whole JSON file ({str(error).splitlines()[0][:80]}); it is cut off or damaged") from None
+    document = read_json(path, "a whole JSON file")
     document = document if isinstance(document, Mapping) else {}
     header, payload = document.get("Header"), document.get("Payload")
     if not isinstance(header, Mapping) or not isinstance(payload, list):

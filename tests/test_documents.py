@@ -1,0 +1,107 @@
+"""The one reader of TOML, the one of JSON, and the one way to a file that another file names."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin.documents import named_file, outer_file, read_json, read_json_table, read_toml
+from twin.errors import InputError
+
+TOML = {
+    "nesting": ("x = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    "nesting by dots": ("a" + ".a" * 500 + " = 1", "nested more than"),
+    "thousands of digits": ("x = " + "9" * 5000, "not a valid TOML file"),
+    "beyond a float": ("x = 1" + "0" * 400, "a whole number of 401 digits"),
+    "beyond 64 bits": ("x = [1, 9223372036854775808]", "x: a whole number of 19 digits"),
+    "NUL in a text": ('file = "a\\u0000b"', "file: the text 'a\\x00b' holds the character NUL"),
+    "NUL in a name": ('"a\\u0000b" = 1', "holds the character NUL"),
+    "Latin-1": (b'name = "Fr\xe4se"', "save it as UTF-8"),
+    "cut off": ("x = [1, 2", "not a valid TOML file"),
+}
+
+
+@pytest.mark.parametrize("case", TOML)
+def test_toml_that_nothing_behind_can_take(case: str, tmp_path: Path) -> None:
+    text, words = TOML[case]
+    file = tmp_path / "x.toml"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError) as error:
+        read_toml(file)
+    assert str(file) in str(error.value)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400
+
+
+JSON = {
+    "nesting": ("[" * 200_000, "nested too deeply"),
+    "thousands of digits": ("[" + "9" * 5000 + "]", "not a valid JSON file"),
+    "beyond 64 bits": ('{"x": 9223372036854775808}', "x: a whole number of 19 digits"),
+    "NUL": ('{"x": "\\u0000"}', "holds the character NUL"),
+    "cut off": ('{"x": ', "cut off or damaged"),
+    "no table": ("[1]", "holds no table"),
+}
+
+
+@pytest.mark.parametrize("case", JSON)
+def test_json_that_nothing_behind_can_take(case: str, tmp_path: Path) -> None:
+    text, words = JSON[case]
+    file = tmp_path / "x.json"
+    file.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_json_table(file)
+    assert str(file) in str(error.value)
+    assert words in str(error.value)
+
+
+def test_what_is_in_order_is_read(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbf[a.b]\nc = [1, 2.5, true]\n")
+    (tmp_path / "x.json").write_bytes(b'\xef\xbb\xbf{"a": [1, 2.5, null, true]}')
+    assert read_toml(tmp_path / "x.toml") == {"a": {"b": {"c": [1, 2.5, True]}}}
+    assert read_json(tmp_path / "x.json") == {"a": [1, 2.5, None, True]}
+
+
+def linked(folder: Path) -> object:
+    (folder / "link.stl").symlink_to(folder.parent / "secret.stl")
+    return "link.stl"
+
+
+def circle(folder: Path) -> object:
+    (folder / "a.stl").symlink_to("b.stl")
+    (folder / "b.stl").symlink_to("a.stl")
+    return "a.stl"
+
+
+NAMES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "absolute": (lambda f: str(f.parent / "secret.stl"), "leaves the folder"),
+    "above": (lambda _: "../secret.stl", "leaves the folder"),
+    "above by a detour": (lambda _: "sub/../../secret.stl", "leaves the folder"),
+    "link": (linked, "leaves the folder"),
+    "circle of links": (circle, "no such file"),
+    "missing": (lambda _: "none.stl", "no such file"),
+    "a folder": (lambda _: "sub", "no such file"),
+    "too long": (lambda _: "x" * 5000, "no such file"),
+    "NUL": (lambda _: "a\0b", "no name of a file"),
+    "a list": (lambda _: ["a"], "no name of a file"),
+    "nothing": (lambda _: "", "no name of a file"),
+}
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_a_name_that_leaves_the_folder_or_is_no_file(case: str, tmp_path: Path) -> None:
+    make, words = NAMES[case]
+    folder = tmp_path / "folder"
+    (folder / "sub").mkdir(parents=True)
+    (tmp_path / "secret.stl").write_text("secret")
+    with pytest.raises(InputError, match=words):
+        named_file(make(folder), folder, "machine.toml: model")
+
+
+def test_a_name_inside_is_found(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "a.stl").write_text("a")
+    (tmp_path / "b.stl").symlink_to("sub/a.stl")
+    assert named_file("sub/a.stl", tmp_path, "x").read_text() == "a"
+    assert named_file("b.stl", tmp_path, "x").read_text() == "a"
+    assert outer_file("../sub/a.stl", tmp_path / "sub", "x").read_text() == "a"

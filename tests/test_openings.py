@@ -1,0 +1,93 @@
+"""Every place of the package that opens a file is listed here with its reason: a new one must use twin/documents.py, or be added and justified.
+
+What a file of somebody else names is opened through `named_file` and `outer_file`; TOML and JSON through `read_toml` and `read_json`.
+"""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1] / "twin"
+
+METHODS = {"read_text", "read_bytes", "open", "fromfile", "loadtxt", "genfromtxt", "memmap", "loadmat", "whosmat", "imread", "from_file",
+           "from_xml_path", "ParquetFile", "read_csv", "ZipFile", "File", "MDF", "TdmsFile", "RrdReader", "exec_module", "iterparse", "parse"}  # fmt: skip
+"""Names of calls that open a file, whatever they are called on (`parse` also of an XML file)."""
+LOADERS = {"np", "numpy", "pickle", "tomllib", "json", "trimesh", "URDF", "pandas", "runpy", "yaml"}
+"""What has a `load`, `loads` or `run_path` that reads a file or its text."""
+
+ALLOWED = {
+    "cli/exam.py": {"read_bytes": 2, "read_text": 1},  # the machine file that is asked for, and the seal that it wrote
+    "cli/import_recordings.py": {"read_text": 1},  # a map that it would write over
+    "cli/parser.py": {"open": 1},  # os.devnull
+    "compiled_functions.py": {"read_bytes": 3},  # the package's own source
+    "documents.py": {"read_text": 1, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
+    "effects/user_files.py": {"exec_module": 1},  # effects that --effects names: code of the user's own
+    "exam/draw.py": {"read_text": 1, "tomllib.loads": 1},  # runs apart from the package, with the files of its own examination
+    "exam/mark.py": {"read_text": 1},  # what the examination wrote
+    "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
+    "exam/session.py": {"read_bytes": 2, "read_text": 5, "tomllib.loads": 2},  # the package's own source, and what the examination wrote
+    "geometry/mesh_file.py": {"read_bytes": 1, "trimesh.load": 1},  # the one reader of meshes
+    "identify/single_axis.py": {"loadmat": 1},  # a file that the command names
+    "iso230/readings.py": {"open": 2},  # a table that the command names
+    "machine/check.py": {"read_text": 1},  # a machine file that is loaded already: its comments
+    "machine/machine.py": {"read_text": 1},  # a machine file that is loaded already: its comments
+    "machine/model_file.py": {"open": 1, "parse": 1, "read_bytes": 1},  # the one reader of XML of models
+    "machine/sinumerik.py": {"read_text": 1},  # an archive that the command names
+    "machine/urdf_file.py": {"URDF.load": 1},  # the one reader of URDF, behind its checks
+    "program/iso.py": {"parse": 1},  # a word of a program, no file
+    "program/source.py": {"open": 1},  # programs that the command names, and subprograms in their folder
+    "recordings/campaign.py": {"ParquetFile": 1},  # events.parquet of a campaign
+    "recordings/formats/delimited.py": {"open": 5},  # a recording that the command names, and its own scratch files
+    "recordings/formats/matlab.py": {
+        "File": 1,
+        "loadmat": 1,
+    },  # a recording that the command names; datasets that stand elsewhere are refused
+    "recordings/formats/mdf.py": {"MDF": 1},  # a recording that the command names
+    "recordings/formats/parquet.py": {"ParquetFile": 1},  # a recording that the command names
+    "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
+    "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
+    "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
+    "recordings/trace.py": {"ParquetFile": 1, "read_csv": 1},  # a trace that the command names, or a campaign by named_file
+    "replay/reading.py": {"RrdReader": 1},  # a recording that the command names
+    "replay/recording.py": {"open": 1},  # the file that is written
+    "replay/viewer.py": {"RrdReader": 1, "open": 3},  # a recording that the command names, the viewer's picture, its client
+    "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote
+    "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits
+    "study/evaluate.py": {"read_bytes": 2},  # files of a study that were checked, to be sent to workers
+    "study/execution.py": {"read_bytes": 1},  # the same, for their digest
+    "study/results.py": {"ParquetFile": 1},  # a table that the study wrote
+    "study/store.py": {"json.loads": 2},  # cells of its own data base
+    "surface/measured.py": {"ZipFile": 1, "np.load": 1, "read_csv": 1},  # a map that the command names; no pickles
+    "surface/sur_file.py": {"read_bytes": 1},  # a map that the command names
+}
+"""File -> call -> how often, and why it is no file of somebody else, or is read behind checks."""
+
+
+def openings() -> dict[tuple[str, str], int]:
+    """(file, call) -> how often it stands there."""
+    found: Counter[tuple[str, str]] = Counter()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            function, name = node.func, ""
+            if isinstance(function, ast.Name) and function.id in METHODS | {"open"}:
+                name = function.id
+            elif isinstance(function, ast.Attribute):
+                owner = function.value.id if isinstance(function.value, ast.Name) else ""
+                if function.attr in METHODS and owner not in ("webbrowser", "tomlkit"):
+                    name = function.attr
+                elif function.attr in ("load", "loads", "run_path") and owner in LOADERS:
+                    name = f"{owner}.{function.attr}"
+            if name:
+                found[file.relative_to(PACKAGE).as_posix(), name] += 1
+    return dict(found)
+
+
+def test_every_opening_of_a_file_is_listed() -> None:
+    listed = {(file, call): count for file, calls in ALLOWED.items() for call, count in calls.items()}
+    found = openings()
+    new = {key: count for key, count in found.items() if count > listed.get(key, 0)}
+    assert not new, f"use twin/documents.py (read_toml, read_json, named_file), or list it here with a reason: {new}"
+    gone = {key: count for key, count in listed.items() if found.get(key, 0) < count}
+    assert not gone, f"no longer there, take it out of ALLOWED: {gone}"
