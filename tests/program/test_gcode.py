@@ -199,7 +199,7 @@ length_m = 0.1
     ],
 )
 def test_tools_come_from_the_machine_file(read, with_tools, blocks: str, lengths: list[float]) -> None:
-    text = "TRAORI\nG1 F1000\n" + blocks.replace("/", "\n").replace("MOVE", "G91 X1 G90 Z200")
+    text = "TRAORI\nG1 F1000\n" + blocks.replace("/", "\n").replace("MOVE", "X=IC(1) Z200")
     assert read(text, machine=with_tools(TOOLS)).moves.tool_length.tolist() == lengths
 
 

@@ -330,8 +330,122 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
             1,
         ):
             silent.append((word, outcomes))
-    assert not silent
+    assert not silent, silent
     assert all(kind in (ACTS, NOTE, REFUSED) for kind, _ in ISO_M.values())
+
+
+NAMES_IN_CONTEXT = {
+    "TRAORI": "TRAORI", "TRAFOOF": "TRAFOOF", "ORIWKS": "ORIWKS", "ORIMKS": "ORIMKS", "ORIVECT": "ORIVECT", "ORIPLANE": "ORIPLANE", "ORIAXES": "ORIAXES",
+    "MSG": 'MSG("a")', "TRANS": "TRANS X1", "ATRANS": "ATRANS X1", "ROT": "ROT Z9", "AROT": "AROT Z9", "SCALE": "SCALE X2", "ASCALE": "ASCALE X2",
+    "MIRROR": "MIRROR X0", "AMIRROR": "AMIRROR X0", "SUPA": "SUPA X3", "CYCLE832": "CYCLE832(0.3,1)", "CYCLE800": "CYCLE800(0,,0,57,0,0,0,9,0,0,0,0,0)",
+    "CYCLE81": "CYCLE81(5,0,1,-2)", "CYCLE82": "CYCLE82(5,0,1,-2)", "CYCLE83": "CYCLE83(5,0,1,-2,,-1)", "CYCLE84": "CYCLE84(5,0,1,-2,,0,,,1,,100)",
+    "CYCLE840": "CYCLE840(5,0,1,-2)", "CYCLE85": "CYCLE85(5,0,1,-2,,0,9,9)", "CYCLE86": "CYCLE86(5,0,1,-2)", "CYCLE89": "CYCLE89(5,0,1,-2)",
+    "HOLES1": "MCALL CYCLE81(5,0,1,-2)\nHOLES1(0,0,0,5,5,2)", "HOLES2": "MCALL CYCLE81(5,0,1,-2)\nHOLES2(0,0,5,0,90,2)",
+    "CYCLE801": "MCALL CYCLE81(5,0,1,-2)\nCYCLE801(0,0,0,3,3,2,2)", "CYCLE802": "MCALL CYCLE81(5,0,1,-2)\nCYCLE802(1,1,3,4)",
+    "MCALL": "MCALL CYCLE81(5,0,1,-2)\nX7", "CALL": 'CALL "SUB1"', "PCALL": 'PCALL "SUB1"', "EXTCALL": 'EXTCALL "SUB1"', "RET": "RET",
+    "CIP": "CIP X5 Y5 I1=1 J1=3 K1=5", "CT": "CT X9 Y9", "CR": "G2 X5 Y5 CR=9", "AR": "G2 X5 Y5 AR=20", "TURN": "G2 X1 Y1 I3 TURN=1", "AP": "AP=3",
+    "RP": "RP=3", "RPL": "ROT RPL=3", "ANG": "X9 ANG=3", "CHF": "X9 CHF=1\nY9", "CHR": "X9 CHR=1\nY9", "RND": "X9 RND=1\nY9", "RNDM": "X9 RNDM=1\nY9\nX0",
+    "ADIS": "G641 ADIS=2", "ADISPOS": "G641 ADISPOS=2", "CTOL": "G642 CTOL=0.4", "OTOL": "G642 OTOL=3", "I1": "CIP X5 Y5 I1=1 J1=3 K1=5",
+    "FP": "G75 FP=1 X1=0", "POS": "POS[X]=7", "POSA": "POSA[X]=7", "OVR": "OVR=50\nX7", "FB": "X7 FB=9", "A3": "TRAORI\nX5 A3=0.1 C3=1",
+    "A2": "ORIRPY\nTRAORI\nX5 A2=2", "ORIEULER": "ORIEULER", "ORIRPY": "ORIRPY", "FFWON": "FFWON", "FFWOF": "FFWOF", "SOFT": "SOFT", "BRISK": "BRISK",
+}  # fmt: skip
+
+
+def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> None:
+    """Names and G codes: behind one of two states each changes the motion or what later words mean, or it says what it lacks.
+
+    RET and G40 act on what follows: other tests hold them.
+    """
+    from twin.program.sinumerik import Sinumerik
+    from twin.program.source import Source, units_of
+
+    states = (
+        "G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\nTRAFOOF\n",
+        "G700 G18 G91 G93 G60 G602 G451 G55 X1 F1\nG90 TRANS X9\nFFWOF BRISK ORIMKS ORIEULER\nX2 Z3 F1\nG58 X3\nG111 X3\nTRAORI\n",
+        "G41 X5 Y5 F100\nG91 X9\n",
+    )
+
+    def run(text: str) -> tuple:
+        path = write(f"$TC_DP6[1,1]=1\nT1 D1\n{text}")
+        write("G91 X1\nG90\nM17\n", "SUB1.SPF")
+        front = Sinumerik(path, mikron, units_of(Source(path)))
+        front.run()
+        return fingerprint(front.out, front), tuple(front.out.feeds), len(front.out.notes)
+
+    context = {4: "F1", 25: "X1", 26: "X1", 331: "Z3 K1", 332: "Z3 K1", 63: "Z3", 41: "X9", 42: "X9", 53: "X3", 153: "X3", 58: "X5", 59: "X5", 74: "X1=0", 75: "X1=0",
+               2: "X2 Z3 Y1 I3 K3 CR=5", 3: "X5 Y5 CR=9", 9: "X7", 110: "X4", 111: "X4", 112: "X4", 0: "X7", 1: "X7"}  # fmt: skip
+    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, _) in SINUMERIK_NAMES.items() if kind == ACTS and n != "RET"]
+    words += [f"G{n:g} {context.get(n, '')}" for n, (kind, _) in SINUMERIK_G.items() if kind == ACTS and n != 40]
+    before = [run(state) for state in states]
+    silent = []
+    for word in words:
+        outcomes = []
+        for state, was in zip(states, before):
+            try:
+                now = run(f"{state}{word}\n")
+            except InputError as error:
+                outcomes.append(str(error))
+            except Exception as error:  # the readers' own faults, which `read` turns into an InputError
+                outcomes.append("unknown" if "is not known; remove" in str(error) else "refused")
+            else:
+                outcomes.append("acts" if was != now else "silent")
+        if not set(outcomes) - {"silent", "unknown"}:
+            silent.append((word, outcomes))
+    assert not silent, silent
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "x"),
+    [
+        ("part.mpf", "G90 G1 X5\nSUB1\nX1\nM30\n%_N_SUB1_SPF\nPROC SUB1 SAVE\nG91 X1\nRET\n", [5, 6, 1]),
+        ("part.mpf", "G90 G1 X5\nSUB1\nX1\nM30\n%_N_SUB1_SPF\nPROC SUB1\nG91 X1\nRET\n", [5, 6, 7]),
+        ("part.mpf", "G1 X5\nG25 X-100 S10\nG26 X100\nX6\n", [5, 6]),
+        ("part.mpf", "G1 X5\nCALL BLOCK AA TO BB\nX9\nGOTOF CC\nAA: X1\nBB: X2\nCC: X3\n", [5, 1, 2, 9, 3]),
+        ("part.mpf", "DEFINE FAR AS X50\nG1 FAR Y1\nX1 Y2\n", [50, 1]),
+        ("part.mpf", "N1 (a head)\nG1 X5 (and more) Y3\nX6\n", [5, 6]),
+        ("part.mpf", "G111 X10 Y0\nG1 X20 Y0\nG3 AP=90 RP=10\n", [20, 10]),
+        ("part.mpf", 'IF ISVAR("_Q")\nG1 X1\nENDIF\nDEF REAL _Q\nIF ISVAR("_Q")\nG1 X2\nENDIF\n', [2]),
+        ("part.ngc", "o1 sub\nM73\nG91 G1 X1\no1 endsub\nG90 G1 X5\no1 call\nG1 X3\nM2\n", [5, 6, 3]),
+        ("part.nc", "G1 X5.\nG91 G10 L2 P1 X2.\nG10 L2 P1 X2.\nG90 G54 X1.\n", [5, 5]),
+        ("part.nc", "G1 X5.\nG10 L20 P1 X5.\nX1.\nG54.1 P1 X1.\n", [5, 1, 6]),
+        ("part.nc", "G1 X5.\nG22 X100. Y100. Z100. I0 J0 K0\nX6.\n", [5, 6]),
+        ("part.nc", "G0 G1 X5.\nG90 G91 X6.\n", [5, 11]),
+        ("part.nc", "G1 X5.\nG5 P10000\nX6.\nG5 P0\nX7.\n", [5, 6, 7]),
+        ("part.nc", "G10 L12 P3 R2.\nG1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
+        ("part.nc", ":10 G1 X5.\n:20 T1 M6\nX6.\n", [5, 6]),
+        ("part.nc", "G1 X5.\n#1=#4001\nG#1 X6.\nIF[#4003EQ90]GOTO 9\nX8.\nN9 X7.\n", [5, 6, 7]),
+    ],
+)
+def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list[float]) -> None:
+    program = read(f"F100\n{text}" if name != "part.ngc" else text.replace("G90 G1 X", "G90 G1 F100 X", 1), name)
+    assert ends(program)[:, 0].tolist() == x
+
+
+@pytest.mark.parametrize(
+    ("name", "block", "message"),
+    [
+        ("part.mpf", "PRESETON(X,0)", "new coordinates"),
+        ("part.mpf", "G90 G91 X3", "G90 and G91 stand in one block"),
+        ("part.mpf", "OFFN=0.5", "OFFN=0.5 is not supported"),
+        ("part.mpf", "ID=1 WHENEVER $AA_IM[X]>1 DO POS[Y]=3", "synchronised"),
+        ("part.ngc", "G0 G1 X3", "G0 and G1 stand in one block"),
+        ("part.ngc", "M72", "M70"),
+        ("part.nc", "G5 P2 X3 I1 J1", "splines"),
+    ],
+)
+def test_what_would_be_read_wrongly_is_refused(read, name: str, block: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(f"G1 X1 F100\n{block}\nG1 X5\n", name)
+
+
+def test_feeds_of_a_block_and_of_the_override(read) -> None:
+    program = read("G1 X1 F600\nX2 FB=300\nOVR=50 X3\nX4\n")
+    assert program.moves.feed * 60e3 == pytest.approx([600, 300, 300, 300])
+
+
+def test_fine_boring_steps_off_the_wall(read) -> None:
+    program = read("G0 X0 Y0 Z9.\nG76 X5. Y0 Z-3. R1. Q0.5 F100\nG80\n", "part.nc")
+    assert ends(program)[-3:].tolist() == [[5.5, 0, -3], [5.5, 0, 9], [5, 0, 9]]
 
 
 @pytest.mark.parametrize("name", [n for n, (kind, _) in SINUMERIK_NAMES.items() if kind == REFUSED])

@@ -58,7 +58,9 @@ class AptReader:
         self.arc: tuple[np.ndarray, np.ndarray, float] | None = None
         self.direction: tuple[str, np.ndarray] | None = None
         self.cycle: tuple[float, float, float] | None = None  # depth, clearance [m], feed as in FEDRAT
+        self.out_at_feed = False  # tapping and the like leave the hole at feed
         self.ended = False
+        self.on_profile = False  # Creo says that its points are not those of the tool centre
         self.line = 0
         self.words = {
             "GOTO": self._goto, "FROM": self._from, "GODLTA": self._step, "RAPID": self._rapid, "FEDRAT": self._feed, "CIRCLE": self._circle,
@@ -66,6 +68,7 @@ class AptReader:
             "INDIRV": self._direction, "INDIRP": self._direction, "TLON,GOFWD": self._driven, "GOFWD": self._driven, "CYCLE": self._cycle,
             "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._machine_system, "CSYS": self._coordinate_system,
             "PSIS": self._part_surface,
+            "GOHOME": self._home,
         }  # fmt: skip
 
     def read(self) -> mv.Program:
@@ -86,9 +89,13 @@ class AptReader:
 
     def _statements(self) -> Iterator[tuple[int, str]]:
         """First line and text of each statement; one that the end of the file cuts off after its '$' ends there."""
-        text, first = "", 0
+        text, first, remark = "", 0, False
         for number, raw in enumerate(self.source.lines, start=1):
             part = raw.split("$$")[0].upper().rstrip()
+            self.on_profile |= "OUTPUT_ON_PROFILE" in raw
+            if remark or (not text and not part):  # a remark that ends in '$' goes on, too
+                remark = raw.rstrip().endswith("$") and not raw.rstrip().endswith("$$")
+                continue
             first = first or number
             text += part.removesuffix("$")
             if not part.endswith("$"):
@@ -174,8 +181,11 @@ class AptReader:
         self.out.notes["SPINDL: the speed counts for feeds per revolution only"] = None
 
     def _compensation(self, word: str, values: str) -> None:
-        if values.strip() not in ("OFF", ""):
-            raise self._fail(f"{word}/{values[:30]} is not supported: {NO_RADIUS_COMPENSATION}")
+        if values.strip() in ("OFF", ""):
+            return
+        if self.on_profile:
+            raise self._fail(f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}")
+        self.out.notes[f"{word}: the points are those of the tool centre, the compensation is that of wear, which counts as 0"] = None
 
     def _part_surface(self, word: str, _values: str) -> None:
         self.out.notes[f"{word}: understood, without effect on the motion"] = None
@@ -229,6 +239,13 @@ class AptReader:
     def _from(self, word: str, values: str) -> None:
         self.rapid = True
         self._goto(word, values)
+
+    def _home(self, word: str, values: str) -> None:
+        """GOHOME/ with its place (NX) is a rapid move there; without one the place is the machine's."""
+        if not values.strip():
+            raise self._fail(f"{word} without its place is not simulated; give it as GOHOME/ x, y, z or as a GOTO")
+        self.rapid = True
+        self._goto("GOTO", values)
 
     def _step(self, word: str, values: str) -> None:
         step = self._numbers(values, word, (1, 3))
@@ -300,7 +317,7 @@ class AptReader:
             return
         if kind == "ON":
             return
-        if kind not in ("DRILL", "DEEP", "BRKCHP", "FACE", "CSINK", "BORE", "REAM", "SPDRL", "THRU"):
+        if kind not in ("DRILL", "DEEP", "BRKCHP", "FACE", "CSINK", "BORE", "REAM", "SPDRL", "THRU", "TAP"):
             raise self._fail(f"{word}/{kind} is not simulated; let the CAM system put out points (GOTO) instead")
         feed_units = {**PER_MINUTE, **PER_REVOLUTION}
         named: dict[str, float] = {}
@@ -325,6 +342,7 @@ class AptReader:
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
         self.out.notes[f"CYCLE/{kind}: one straight stroke to its depth; pecks and dwells are left out"] = None
         self.cycle = depth * self.unit, abs(clear) * self.unit, feed
+        self.out_at_feed = kind in ("TAP", "REAM", "BORE")
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
@@ -333,7 +351,7 @@ class AptReader:
         above, bottom = hole + clear * up, hole - depth * up
         self._add(mv.RAPID, above, None, math.inf)
         self._add(mv.LINE, bottom, None, feed)
-        self._add(mv.RAPID, above, None, math.inf)
+        self._add(mv.LINE if self.out_at_feed else mv.RAPID, above, None, feed)
         self.rapid = False
 
 

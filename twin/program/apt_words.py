@@ -44,7 +44,7 @@ NOT_SIMULATED = {
         ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
         "let the CAM system put out the transformed points",
     ),
-    **dict.fromkeys(("GOHOME", "RETRCT", "RETURN"), "give the place as a GOTO"),
+    **dict.fromkeys(("RETRCT", "RETURN"), "give the place as a GOTO"),
     "THREAD": "threads cut with a turning spindle are not simulated",
 }
 """Statements that move the tool in a way that is not simulated: what to do instead."""

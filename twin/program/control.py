@@ -20,7 +20,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
 from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
-from twin.program.cycles import DWELL, FEED, Drilling, drill
+from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
@@ -83,6 +83,7 @@ class Control:
         self.out = Collector(path, machine)
         self.motion: int | None = 1
         self.feed = math.nan
+        self.override = 1.0  # OVR
         self.plane = 17
         self.absolute = True
         self.centre_absolute = False  # G90.1
@@ -226,7 +227,7 @@ class Control:
                 raise WordError("the move behind G40 must be straight, not an arc; add a straight move", 1)
             self.after_compensation = False
             self.settle_plain()
-        said = Programmed(kind, angles, vector, self.feed, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
+        said = Programmed(kind, angles, vector, self.feed * self.override, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
         if self.comp is not None and not suppress:
             self._beside(said, self.here(), point, arc, space_arc)
             return
@@ -292,6 +293,8 @@ class Control:
         middle = start.copy()
         for name, (value, how, column) in words.items():
             i = "IJK".index(name)
+            if i not in (a, b) and value == 0.0 and not (how == "AC" or self.centre_absolute):
+                continue  # some posts write all three
             if i not in (a, b):
                 raise WordError(f"{name} does not lie in the plane G{self.plane}; select the plane with G17, G18 or G19", column)
             absolute = how == "AC" or (how == "" and self.centre_absolute)
@@ -326,6 +329,9 @@ class Control:
                 continue
             point = self.here()
             point[across] = value * self.unit
+            if what in (ASIDE, BACK):
+                for i, step in zip(arcs.PLANES[self.plane][:2], cycle.aside):
+                    point[i] += step * self.unit * (1.0 if what == ASIDE else -1.0)
             self.feed = feed * share
             self.go(mv.LINE if what == FEED else mv.RAPID, point, [math.nan, math.nan])
         self.feed = feed

@@ -13,7 +13,7 @@ CHIP_BREAK = 0.254
 """How far G73 backs off, and how far above the last depth G83 comes back [mm]; LinuxCNC's value, a parameter on other controls."""
 MOST_PECKS = 2000
 
-RAPID, FEED, DWELL = "rapid", "feed", "dwell"
+RAPID, FEED, DWELL, ASIDE, BACK = "rapid", "feed", "dwell", "aside", "back"
 
 
 class CycleError(Exception):
@@ -41,10 +41,12 @@ class Drilling:
     first_scale: float = 1.0
     levels: tuple[float, ...] = ()
     feed_all_the_way: bool = False  # at feed to `retract`, not only to `safe`
+    aside: tuple[float, float] = (0.0, 0.0)  # step off the wall at the bottom, in the plane
+    lift: float = 0.0  # with it, along the tool axis
 
 
 def drill(c: Drilling) -> list[tuple[str, float, float]]:
-    """Steps (what, height or time, share of the feed) from `safe` down and out again."""
+    """Steps (what, height or time, share of the feed) from `safe` down and out again; ASIDE and BACK move by `aside`, too."""
     at, down = c.safe, -1.0 if c.depth <= c.safe else 1.0
     steps: list[tuple[str, float, float]] = []
 
@@ -68,6 +70,9 @@ def drill(c: Drilling) -> list[tuple[str, float, float]]:
         steps.append((FEED, depth, c.first_scale if k == 0 and depths else 1.0))
         dwell(c.dwell)
         at = depth
+    if any(c.aside) or c.lift:
+        steps += [(ASIDE, c.depth - down * abs(c.lift), 1.0), (RAPID, c.retract, 1.0), (BACK, c.retract, 1.0)]
+        return steps
     if c.out == FEED:
         steps.append((FEED, c.retract if c.feed_all_the_way else c.safe, c.out_scale))
     if c.out != FEED or (c.retract != c.safe and not c.feed_all_the_way):

@@ -31,7 +31,18 @@ _PLAIN = re.compile(
     r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?" + "".join(rf"(?:{axis}({NUMBER})\s*)?" for axis in "XYZAC") + rf"(?:F({NUMBER})\s*)?;?\s*$",
     re.A,
 )
+_NOT_IN_LINUXCNC: dict[float, str] = {76: "threading is not simulated", 5: "splines; let the CAM system put out lines or arcs"}
+_ALIKE: tuple[set[float], ...] = (
+    {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
+    {54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3},
+)  # fmt: skip
+"""Codes of which a block takes one: LinuxCNC refuses two, on a Fanuc the last counts."""
+_WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK", 60: ""}
 _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
+
+
+_MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
+"""What M70 and M73 of LinuxCNC keep, beside unit and feed."""
 
 
 class Iso(IsoCalls):
@@ -41,7 +52,7 @@ class Iso(IsoCalls):
         super().__init__(path, machine, unit, linuxcnc=linuxcnc)
         self.flow = Flow(self.unit_read, self)
         self.with_m19 = False
-        self.stored_modes: list[tuple] = []
+        self.stored_modes: dict[int, tuple[list, float, int, float]] = {}
         self.set_frames()
 
     def run(self) -> Any:
@@ -54,6 +65,9 @@ class Iso(IsoCalls):
     def words(self, text: str) -> None:
         """One block."""
         body, *messages = text.split(SEPARATOR)
+        if self.parameter_lines:
+            self.parameter_lines = "G11" not in body
+            return
         if body.strip():
             try:
                 self.execute(*self.parse(body))
@@ -118,6 +132,8 @@ class Iso(IsoCalls):
                 m.append((value, column))
             elif isinstance(value, Null) and not self.linuxcnc:
                 self.note(f"{name}: a word whose variable was never set counts as not written")
+            elif name == "T" and name in words and not self.linuxcnc:
+                self.note("T twice in a block: the second prepares the tool of the next change")
             elif name in words:
                 raise WordError(f"{name} stands twice in the block; keep one", column)
             else:
@@ -179,7 +195,11 @@ class Iso(IsoCalls):
         if self._calls(codes, m_codes, w):
             return
         self._feed_and_tool(codes, g, m_codes, w)
-        motion = next((n for n, _ in g if n in (0, 1, 2, 3) or n in CYCLES), None)
+        if self.linuxcnc:
+            for alike in _ALIKE:
+                if len(both := [n for n, _ in g if n in alike]) > 1:
+                    raise WordError(f"G{both[0]:g} and G{both[1]:g} stand in one block; keep one", 1)
+        motion = next((n for n, _ in reversed(g) if n in _ALIKE[0]), None)
         plane_before = self.plane
         modal = False
         for number, column in g:
@@ -207,8 +227,8 @@ class Iso(IsoCalls):
 
     def _known_g(self, number: float, column: int) -> tuple[float, int]:
         entry = ISO_G.get(number)
-        if number == 76 and self.linuxcnc:
-            entry = (REFUSED, "threading is not simulated")
+        if self.linuxcnc and number in _NOT_IN_LINUXCNC:
+            entry = (REFUSED, _NOT_IN_LINUXCNC[number])
         if entry is None:
             raise WordError(f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", column)
         if entry[0] == REFUSED:
@@ -239,14 +259,16 @@ class Iso(IsoCalls):
             self.set_spindle(w.pop("S").value)
         tool: dict[str, tuple] = {}
         for name in ("T", "H"):
-            if name in w and (name == "T" or codes & {43, 43.1, 43.4, 43.5, 44}):
+            if name in w and (name == "T" or codes & {43, 43.1, 43.4, 43.5, 44, 234}):
                 item = w.pop(name)
                 tool[name] = item.value, item.column
         if "H" in w and not codes & {10}:
             tool["H"] = w["H"].value, w.pop("H").column
         if 6 in m:
             tool["M6"] = 6.0, 1
-        if codes & {43, 43.4, 43.5}:
+        elif 61 in m and "Q" in w:
+            tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
+        if codes & {43, 43.4, 43.5, 234}:
             tool["G43"] = 43.0, 1
         if 49 in codes:
             tool["G49"] = 49.0, 1
@@ -254,9 +276,9 @@ class Iso(IsoCalls):
                 self.transform(False)
         if tool:
             self.tools.block(tool)
-        if codes & {43.4, 43.5}:
+        if codes & {43.4, 43.5, 234}:
             self.transform(True)
-        if "E" in w and not codes & {76, 33}:
+        if "E" in w and not codes & {187}:
             raise WordError("E has no use in this block; remove it", w["E"].column)
 
     def _g(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
@@ -264,8 +286,13 @@ class Iso(IsoCalls):
         kind, meaning = ISO_G[number]
         if kind == NOTE:
             self.note(f"G{number:g}: {meaning}")
-            for name in ("P", "Q", "R") if number in (5.1, 8, 5, 61.2, 187) else ():
+            for name in _WORDS_OF_NOTES.get(number, ""):
                 w.pop(name, None)
+        elif number == 5:
+            if "P" not in w or w.keys() & set("XYZIJQ"):
+                raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", column)
+            w.pop("P")
+            self.note("G5 P: high-speed mode of the control, understood, without effect on the motion")
         elif number in (17, 18, 19):
             self.plane = int(number)
         elif number in (90, 91):
@@ -277,7 +304,7 @@ class Iso(IsoCalls):
             self._dwell(w)
         elif number in (40, 41, 42, 41.1, 42.1):
             self._compensation(number, w, column)
-        elif number in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, 54.1):
+        elif 54 <= number <= 59.3 or number == 154 or 110 <= number < 130:
             self._choose_system(number, w, column)
         elif number == 10:
             self._g10(w, column)
@@ -338,15 +365,30 @@ class Iso(IsoCalls):
         return pause
 
     def _modes(self, number: int) -> None:
-        """M70 stores the modes, M72 brings them back."""
-        if number in (70, 73):
-            self.stored_modes.append((self.motion, self.plane, self.absolute, self.unit, self.out.modes.feed_mode, self.feed))
-        elif number == 72 and self.stored_modes:
-            self.motion, self.plane, self.absolute, unit, mode, feed = self.stored_modes[-1]
+        """M70 stores the modes, M71 forgets them, M72 brings them back; M73 does so at the end of the subprogram."""
+        frame = self.flow.frame
+        stored = [getattr(self, n) for n in _MODES], self.unit, self.out.modes.feed_mode, self.feed
+
+        def restore(kept: tuple[list, float, int, float]) -> None:
+            values, unit, mode, feed = kept
+            for name, value in zip(_MODES, values):
+                setattr(self, name, value)
             self.set_unit(unit, feed=True)
             self.set_feed_mode(mode)
             self.feed = feed
-            self.settle_plain()
+            self.round_corners()
+            self.set_frames()
+
+        if number in (70, 73):
+            self.stored_modes[id(frame)] = stored
+        if number == 73:
+            frame.on_return = lambda: restore(stored)
+        elif number == 71:
+            self.stored_modes.pop(id(frame), None)
+        elif number == 72:
+            if id(frame) not in self.stored_modes:
+                raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
+            restore(self.stored_modes[id(frame)])
 
     def _m_after(self, m: list[int]) -> None:
         if 2 in m or 30 in m:

@@ -14,7 +14,7 @@ from twin.program.cycles import FEED, RAPID, Drilling
 from twin.program.expressions import WordError
 from twin.program.iso_variables import IsoVariables
 
-CYCLES = {73, 74, 81, 82, 83, 84, 85, 86, 89}
+CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 89}
 MOST_REPEATS = 10_000
 
 
@@ -72,14 +72,18 @@ class IsoDrilling(IsoVariables):
         if depth > safe:
             raise WordError(f"G{number}: {depth_axis} {depth:g} lies above R {safe:g}; correct one", 1)
         clear = max(safe, initial) if self.retract_to_start else safe
-        pause = self.sticky.get("P", 0.0) if number in (74, 82, 84, 86, 89, 73, 83, 88) else 0.0
+        aside = (self.sticky.get("I", 0.0), self.sticky.get("J", 0.0)) if number == 76 else (0.0, 0.0)
+        if number == 76 and not any(aside):
+            aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
+            self.note("G76: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
+        pause = self.sticky.get("P", 0.0) if number in (74, 76, 82, 84, 86, 89, 73, 83, 88) else 0.0
         if not self.linuxcnc:
             pause /= 1000.0
         if number in (73, 83, 85, 81) and self.linuxcnc:
             pause = 0.0
         cycle = Drilling(
             safe, depth, clear, dwell=pause, peck=self.sticky.get("Q", 0.0) if number in (73, 83) else 0.0, break_chip=number == 73,
-            back=0.254e-3 / self.unit, out=FEED if number in (74, 84, 85, 89) else RAPID, feed_all_the_way=self.linuxcnc,
+            back=0.254e-3 / self.unit, out=FEED if number in (74, 84, 85, 89) else RAPID, feed_all_the_way=self.linuxcnc, aside=aside,
         )  # fmt: skip
         if number in (73, 83):
             self.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")

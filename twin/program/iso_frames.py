@@ -22,6 +22,7 @@ class IsoFrames(IsoLines):
         self.linuxcnc = linuxcnc
         self.systems = {n: self.frame_table(_system_name(n)) for n in range(1, 10)}
         self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
+        self.parameter_lines = False  # behind G10 L50, up to G11
         self.system = 1
         self.shift = np.zeros(5)  # G92 (LinuxCNC: also G52)
         self.shift_kept, self.shift_on = np.zeros(5), False
@@ -60,22 +61,48 @@ class IsoFrames(IsoLines):
         return found
 
     def _choose_system(self, number: float, w: dict[str, Item], column: int) -> None:
-        if number == 54.1 or (number == 54 and "P" in w and not self.linuxcnc):
+        if 110 <= number < 130:  # Haas
+            self.system = self._additional(number - 109)
+        elif number in (54.1, 154) or (number == 54 and "P" in w and not self.linuxcnc):
             if "P" not in w:
-                raise WordError("G54.1 needs P, the number of the offset", column)
-            extra = 100 + int(w.pop("P").value)
-            if extra not in self.systems:
-                self.systems[extra], self.turned[extra] = self.frame_table(f"G54.1P{extra - 100}"), 0.0
-            self.system = extra
+                raise WordError(f"G{number:g} needs P, the number of the offset", column)
+            self.system = self._additional(w.pop("P").value)
         else:
             self.system = {54: 1, 55: 2, 56: 3, 57: 4, 58: 5, 59: 6, 59.1: 7, 59.2: 8, 59.3: 9}[number]
         self.set_frames()
 
+    def _additional(self, number: float) -> int:
+        """The number here of an additional zero offset, G54.1 P1 and on."""
+        extra = 100 + int(number)
+        if extra not in self.systems:
+            self.systems[extra], self.turned[extra] = self.frame_table(f"G54.1P{extra - 100}"), 0.0
+        return extra
+
+    def _g10_tool(self, what: int, w: dict[str, Item], column: int) -> None:
+        """G10 L10 to L13 of Fanuc (length, its wear, radius, its wear), L1 of LinuxCNC (Z, R)."""
+        if what in (50, 51, 52) and not self.linuxcnc:
+            self.note("G10 L50 .. G11: parameters of the control, understood, without effect on the motion")
+            self.parameter_lines = True
+            return
+        given = {10: "R", 11: "R", 12: "R", 13: "R"} if not self.linuxcnc else {1: "ZR"}
+        if what not in given or "P" not in w:
+            raise WordError(f"G10 L{what} is not supported: it writes what is not simulated; give [tool] in the machine file", column)
+        name = f"{w.pop('P').value:g}"
+        for letter in given[what]:
+            if letter in w:
+                value = w.pop(letter).value * self.unit
+                self.tools.set_value(
+                    name, "radius" if what in (12, 13) or (what == 1 and letter == "R") else "length", value, wear=what in (11, 13)
+                )
+
     def _g10(self, w: dict[str, Item], column: int) -> None:
         what = int(w.pop("L").value) if "L" in w else 2
         if what not in (2, 20):
-            raise WordError(f"G10 L{what} is not supported: it writes the tool table; give [tool] in the machine file", column)
+            self._g10_tool(what, w, column)
+            return
         number = int(w.pop("P").value) if "P" in w else 0
+        if what == 20 and not self.linuxcnc:
+            number, what = self._additional(number), 2
         number = number or self.system
         if number not in self.systems:
             raise WordError(f"G10 P{number}: there is no such zero offset; use P1 to P9", column)
@@ -96,7 +123,7 @@ class IsoFrames(IsoLines):
                     new[i] = self.out.position[i] - named[i]
         else:
             for i, value in named.items():
-                new[i] = value
+                new[i] = value if self.absolute or self.linuxcnc else new[i] + value  # G91 adds on a Fanuc
         self.systems[number] = new
         if number == self.system:
             self.set_frames()

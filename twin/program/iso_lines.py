@@ -21,6 +21,7 @@ _IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GOTO\s*(.+?)|THEN\s*(.+?))\s*$", re.A)
 _WHILE = re.compile(r"\s*WHILE\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
 _DO = re.compile(r"\s*(DO|END)\s*(\d+)\s*$", re.A)
 _GOTO = re.compile(r"\s*GOTO\s*(.+?)\s*$", re.A)
+_MAIN_BLOCK = re.compile(r"(\s*):(\d+)(?=\s*[A-Z])", re.A)
 COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
 _ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
 _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
@@ -56,6 +57,8 @@ class IsoLines(Control):
                 messages.append(f"{active[1].upper()},{active[2]}")
         text = text.upper().rstrip()
         stripped = text.lstrip()
+        if stripped.startswith(":") and (main := _MAIN_BLOCK.match(text)):
+            text = f"{main[1]}N{main[2]}{text[main.end() :]}"
         if stripped.startswith("%"):
             text = ""
         elif stripped.startswith("/"):

@@ -104,8 +104,9 @@ class IsoMotion(IsoDrilling):
 
     def _reference(self, number: int, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
         """G28, G30: through the point of the block to the reference point, rapid."""
-        if number == 30:
-            w.pop("P", None)
+        home = self.home[number]
+        if number == 30 and "P" in w and (which := int(w.pop("P").value)) != 2:
+            home = self.frame_table(f"G30P{which}")
         self.note("G28, G30: the reference point is the zero of the axes, or [frame.G28] x_m .. of the machine file")
         point, angles = self.target(coordinates, False)
         none = [math.nan, math.nan]
@@ -115,9 +116,9 @@ class IsoMotion(IsoDrilling):
         goal = np.array(self.out.position[:3])
         for n in named:
             if n in LINEAR:
-                goal[INDEX[n]] = self.home[number][INDEX[n]]
+                goal[INDEX[n]] = home[INDEX[n]]
             elif n in ROTARY:
-                none[INDEX[n] - 3] = self.home[number][INDEX[n]]
+                none[INDEX[n] - 3] = home[INDEX[n]]
             else:
                 self.other_axes[n] = 0.0
         self.go(mv.RAPID, goal, none, suppress=True)

@@ -18,6 +18,8 @@ class IsoVariables(IsoFrames):
     """Values of variables and expressions."""
 
     flow: Flow
+    motion: int | None
+    retract_to_start: bool
 
     def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
@@ -169,9 +171,22 @@ class IsoVariables(IsoFrames):
         if 5161 <= key <= 5169 or 5181 <= key <= 5189:
             base = 28 if key < 5180 else 30
             return self._own(self.home[base], key - (5160 if base == 28 else 5180)) * (self.unit / 1e-3)
+        if fanuc and 4001 <= key <= 4120:
+            return self._modal_value(key)
         if key == 5400 and self.linuxcnc:
             return float(self.tools.name) if self.tools.name.isdigit() else 0.0
         return None
+
+    def _modal_value(self, key: int) -> float | None:
+        """What #4001 to #4120 of a Fanuc say of the codes in force."""
+        modes = self.out.modes
+        values: dict[int, float] = {
+            4001: float(self.motion or 0), 4002: float(self.plane), 4003: 90.0 + (not self.absolute), 4005: float(modes.feed_mode),
+            4006: 21.0 if self.unit == 1e-3 else 20.0, 4007: 40.0 if self.comp is None else 41.0 if self.comp.offset > 0 else 42.0,
+            4010: 98.0 + (not self.retract_to_start), 4014: 53.0 + self.system if self.system <= 6 else 54.1,
+            4109: 0.0 if math.isnan(self.feed) else self.feed, 4119: modes.spindle, 4120: float(self.tools.name) if self.tools.name.isdigit() else 0.0,
+        }  # fmt: skip
+        return values.get(key)
 
     def _predefined(self, name: str) -> float | None:
         place = {"_X": 1, "_Y": 2, "_Z": 3, "_A": 4, "_B": 5, "_C": 6, "_U": 7, "_V": 8, "_W": 9}

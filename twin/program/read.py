@@ -50,6 +50,8 @@ _APT = re.compile(r"^\s*(?:PARTNO|TOOL PATH/|GOTO\s*/|FEDRAT\s*/|LOADTL\s*/|MULT
 _ISO = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
 _OTHER = (
     (re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M), "a HEIDENHAIN Klartext program"),
+    (re.compile(r"^%\S+\s+G7[01]\s*\*", re.M), "a HEIDENHAIN program in DIN/ISO"),
+    (re.compile(r"^\$\S+%\s*$|^\s*(?:N\d+\s*)?(?:CALL\s+O[A-Z0-9]+|V[CS]\d+\s*=|RTS\s*$)", re.M), "an OKUMA OSP program"),
     (re.compile(r"^\s*(?:MODULE\s+\w|PROC\s+main\(\)|MoveL\s|&ACCESS\b)", re.M), "a robot program"),
     (re.compile(r"^\s*(?:<\?xml|<html|\{\s*\")", re.I), "no part program but a data file"),
     (re.compile(r"^\s*(?:ISO-10303-21|solid\s+\w)", re.I), "a model, not a program"),

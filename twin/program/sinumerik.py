@@ -30,8 +30,13 @@ _PLAIN = re.compile(
     re.A,
 )
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "C1"}
+_ALIKE: tuple[set[float], ...] = (
+    {0, 1, 2, 3, 331, 332}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {70, 71, 700, 710}, {40, 41, 42}, {60, 64, 641, 642, 643, 644, 645, 646},
+    {54, 55, 56, 57, 500, *range(505, 600)}, {601, 602, 603}, {450, 451},
+)  # fmt: skip
+"""G codes of one group: a block takes one of them."""
 _SWITCH_WORDS = {"TRANS", "ATRANS", "ROT", "AROT", "SCALE", "ASCALE", "MIRROR", "AMIRROR", "ROTS", "AROTS"}
-_VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1")} - {SINUMERIK_NAMES["CIP"][1]}
+_VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1", "OVR")} - {SINUMERIK_NAMES["CIP"][1]}
 
 
 class Sinumerik(SinumerikCalls):
@@ -53,7 +58,7 @@ class Sinumerik(SinumerikCalls):
 
     def fast(self, text: str, line: int) -> bool:
         """Take a plain block of coordinates; False if it must be read word by word."""
-        if not self.plain or self.mcall is not None or self.held is not None or self.every_corner:
+        if not self.plain or self.mcall is not None or self.held is not None or self.every_corner or self.override != 1.0:
             return False
         match = _PLAIN.match(text)
         if not match:
@@ -138,6 +143,8 @@ class Sinumerik(SinumerikCalls):
                 block.tool[name] = self._tool_value(word), word.column
             elif name == "L" and word.value is not None:
                 block.calls.append(word)
+            elif name == "S1" and word.assigned and "S" not in block.extra:
+                block.extra["S"] = self._item(word)
             elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
                 self.note(f"{name}=: a word of another spindle or tool, understood, without effect on the motion")
             elif name == "R":
@@ -167,6 +174,12 @@ class Sinumerik(SinumerikCalls):
                 raise WordError(f"G{number:g} is not supported: {entry[1]}", word.column)
             if entry[0] == NOTE:
                 self.note(f"G{number:g}: {entry[1]}")
+        for alike in _ALIKE:
+            if len(numbers & alike) > 1:
+                raise WordError("G" + " and G".join(f"{n:g}" for n in sorted(numbers & alike)) + " stand in one block; keep one", 1)
+        if numbers & {25, 26}:
+            block.coordinates.clear()
+            extra.pop("S", None)
         if block.tool or 6 in block.m:
             if 6 in block.m:
                 block.tool["M6"] = 6.0, 1
@@ -200,7 +213,11 @@ class Sinumerik(SinumerikCalls):
         elif numbers & {110, 111, 112}:
             self._set_pole(next(n for n in (110, 111, 112) if n in numbers), block.coordinates, extra)
         else:
+            feed = self.feed
+            if "FB" in extra:
+                self.set_feed(extra.pop("FB").value)
             self._motion(block, vector, suppress, moved_by_name)
+            self.feed = feed if numbers.isdisjoint({331, 332}) else self.feed
             if block.coordinates and self.mcall is not None and self.mcall is modal_before:
                 self.mcall()
         if 9 in numbers:
@@ -233,6 +250,10 @@ class Sinumerik(SinumerikCalls):
         if "F" in extra:
             item = extra.pop("F")
             self.set_feed(item.value, item.column)
+        if "OVR" in extra:
+            self.override = extra.pop("OVR").value / 100.0
+            if not 0.0 < self.override <= 2.0:
+                raise WordError(f"OVR={100 * self.override:g} is out of range; give 1 to 200 percent", 1)
         if "S" in extra:
             self.set_spindle(extra.pop("S").value)
         changed = False
@@ -326,13 +347,19 @@ class Sinumerik(SinumerikCalls):
         elif name == "MCALL":
             self._release()
             self._modal(calls, cycle)
-        elif name in ("CALL", "PCALL"):
+        elif name in ("CALL", "PCALL", "EXTCALL"):
             text = (word.text or "").strip()
             if not text and calls:
+                if isinstance(held := (self._store_of(calls[0].name) or {}).get(()), str):
+                    calls[0] = Word(plain_name(held), word.column)
                 return
             calls.append(Word(plain_name(str(self._value_of(text, word.text_column))), word.column))
         elif name == "RET":
             self._release()
+        elif meaning == SINUMERIK_NAMES["OFFN"][1]:
+            if self._value(word):
+                raise WordError(f"{name}={self._value(word):g} is not supported: {meaning}", word.column)
+            self.note(f"{name}: {meaning}")
         elif name.startswith(("CYCLE", "HOLES")):
             self._release()
             cycles.carry_out(self, word)

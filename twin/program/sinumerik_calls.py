@@ -15,6 +15,11 @@ from twin.program.source import Folder, Unit, plain_name
 from twin.program.tables import REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 
+_DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
+_QUIET = re.compile(
+    r"\s*(?:M\d*=?\d+|H\d*=?\d+|(?:\$A_OUTA?|\$AC_MARKER|\$AC_PARAM|\$AC_TIMER|\$R|\$A_DB\w+|\$A_DLB|\$AC_FIFO\d*)\s*(?:\[[^\]]*\])?\s*=\s*[^ ]+|SETAL\([^)]*\))",
+    re.A,
+)
 _CASE = re.compile(r"\s*CASE\s*(.+?)\s+OF\b(.*)\Z", re.A)
 _CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", re.A)
 _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
@@ -28,6 +33,7 @@ class SinumerikCalls(SinumerikMotion):
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.folder = Folder(path)
         self.mcall: Callable[[], None] | None = None
+        self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
 
     def other(self, s: Statement, frame: Frame) -> None:
         """CASE, DEF, PROC and the like."""
@@ -36,7 +42,20 @@ class SinumerikCalls(SinumerikMotion):
         elif s.kind in ("def", "redef"):
             self._define(s, frame)
         elif s.kind == "define":
-            raise WordError("DEFINE .. AS is not supported: macros; write the words themselves", s.column)
+            match = _DEFINE.match(s.text)
+            if not match:
+                raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
+            self.macros[match[1]] = match[2]
+            frame.unit.statements.clear()
+            frame.unit.partners = None
+        elif s.kind == "synchronised":
+            if _QUIET.sub("", s.text).strip() or not s.text.strip():
+                raise WordError(f"DO{s.text[:30]}: {SINUMERIK_NAMES['DO'][1]}", s.column)
+            self.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
+        elif s.kind == "proc" and len(self.flow.frames) == 1:
+            match = _PROC.match(s.text)
+            for part, _ in split_arguments(match[2] or "") if match else []:
+                self.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
         elif s.kind == "extern":
             self.note("EXTERN: a declaration, without effect on the motion")
         elif s.kind in ("endwhile", "endif"):
@@ -82,8 +101,36 @@ class SinumerikCalls(SinumerikMotion):
             )
         self._release()
         variables, first = self._arguments(unit, arguments, word)
+        kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.clean(unit.lines[first - 1])) else None
         if frame := self.flow.call(unit, first, times=times, name=name, column=word.column):
             frame.variables = variables
+            frame.on_return = kept
+
+    def _kept_modes(self) -> Callable[[], None]:
+        """What PROC .. SAVE brings back at the end of the subprogram: the modal G codes and the programmable frame."""
+        names = (
+            "motion", "plane", "absolute", "rounding", "chosen", "program_matrix", "program_offset", "fine", "corners_meet", "angles_are_rpy",
+            "tolerance", "angle_tolerance", "adis", "adispos",
+        )  # fmt: skip
+        values, unit, modes, side = [getattr(self, n) for n in names], self.unit, self.out.modes, self.comp
+
+        def restore() -> None:
+            self._release()
+            if (self.comp is None) != (side is None):
+                raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
+            for name, value in zip(names, values):
+                setattr(self, name, value)
+            self.set_unit(unit, feed=modes.feed_unit != self.out.modes.feed_unit)
+            self.set_feed_mode(modes.feed_mode)
+            self.round_corners(
+                stop_window=modes.stop_window,
+                brisk=modes.brisk,
+                feedforward=modes.feedforward,
+                workpiece_orientation=modes.workpiece_orientation,
+            )
+            self.set_frames()
+
+        return restore
 
     def _arguments(self, unit: Unit, arguments: list[tuple[str, int]], word: Word) -> tuple[dict, int]:
         """Values of the parameters of a PROC, and the line it begins at."""

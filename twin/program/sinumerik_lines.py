@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 import re
 
+from twin.machine.machine import Machine
 from twin.program.control import Control
 from twin.program.expressions import WordError
 from twin.program.flow import Statement
@@ -15,6 +17,11 @@ _FLOW = re.compile(
     r"\s*(IF|ELSE|ENDIF|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|GOTO[FBCS]?|REPEATB?|CASE|ENDLABEL|PROC|DEF|REDEF|DEFINE|EXTERN)\b(?!\s*=[^=])",
     re.A,
 )
+_SYNCHRONISED = re.compile(r"\s*(?:IDS?\s*=\s*\d+\s*)?(?:\b(?:WHEN|WHENEVER|EVERY|FROM)\b.*)?\bDO\b(.*)\Z", re.A)
+_BLOCK_CALL = re.compile(r"\s*CALL\s+BLOCK\s+([A-Z_N][A-Z0-9_]*)\s+TO\s+([A-Z_N][A-Z0-9_]*)\s*\Z", re.A)
+_COMMENT = re.compile(
+    r"((?:^|:)\s*(?:N\d+\s*)?|\s[A-Z]=?[-+]?(?:\d+\.?\d*|\.\d+)\s*)\(([^()\"]*(?:\([^()\"]*\)[^()\"]*)*)\)(?=\s*(?:[A-Z]|\Z))", re.A
+)
 _GOTO = re.compile(r"\s*GOTO([FBC]?)\s+([A-Z0-9_]+)\s*\Z", re.A)
 _IF_GOTO = re.compile(r"\s*IF\b(.*?)\b(GOTO[FBCS]?\b.*)\Z", re.A)
 _REPEAT = re.compile(
@@ -25,6 +32,10 @@ _FOR = re.compile(r"\s*FOR\s*([A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(.+?)\s+TO\
 
 class SinumerikLines(Control):
     """Reads lines."""
+
+    def __init__(self, path: Path, machine: Machine) -> None:
+        super().__init__(path, machine)
+        self.macros: dict[str, str] = {}  # DEFINE .. AS
 
     def clean(self, text: str) -> str:
         """The block in capitals without comment; texts in quotes keep their length."""
@@ -39,6 +50,14 @@ class SinumerikLines(Control):
             return ""
         if stripped.startswith("/"):
             text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
+        if "(" in text and (bare := _COMMENT.sub(lambda m: m[1] + " " * (len(m[0]) - len(m[1])), text)) != text:
+            self.note("( ): a text in brackets that belongs to no word is a comment, as on older controls")
+            text = bare
+        if self.macros:
+            parts = text.split('"')
+            for name, meaning in self.macros.items():
+                parts[::2] = [re.sub(rf"\b{name}\b(?!\s+AS\b)", lambda _, said=meaning: said, part) for part in parts[::2]]
+            text = '"'.join(parts)
         return text
 
     def _body(self, text: str) -> tuple[str, int]:
@@ -58,6 +77,10 @@ class SinumerikLines(Control):
             return Statement("label")
         match = _FLOW.match(body)
         if not match:
+            if call := _BLOCK_CALL.match(body):
+                return Statement("repeat_label", column=call.start(1) + 1, rest=("REPEAT", call[1], call[2], None))
+            if "DO" in body and (action := _SYNCHRONISED.match(body)):
+                return Statement("synchronised", text=action[1], column=action.start(1) + 1)
             return None
         word, column = match[1], match.start(1) + 1
         rest = body[match.end(1) :]

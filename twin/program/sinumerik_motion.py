@@ -69,6 +69,7 @@ class SinumerikMotion(SinumerikVariables):
     def _motion(self, block: Block, vector: Vector | None, suppress: bool, by_name: str | None) -> None:
         """One motion block: target, tool axis, arc, corner; `by_name` is CIP or CT."""
         numbers, coordinates, centre, extra = block.numbers, block.coordinates, block.centre, block.extra
+        about_pole = bool(extra.keys() & {"AP", "RP"}) and not centre and "CR" not in extra
         self._polar(coordinates, extra)
         self._slanted(coordinates, extra)
         if vector and ("A" in coordinates or "C" in coordinates):
@@ -98,6 +99,9 @@ class SinumerikMotion(SinumerikVariables):
             self._release()
         point, angles = self.target(coordinates, suppress, start)
         arc, space = None, None
+        if kind == mv.ARC and about_pole and by_name is None and "AR" not in extra:
+            for i in arcs.PLANES[self.plane][:2]:
+                centre["IJK"[i]] = Item(self.pole[i] / self.unit, "AC")
         if kind == mv.ARC:
             arc, space = self._arc(start, point, centre, extra, by_name)
         self._queue(Move(kind, point, angles, vector, arc, space, suppress, self.feed, self.line, self.block), corner)

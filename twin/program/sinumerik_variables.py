@@ -30,6 +30,7 @@ class SinumerikVariables(SinumerikFrames):
     """Values of variables, words and expressions."""
 
     flow: Flow
+    unset: set[str]
 
     def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
@@ -86,6 +87,9 @@ class SinumerikVariables(SinumerikFrames):
         index: tuple = ()
         if e.peek() == "[":
             index = tuple(e.arguments())
+        elif name == "ISVAR" and e.peek() == "(":
+            asked = str(e.arguments()[0]).partition("[")[0].upper()
+            return float(self._store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
             raise e.fail(f"'{name}' is no function that is read here", at)
         if match := re.fullmatch(r"R(\d{1,4})", name):
@@ -106,6 +110,8 @@ class SinumerikVariables(SinumerikFrames):
                 return given[k] if isinstance(given[k], str) else float(given[k])
         if name in AXIS_NAMES and not index:
             return name
+        if name in self.unset:
+            raise e.fail(f"'{name}' is a value that a call gives this subprogram; read the program that calls it", at)
         raise e.fail(f"variable '{key}' has no value here; define it (DEF), or give it in the table [variables] of the machine file", at)
 
     def _system(self, name: str, index: tuple) -> Value | None:
@@ -119,6 +125,11 @@ class SinumerikVariables(SinumerikFrames):
                 angle = float(self.out.settle()[i - 3]) - (0.0 if machine else self.offset[i])
                 return math.degrees(angle)
             return float((np.array(self.out.position[:3]) if machine else self.here())[i]) / self.unit
+        if name in ("$AC_MARKER", "$AC_PARAM"):
+            return 0.0  # what a program finds before it has set them
+        if name == "$TC_DP6" and index:
+            tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
+            return self.tools.radius(tool, 1) / self.unit
         if name == "$P_F":
             return 0.0 if math.isnan(self.feed) else self.feed
         if name in ("$P_S", "$P_SDIR"):

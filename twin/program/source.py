@@ -13,7 +13,7 @@ from twin.errors import InputError
 LONGEST_LINE = 2000  # characters; the control itself allows 512
 MOST_LINES = 2_000_000
 _HEAD = re.compile(r"%_N_(\w+?)_(MPF|SPF)\b|%(?:MPF|SPF)[ \t]*(\w+)", re.A | re.I)
-_PREFIX = re.compile(r"_N_|_MPF$|_SPF$", re.A)
+_PREFIX = re.compile(r"^.*[/\\](?=.)|_N_|[_.](?:MPF|SPF)$", re.A)
 
 
 class Source:

@@ -12,14 +12,14 @@ NOTHING = "understood, without effect on the motion"
 ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
     3: (ACTS, "arc counter-clockwise"), 4: (ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s"),
-    5: (REFUSED, "splines; let the CAM system put out lines or arcs"), 5.1: (NOTE, "look-ahead of the control, " + NOTHING),
+    5: (ACTS, "P alone: high-speed mode, noted; splines are refused"), 5.1: (NOTE, "look-ahead of the control, " + NOTHING),
     5.2: (REFUSED, "NURBS; let the CAM system put out lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system put out lines or arcs"),
     7: (REFUSED, "diameters are programmed on lathes; this machine mills"), 8: (NOTE, "radius or look-ahead, " + NOTHING),
-    9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset; the tool table is refused"), 11: (ACTS, "end of G10"),
+    9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool"), 11: (ACTS, "end of G10"),
     12: (REFUSED, "circular pockets; write the arcs"), 13: (REFUSED, "circular pockets; write the arcs"),
     15: (ACTS, "polar coordinates off"), 16: (ACTS, "polar coordinates about the program zero"),
     17: (ACTS, "plane XY"), 18: (ACTS, "plane ZX"), 19: (ACTS, "plane YZ"), 20: (ACTS, "inch"), 21: (ACTS, "mm"),
-    22: (NOTE, "stroke limits, " + NOTHING), 23: (NOTE, "stroke limits, " + NOTHING), 25: (NOTE, "spindle watch, " + NOTHING),
+    22: (NOTE, "stroke limits, which the machine file gives"), 23: (NOTE, "stroke limits, which the machine file gives"), 25: (NOTE, "spindle watch, " + NOTHING),
     26: (NOTE, "spindle watch, " + NOTHING), 27: (REFUSED, "reference point check is not simulated; remove it"),
     28: (ACTS, "through the point of the block to the reference point"), 28.1: (ACTS, "this place is the reference point of G28"),
     29: (REFUSED, "return from the reference point; program the position"),
@@ -42,7 +42,7 @@ ISO_G: dict[float, tuple[str, str]] = {
     65: (ACTS, "macro call P with arguments, L times"), 66: (ACTS, "macro call behind each move"), 67: (ACTS, "end of G66"),
     68: (ACTS, "turn by R about X Y"), 68.2: (ACTS, "tilted plane by origin and Euler angles I J K"), 69: (ACTS, "end of G68 and G68.2"),
     70: (ACTS, "inch"), 71: (ACTS, "mm"), 72: (REFUSED, "turning cycles; this machine mills"),
-    73: (ACTS, "drilling, chips broken: Z R Q"), 74: (ACTS, "left-hand tapping: Z R P"), 76: (REFUSED, "fine boring moves aside; write the moves"),
+    73: (ACTS, "drilling, chips broken: Z R Q"), 74: (ACTS, "left-hand tapping: Z R P"), 76: (ACTS, "fine boring: aside by Q towards +, or by I J"),
     80: (ACTS, "cycle off"), 81: (ACTS, "drilling: Z R"), 82: (ACTS, "drilling with dwell P"), 83: (ACTS, "deep drilling: Q"), 84: (ACTS, "tapping at feed"),
     85: (ACTS, "boring, out at feed"), 86: (ACTS, "boring, out at rapid"), 87: (REFUSED, "back boring moves aside; write the moves"),
     88: (REFUSED, "boring with a halt for the hand is not simulated"), 89: (ACTS, "boring with dwell, out at feed"),
@@ -51,8 +51,14 @@ ISO_G: dict[float, tuple[str, str]] = {
     92: (ACTS, "this place has these coordinates"), 92.1: (ACTS, "G92 cleared"), 92.2: (ACTS, "G92 off"), 92.3: (ACTS, "G92 on again"),
     93: (ACTS, "F is 1/min of the block"), 94: (ACTS, "F per minute"), 95: (ACTS, "F per turn of the spindle"),
     96: (REFUSED, "constant cutting speed is not simulated; use G97"), 97: (NOTE, NOTHING), 98: (ACTS, "cycles retract to the start"), 99: (ACTS, "cycles retract to R"),
+    103: (NOTE, "look-ahead in blocks, " + NOTHING), 60: (NOTE, "approach from one side: the overshoot is left out"),
+    **dict.fromkeys((7.1, 12.1, 107, 112), (REFUSED, "cylinders and polar axes of other machines; let the CAM system put out X Y Z")), 13.1: (NOTE, NOTHING),
+    **dict.fromkeys((35, 36, 37), (REFUSED, "probing is not simulated")), 47: (REFUSED, "engraving; let the CAM system put out the moves"),
+    **dict.fromkeys((6.2, 5.4), (REFUSED, "NURBS; let the CAM system put out lines or arcs")), 54.2: (REFUSED, "offsets that turn with the table are not simulated; use G43.4"),
+    **dict.fromkeys((68.3, 68.4), (REFUSED, "tilted planes by the tool axis; use G68.2")), **dict.fromkeys((41.2, 42.2, 141), (REFUSED, "cutter radius in space; let the CAM system put out the tool centre")),
+    143: (REFUSED, "use G43.4"), 154: (ACTS, "additional zero offset P"), **dict.fromkeys(range(110, 112), (ACTS, "additional zero offset")), **dict.fromkeys(range(114, 130), (ACTS, "additional zero offset")),
     150: (REFUSED, "pocket cycles; let the CAM system put out the moves"), 187: (NOTE, "smoothness of the control, " + NOTHING),
-    234: (REFUSED, "use G43.4"), 254: (REFUSED, "dynamic zero offsets are not simulated; use G43.4"), 255: (NOTE, NOTHING),
+    234: (ACTS, "as G43.4"), 254: (REFUSED, "dynamic zero offsets are not simulated; use G43.4"), 255: (NOTE, NOTHING),
 }  # fmt: skip
 """G codes of ISO programs."""
 
@@ -63,7 +69,7 @@ ISO_M: dict[int, tuple[str, str]] = {
     **dict.fromkeys((48, 49, 50, 51, 52, 53), (NOTE, "override, " + NOTHING)),
     **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
     66: (NOTE, "waits for an input, which is taken as there"), 61: (ACTS, "tool number"),
-    70: (ACTS, "LinuxCNC: keeps the modes"), 71: (NOTE, NOTHING), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes"),
+    70: (ACTS, "LinuxCNC: keeps the modes"), 71: (ACTS, "LinuxCNC: forgets them"), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes for the end of the subprogram"),
     128: (REFUSED, "use G43.4"), 97: (REFUSED, "local subprograms; use M98 and O"),
 }  # fmt: skip
 """M codes of ISO programs; any other is the machine builder's and noted."""
@@ -72,7 +78,7 @@ SINUMERIK_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN="), 3: (ACTS, "arc counter-clockwise"),
     4: (ACTS, "dwell, alone in its block: F in s, S in turns of the spindle"), 9: (ACTS, "exact stop in this block"),
     17: (ACTS, "plane XY"), 18: (ACTS, "plane ZX"), 19: (ACTS, "plane YZ"),
-    25: (NOTE, "limits, " + NOTHING), 26: (NOTE, "limits, " + NOTHING),
+    25: (NOTE, "limits of axes and spindle, which the machine file gives"), 26: (NOTE, "limits of axes and spindle, which the machine file gives"),
     33: (REFUSED, "threading is not simulated"), 34: (REFUSED, "threading is not simulated"), 35: (REFUSED, "threading is not simulated"),
     331: (ACTS, "tapping: feed is pitch times S"), 332: (ACTS, "tapping, out"), 63: (ACTS, "tapping with compensating chuck, at feed in this block"),
     40: (ACTS, "cutter radius compensation off; the next move is straight"), 41: (ACTS, "cutter to the left of the contour; radius from [tool] or $TC_DP6"),
@@ -93,6 +99,7 @@ SINUMERIK_G: dict[float, tuple[str, str]] = {
     248: (REFUSED, "soft approach; write the moves"), 347: (REFUSED, "soft approach; write the moves"), 348: (REFUSED, "soft approach; write the moves"),
     290: (NOTE, "the language of SINUMERIK"), 291: (REFUSED, "ISO blocks inside a SINUMERIK program; write them in a file of their own"),
     450: (ACTS, "round outside corners on an arc"), 451: (ACTS, "outside corners to the point where the paths meet"),
+    **dict.fromkeys((140, 141, 142, 143, 340, 341, 62), (NOTE, "of soft approaches and corners, " + NOTHING)),
     461: (NOTE, NOTHING), 462: (NOTE, NOTHING), 460: (NOTE, NOTHING), 621: (NOTE, NOTHING), 810: (NOTE, NOTHING), 820: (NOTE, NOTHING),
     **dict.fromkeys((810, 811, 812, 813, 814, 815, 816, 817, 818, 819, 820, 821, 822, 823, 824, 825), (NOTE, "set by the machine builder, " + NOTHING)),
 }  # fmt: skip
@@ -111,15 +118,20 @@ def _group(kind: str, meaning: str, names: str) -> dict[str, tuple[str, str]]:
 
 
 SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
+    **_group(NOTE, "compressor: the blocks stay lines, rounded within the tolerance in force", "COMPON COMPCURV COMPCAD COMPOF COMPSURF"),
+    **_group(NOTE, "restores the modes at the end of the subprogram that its PROC line names it in", "SAVE"),
     **_group(NOTE, NOTHING, (
-        "NORM CFC CFTCP CFIN CUT2D CUT2DF DIAMOF FNORM FLIN FCUB COMPON COMPCURV COMPCAD COMPOF COMPSURF UPATH SPATH FIFOCTRL STARTFIFO "
+        "NORM CFC CFTCP CFIN CUT2D CUT2DF DIAMOF FNORM FLIN FCUB UPATH SPATH FIFOCTRL STARTFIFO "
         "STOPFIFO STOPRE WALIMOF WALIMON DYNNORM DYNFINISH DYNSEMIFIN DYNROUGH DYNPOS DYNPREC RTLION RTLIOF CPRECON CPRECOF SPCON SPCOF SBLON SBLOF "
-        "DISPLOF DISPLON ASUP SAVE CDON CDOF CDOF2 POLFMASK ORISON ORISOF TCOABS TCOFR TOROTOF PAROTOF TOFFOF COUPOF PRESETON CUTCONOF "
-        "CUTCONON PHI PSI DRFOF PTPG0 CP OST OSOF OSS OSSE OSC PTP_OFF GFRAME0 TOOLCARRIER AUXFUDEL IPTRUNLOCK IPTRLOCK "
-        "ACCLIMA PRIO QUICK FXS SPRINT")),
-    **_group(NOTE, "a parameter of path or spindle control, " + NOTHING, (
-        "FGREF FL FA OVR OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM LIMS SPOS SPOSA STOLF CTOLG0 OTOLG0 SVC FPRAON FPRAOF FZ FENDNORM "
-        "FRC FRCM SF ATOL")),
+        "DISPLOF DISPLON ASUP CDON CDOF CDOF2 POLFMASK ORISON ORISOF TCOABS TCOFR TOROTOF PAROTOF TOFFOF COUPOF CUTCONOF "
+        "CUTCONON DRFOF PTPG0 CP OST OSOF OSS OSSE OSC PTP_OFF GFRAME0 TOOLCARRIER AUXFUDEL IPTRUNLOCK IPTRLOCK "
+        "ACCLIMA PRIO QUICK SPRINT LFON LFOF LFTXT LFWP LFPOS POLFMLIN ICYCON ICYCOF TCOFRX TCOFRY TCOFRZ BLSYNC PRLOC ACTBLOCNO IPOENDA FINEA COARSEA "
+        "IPOBRKA DYNPREC CUT2DD CUT2DFD CUT3DCC TOWSTD TOWMCS TOWWCS TOWBCS TOWTCS TOWKCS")),
+    **_group(NOTE, "a parameter of spindle or axes, " + NOTHING, "FA LIMS SPOS SPOSA SVC FPRAON FPRAOF FZ FENDNORM SF SCC"),
+    **_group(NOTE, "a lower limit that the program sets is not simulated; those of the machine file count", "FL OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM"),
+    **_group(NOTE, "a parameter of the path that is not simulated; feed and tolerance of the tool tip count", "FGREF STOLF CTOLG0 OTOLG0 ATOL FRC FRCM"),
+    **_group(ACTS, "feed of the path in percent; feed of this block alone", "OVR FB"),
+    **_group(ACTS, "offsets and modes of the control that are read where they are 0, and refused elsewhere", "OFFN TOFFL TOFFR TOFF TCARR CUTMOD FXS CUTMODK"),
     **_group(NOTE, "a call that moves no axis of this machine, " + NOTHING, (
         "SETMS FGROUP WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
         "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
@@ -136,7 +148,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89"), **_group(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840"),
     **_group(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802"),
     **_group(ACTS, "a cycle or subprogram behind each move", "MCALL"),
-    **_group(ACTS, "subprogram by a name in a text", "CALL PCALL"), **_group(ACTS, "end of a subprogram", "RET"),
+    **_group(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL"), **_group(ACTS, "end of a subprogram", "RET"),
     **_group(ACTS, "arc through I1= J1= K1=, arc that goes on smoothly", "CIP CT"),
     **_group(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP"),
     **_group(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2"),
@@ -147,16 +159,21 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
     **_group(REFUSED, "a transformation of other machines; let the CAM system put out X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
     **_group(REFUSED, "the orientation is given by a law of its own; use A3= B3= C3= or ORIWKS", (
-        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7 CUT3DC CUT3DF CUT3DFS CUT3DFF")),
+        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA PHI PSI XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7 CUT3DC CUT3DF CUT3DFS CUT3DFF")),
     **_group(REFUSED, "a milling or turning cycle; let the CAM system put out the moves", (
         "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
         "CYCLE79 CYCLE87 CYCLE88 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
         "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
+    **_group(REFUSED, "this place gets new coordinates; use TRANS or a settable frame", "PRESETON PRESETONS"),
+    **_group(REFUSED, "point-to-point motion of the axes is not simulated; use CP", "PTP STAT TU"),
+    **_group(REFUSED, "tangential and table-coupled axes are not simulated", "TANG TANGON TANGOF TANGDEL CTABDEF CTABEND"),
+    **_group(REFUSED, "contours in tables are not simulated; let the CAM system put out the moves", "CONTPRON CONTDCON EXECUTE INTERSEC CALCDAT"),
+    **_group(REFUSED, "axes are exchanged or renamed by this; write the program for the axes of the machine", "GEOAX AXCTSWE AXCTSWED AXTOCHAN"),
     **_group(REFUSED, "measuring is not simulated; remove the call", (
         "CYCLE971 CYCLE973 CYCLE974 CYCLE976 CYCLE977 CYCLE978 CYCLE979 CYCLE982 CYCLE994 CYCLE995 CYCLE996 CYCLE997 CYCLE998 CYCLE961 MEAS MEAW MEASA MEAWA MEAC")),
     **_group(REFUSED, "synchronised actions are not simulated; remove them if they move no axis", "ID IDS WHEN WHENEVER EVERY FROM DO SYNFCT"),
     **_group(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system put out the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
-    **_group(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL EXTCALL"),
+    **_group(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL"),
     **_group(REFUSED, "coupled axes are not simulated", "TRAILON TRAILOF COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
     **_group(REFUSED, "stamping and oscillating are not simulated", "SON PON SPN SPP WAITOSC OSP1 OSP2"),
 }  # fmt: skip

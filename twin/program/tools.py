@@ -26,6 +26,7 @@ class Tools:
         self.prepared_name = self.name = ""
         self.changes_by_m6 = False
         self.radii: dict[str, float] = {}  # that the program itself sets [m]
+        self.lengths: dict[str, float] = {}
 
     def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
         """The words T, D, H, M6, G43, G49 of one block as value and column: tool and length from here on.
@@ -58,6 +59,12 @@ class Tools:
             )
         return float(self.table[key]["radius_m"])
 
+    def set_value(self, name: str, what: str, value: float, *, wear: bool) -> None:
+        """A length or radius [m] that the program writes; wear comes on top of what is known."""
+        table = self.radii if what == "radius" else self.lengths
+        entry = next((self.table[k] for k in (name, f"T{name}") if k in self.table), {})
+        table[name] = value + (table.get(name, entry.get(f"{what}_m", 0.0)) if wear else 0.0)
+
     def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
         if "G43" in words:
             self.out.notes["G43: its length counts under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
@@ -80,6 +87,8 @@ class Tools:
         name, column = _name(word[0]), word[1]
         if name == "0":
             return 0.0
+        if name in self.lengths:
+            return self.lengths[name]
         if not self.table:
             self.out.notes["T, H: the machine file has no table [tool]; the tool of the model is used"] = None
             return self.out.kinematics.tool_length

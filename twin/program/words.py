@@ -53,7 +53,9 @@ def split_words(line: str) -> list[Word]:
             if behind < len(line) and line[behind] == "(":
                 close = closing(line, behind)
                 text, text_column, end = line[behind + 1 : close], behind + 2, close + 1
-            elif match[0] in ("CALL", "PCALL") and line[behind : behind + 1] == '"' and (close := line.find('"', behind + 1)) > 0:
+            elif (
+                match[0] in ("CALL", "PCALL", "EXTCALL") and line[behind : behind + 1] == '"' and (close := line.find('"', behind + 1)) > 0
+            ):
                 text, text_column, end = line[behind : close + 1], behind + 1, close + 1
             words.append(Word(match[0], column, text=text, text_column=text_column))
         else:
