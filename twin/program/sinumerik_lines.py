@@ -56,7 +56,7 @@ class SinumerikLines(Control):
         if self.macros:
             parts = text.split('"')
             for name, meaning in self.macros.items():
-                parts[::2] = [re.sub(rf"\b{name}\b(?!\s+AS\b)", lambda _, said=meaning: said, part) for part in parts[::2]]
+                parts[::2] = [re.sub(rf"\b{name}\b(?!\s+AS\b)", meaning.replace("\\", r"\\\\"), part) for part in parts[::2]]
             text = '"'.join(parts)
         return text
 
