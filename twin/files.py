@@ -58,10 +58,14 @@ def write_text(text: str, path: Path) -> None:
 
 
 def shipped_example(path: str | Path) -> Path:
-    """The path itself; where it does not exist and begins with `examples/`, the example of that name that ships inside the package."""
-    given = Path(path)
-    inside = Path(twin.__file__).parent / given
-    return inside if not given.exists() and given.parts[:1] == ("examples",) and inside.exists() else given
+    """The path itself; where it does not exist and begins with `examples/`, the example of that name that ships with the package.
+
+    Examples lie inside an installed package, and beside the package in a checkout that is installed in place.
+    """
+    given, package = Path(path), Path(twin.__file__).parent
+    if given.exists() or given.parts[:1] != ("examples",):
+        return given
+    return next((shipped for folder in (package, package.parent) if (shipped := folder / given).exists()), given)
 
 
 def output_folder(path: str | Path) -> Path:

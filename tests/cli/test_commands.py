@@ -31,6 +31,22 @@ def test_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.testing.assert_allclose(trace.get("X", "setpoint"), read_trace(EXAMPLE).get("X", "setpoint"), rtol=0, atol=1e-12)
 
 
+def test_what_if_beside_what_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    effect = ["--effect", "backlash:X:clearance=15e-6", "--beside", "--no-recording"]
+    assert main(["run", "examples/x_200mm.csv", *effect, "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "effects: backlash X (clearance 15.0 um); feedforward: velocity+torque" in out
+    assert "with differs from without on X: position by up to" in out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["feedforward"] == "velocity+torque"
+    (x,) = (e for e in json.loads((tmp_path / "compare.json").read_text())["errors"] if e["axis"] == "X")
+    assert x["first"] == pytest.approx(9.7, abs=0.3) and x["second"] == pytest.approx(18.1, abs=0.5)
+    page = (tmp_path / "report.html").read_text()
+    assert "Made by twin" in page and "backlash X (clearance 15.0 um)" in page
+    assert main(["run", "examples/x_200mm.csv", "--beside", "--out", str(tmp_path)]) == 2
+    assert "--beside compares with and without --effect" in capsys.readouterr().err
+
+
 def test_feedforward_and_sample_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--feedforward", "off", "--sample-period-ms", "10", "--no-recording", "--out", str(tmp_path)]
     assert main(["run", str(EXAMPLE), *arguments]) == 0

@@ -19,7 +19,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
-from twin.diagnose.wording import effect_title, interval_text, parameters_of
+from twin.diagnose.wording import effect_title, interval_text, parameters_of, verdict_sentence
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
 from twin.machine.machine import default_machine_path, load_machine
@@ -204,6 +204,13 @@ def test_numbers_are_told_in_engineers_units() -> None:
     assert interval_text("rad", *[4.85e-5] * 3)[0] == "10.0 arcsec"
     assert interval_text("1", 2e-5, 2e-5, 2e-5, EFFECTS["lead_error"].size)[0] == "20.0 um/m"
     assert effect_title({"effect": "cross_axis_coupling", "axis": "X", "from_axis": "Y"}) == "cross axis coupling on axis X from Y"
+
+
+def test_a_quick_look_that_does_not_hold_is_not_decided() -> None:
+    document = {"verdict": "unknown", "decided": False, "effects": [], "where": [], "gap": {"after": 31.0}}
+    assert (
+        verdict_sentence(document) == "Not decided: a quick look finds no effect, but leaves 31 times the noise; diagnose without --quick."
+    )
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:

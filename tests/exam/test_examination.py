@@ -23,7 +23,7 @@ from twin.exam.mark import NOT_DIAGNOSED, mark_answer
 from twin.exam.plant.effects import LIBRARY
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
-from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, wilson
+from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, target_word, wilson
 from twin.exam.session import draw, is_answered, same_examination, seal, sit, unseal
 from twin.machine.machine import default_machine_path, load_machine
 
@@ -379,3 +379,15 @@ def test_what_re_tuning_does_alike_cannot_be_found() -> None:
     left = c * c - c**4 / (c * c + DEFAULT.prior_weight)
     assert one.found == pytest.approx(math.sqrt(2.0 * DEFAULT.evidence / left))
     assert one.found > 0.9 * math.sqrt(2.0 * DEFAULT.evidence / DEFAULT.prior_weight)
+
+
+def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:
+    def share(right: int, of: int) -> dict:
+        low, high = wilson(right, of)
+        return {"value": right / of, "right": right, "of": of, "low": low, "high": high}
+
+    all_covered = {"target": (0.88, 0.99), "met": False, **share(3, 3)}
+    assert target_word(all_covered) == "too few to say"
+    assert target_word({"target": 0.9, "met": False, **share(3, 30)}) == "missed"
+    assert target_word({"target": 0.9, "met": True, **share(30, 30)}) == "met"
+    assert target_word({"target": 0.9, "met": None}) == ""

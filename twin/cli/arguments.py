@@ -47,9 +47,9 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and its traces")
 
 
-def add_open(parser: argparse.ArgumentParser) -> None:
+def add_open(parser: argparse.ArgumentParser, does: str = "open the report in the browser") -> None:
     """`--open`: show the report in the browser."""
-    parser.add_argument("--open", action="store_true", help="open the report in the browser")
+    parser.add_argument("--open", action="store_true", help=does)
 
 
 def open_report(args: argparse.Namespace, page: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from twin.cli.arguments import add_machine, add_open, machine_of, open_report
 from twin.errors import InputError
-from twin.files import output_folder, write_json
+from twin.files import output_folder, shipped_example, write_json
 from twin.progress import Progress
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ RUN, CAMPAIGN, MACHINE = "run", "campaign", "machine"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("first", metavar="A", help="folder of a run, trace, campaign folder, or machine file")
-    parser.add_argument("second", metavar="B", help="the same kind of thing")
+    parser.add_argument("first", metavar="A", type=shipped_example, help="folder of a run, trace, campaign folder, or machine file")
+    parser.add_argument("second", metavar="B", type=shipped_example, help="the same kind of thing")
     parser.add_argument("--out", metavar="DIR", help="folder for compare.json and report.html (default: out/compare)")
     parser.add_argument("--input", metavar="FILE", help="with two machines: program or trace that both simulate")
     add_machine(parser)

@@ -7,9 +7,10 @@ from pathlib import Path
 import re
 from typing import Any
 
+from twin.cli.arguments import machine_of
 from twin.errors import InputError, nearest
-from twin.files import output_folder, write_json
-from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.files import output_folder, shipped_example, write_json
+from twin.machine.machine import FEEDFORWARD, Machine
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
@@ -21,9 +22,13 @@ from twin.surface.shapes import MeshFile
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin cut`."""
-    parser.add_argument("input", metavar="INPUT", help="part program, run directory (trace.parquet), or trace")
+    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="part program, run directory (trace.parquet), or trace")
     parser.add_argument(
-        "--part", required=True, metavar="PART.toml", help="part file: tool, stock, nominal surfaces, zones (see examples/parts)"
+        "--part",
+        required=True,
+        type=shipped_example,
+        metavar="PART.toml",
+        help="part file: tool, stock, nominal surfaces, zones (see examples/parts)",
     )
     parser.add_argument(
         "--out", metavar="DIR", help="folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)"
@@ -56,7 +61,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.simulation.summary import table
 
     part = read_part(args.part)
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     levels = _checked(args.level, LEVELS, "level") or list(LEVELS)
     words = _checked(args.feedforward, FEEDFORWARD, "feedforward") or ["velocity+torque", "off"]
     if args.zone_um is not None and not args.zone_um > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_campaign, add_machine, add_place, machine_of, seed, setpoints_of_input
+from twin.cli.arguments import add_campaign, add_machine, add_open, add_place, machine_of, open_report, seed, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_place(parser)
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
+    add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -47,4 +48,5 @@ def carry_out(args: argparse.Namespace) -> int:
     print(summary_text(document))
     move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
     print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
+    open_report(args, out / "report.html")
     return 0

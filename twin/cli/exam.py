@@ -125,7 +125,7 @@ def carry_out(args: argparse.Namespace) -> int:
 def summary(document: dict) -> str:  # type: ignore[type-arg]
     """The score as a table for the terminal."""
     from twin.exam.report import counted
-    from twin.exam.score import target_text
+    from twin.exam.score import target_text, target_word
     from twin.simulation.summary import table
 
     s = document["score"]
@@ -135,7 +135,7 @@ def summary(document: dict) -> str:  # type: ignore[type-arg]
             rows.append([t["what"], "not asked", target_text(t["target"]), ""])
             continue
         value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
-        rows.append([t["what"], value, target_text(t["target"]), "met" if t["met"] else "missed"])
+        rows.append([t["what"], value, target_text(t["target"]), target_word(t)])
     lines = [table(["", "measured", "target", ""], rows, left=1)]
     strata = [
         [name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place")), *(str(v) for v in r["baselines"].values())]

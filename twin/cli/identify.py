@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from twin.cli.arguments import add_campaign
+from twin.cli.arguments import add_campaign, add_machine, add_open, machine_of, open_report
 from twin.errors import InputError
 from twin.files import write_json
 from twin.progress import Steps
@@ -19,9 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin identify CAMPAIGN --out MACHINE.toml`."""
     add_campaign(parser)
     parser.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is copied beside it")
-    parser.add_argument("--machine", metavar="FILE", help="machine file to start from (default: the Mikron UCP 710 that ships with twin)")
+    add_machine(parser)
     parser.add_argument("--report", metavar="FILE.html", help="report with pictures (default: beside the machine file)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    add_open(parser)
     parser.add_argument("--no-refine", action="store_true", help="regression only, without re-simulation")
     parser.add_argument(
         "--torque-constant-within",
@@ -36,7 +37,6 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.identify.campaign_fit import identify_campaign
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified
-    from twin.machine.machine import load_machine
     from twin.recordings.campaign import read_campaign
     from twin.simulation.summary import table
 
@@ -46,7 +46,7 @@ def carry_out(args: argparse.Namespace) -> int:
     within = args.torque_constant_within
     if within is not None and not 0.0 <= within < 1.0:
         raise InputError(f"--torque-constant-within {within:g}: a fraction between 0 and 1, e.g. 0.001 for 0.1 %")
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
     with Steps("identifying", STEPS) as step:
         result = identify_campaign(machine, campaign, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
@@ -75,4 +75,5 @@ def carry_out(args: argparse.Namespace) -> int:
     if result.refused:
         raise InputError(f"{out}: {result.refused}; see {files[0]}")
     print(f"written: {out}, {files[0]}")
+    open_report(args, Path(files[0]))
     return 0

@@ -8,9 +8,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import add_machine, positive
+from twin.cli.arguments import add_machine, machine_of, positive
 from twin.errors import InputError
-from twin.files import write_json
+from twin.files import shipped_example, write_json
 
 if TYPE_CHECKING:
     from twin.iso230.circle_budget import EffectOnCircle
@@ -24,7 +24,9 @@ STANDARDS = ("230-2", "230-4")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin iso`."""
     parser.add_argument("standard", choices=STANDARDS, metavar="230-2|230-4", help="230-2: positioning of an axis; 230-4: circles")
-    parser.add_argument("input", metavar="INPUT", help="table of readings (.csv), trace, folder of a run, or campaign")
+    parser.add_argument(
+        "input", metavar="INPUT", type=shipped_example, help="table of readings (.csv), trace, folder of a run, or campaign"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, and the plot beside it")
     parser.add_argument("--plot", metavar="FILE", help="file of the plot (default: beside --json, or out/iso_STANDARD.png)")
     parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
@@ -48,11 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Evaluate, print, write numbers and plot."""
-    from twin.machine import load_machine
 
     if not Path(args.input).exists():
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run or a campaign")
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
     document = _positioning(args, machine, plot) if args.standard == "230-2" else _circles(args, machine, plot)
     if args.json:

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from twin.cli.arguments import machine_of
 from twin.errors import InputError
 from twin.files import write_json
 from twin.machine.keys import STRUCTURES
-from twin.machine.machine import load_machine
 from twin.progress import Progress
 
 
@@ -81,7 +81,7 @@ def _check(args: argparse.Namespace) -> int:
     from twin.machine.check import check_machine
     from twin.machine.sheet import check_text
 
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     checks, findings = check_machine(machine)
     print(f"{machine.name}: {len(machine.axes)} {'axis' if len(machine.axes) == 1 else 'axes'}\n")
     print(check_text(checks, findings))
@@ -102,7 +102,7 @@ def _check(args: argparse.Namespace) -> int:
 def _show(args: argparse.Namespace) -> int:
     from twin.machine.sheet import sheet, sinumerik_sheet
 
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     print(sinumerik_sheet(machine) if args.sinumerik else sheet(machine))
     return 0
 

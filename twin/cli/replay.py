@@ -7,6 +7,7 @@ from pathlib import Path
 import sys
 import tempfile
 
+from twin.cli.arguments import machine_of
 from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, read_trace
@@ -99,7 +100,7 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
             )
         print("twin: no trace beside the recordings: they are shown one by one, not overlaid", file=sys.stderr)
         return recordings
-    machine = load_machine(args.machine)
+    machine = machine_of(args)
     runs: dict[str, Trace] = {}
     notes: list[str] = []
     for source in sources:

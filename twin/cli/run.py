@@ -6,12 +6,17 @@ import argparse
 from datetime import datetime
 from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_machine, add_place, machine_of, positive, seed, setpoints_of_input
+from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, positive, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError
 from twin.files import output_folder, write_json
 from twin.progress import Progress
-from twin.recordings.trace import Trace, with_program_columns
+from twin.recordings.trace import Trace, with_program_columns, write_trace
+
+if TYPE_CHECKING:
+    from twin.machine import Machine
+    from twin.simulation.setpoints import Setpoints
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME:AXIS:PARAMETER=VALUE",
         help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; may be given several times; see 'twin effects')",
     )
+    parser.add_argument("--beside", action="store_true", help="also simulate without the effects of --effect, and compare both")
     parser.add_argument(
         "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)"
     )
@@ -40,18 +46,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--noise-seed", type=seed, metavar="N", help="add the machine's measuring noise, drawn with this seed")
     parser.add_argument("--no-recording", action="store_true", help="do not write run.rrd")
+    add_open(parser, "open the picture of the run, or the report of --beside")
 
 
 def carry_out(args: argparse.Namespace) -> int:
     """Simulate, then write trace, recording and summary; for a program also what the interpolator and what the drives make."""
     from twin.compare.contour import contour_numbers
-    from twin.recordings.trace import write_trace
     from twin.report.figure import save_png
     from twin.simulation.command_columns import with_command_columns
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import check_travel, limit_warnings, setpoints_of
-    from twin.simulation.summary import effects_line, summary_of, summary_table
+    from twin.simulation.summary import effects_line, feedforward_line, summary_of, summary_table
 
+    if args.beside and not args.effect:
+        raise InputError("--beside compares with and without --effect; give an --effect")
     machine = machine_of(args)
     source = Path(args.input)
     program, trace = setpoints_of_input(source, machine, args.place)
@@ -64,34 +72,35 @@ def carry_out(args: argparse.Namespace) -> int:
         print(f"warning: {source.name}: {line}", file=sys.stderr)
     out = output_folder(args.out or Path("out") / source.stem)
     period = args.sample_period_ms * 1e-3 if args.sample_period_ms else None
-    feedforward = args.feedforward or (program.feedforward if program else None)
+    machine = machine.with_feedforward(args.feedforward or (program.feedforward if program else None))
+    effects, feedforward = effects_line(machine), feedforward_line(machine)
     with Progress(f"simulating {setpoints.duration:.1f} s") as bar:
         try:
-            run = simulate(machine.with_feedforward(feedforward), setpoints, sample_period=period, noise_seed=args.noise_seed, progress=bar)
+            run = simulate(machine, setpoints, sample_period=period, noise_seed=args.noise_seed, progress=bar)
         except SimulationError as error:
             if isinstance(error.trace, Trace):
                 write_trace(error.trace, out / "trace.parquet")
                 raise SimulationError(f"{error}; what was recorded up to there is in {out / 'trace.parquet'}") from None
             raise
-    followed = with_program_columns(with_command_columns(run.trace, machine.with_feedforward(feedforward), setpoints), trace)
+    followed = with_program_columns(with_command_columns(run.trace, machine, setpoints), trace)
     write_trace(followed, out / "trace.parquet")
     contour = contour_numbers(run)
     summary = {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "input": str(source),
         "machine_file": str(machine.path) if machine.path else None,
-        "feedforward": feedforward or "machine file",
+        "feedforward": feedforward,
         "noise_seed": args.noise_seed,
         **summary_of(machine, run),
         "contour": contour,
     }
     written = ["trace.parquet", "summary.json", "run.png"]
     print(f"{machine.name}, {source.name}: {setpoints.duration:.3f} s")
-    print(f"effects: {effects_line(summary['effects'])}; feedforward: {feedforward or 'as the machine file says'}")
+    print(f"effects: {effects}; feedforward: {feedforward}")
     print(summary_table(summary))
     if contour is not None:
         print(f"contour error of the tool tip: {contour['max_um']:.2f} um max, {contour['rms_um']:.2f} um RMS")
-    save_png(run.plot(), out / "run.png")
+    save_png(run.plot(title=f"{source.name} on {machine.name}; effects: {effects}"), out / "run.png")
     if program:
         from twin.program import error_budget, plot_feed
 
@@ -106,5 +115,29 @@ def carry_out(args: argparse.Namespace) -> int:
 
         write_recording(out / "run.rrd", machine, {"simulated": followed})
         written.append("run.rrd")
+    if args.beside:
+        written += _beside(args, machine, setpoints, followed, out)
     print(f"written to {out}: {', '.join(written)}")
+    open_report(args, out / ("report.html" if args.beside else "run.png"))
     return 0
+
+
+def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:
+    """The same motion without the effects of `--effect`, compared; returns the names of the files written."""
+    from twin.compare.compare import compare
+    from twin.compare.pages import write_comparison_page
+    from twin.effects import settings_of, with_effects
+    from twin.simulation.run import simulate
+    from twin.simulation.summary import effects_line
+
+    own = settings_of(machine)
+    without = with_effects(machine, own[: len(own) - len(args.effect)])
+    with Progress("simulating without the effects") as bar:
+        nominal = simulate(without, setpoints, sample_period=followed.period, noise_seed=args.noise_seed, progress=bar).trace
+    words = " + ".join(args.effect)
+    comparison = compare(nominal, followed, machine, names=("without", "with"))
+    print(f"\n{words}:\n{comparison.verdict}\n{comparison.table()}")
+    write_trace(nominal, out / "without.parquet")
+    write_json({"kind": "runs", **comparison.document()}, out / "compare.json", "compare")
+    write_comparison_page(comparison, out / "report.html", f"{args.input}, with: {effects_line(machine)}")
+    return ["without.parquet", "compare.json", "report.html"]

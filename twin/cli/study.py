@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twin.cli.arguments import add_open, open_report
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.progress import Progress
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="two variants side by side: a recording of their runs and their motors' torque",
     )
     parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
+    add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -87,4 +89,5 @@ def carry_out(args: argparse.Namespace) -> int:
         first = answers.minimised
         print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {at}")
     print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
+    open_report(args, out / "report.html")
     return 0

@@ -70,18 +70,24 @@ class Comparison:
         if not found:
             return f"{self.names[0]} and {self.names[1]} move alike."
         worst = max(found, key=lambda d: (d.signal == "position", d.max))
-        axes = ", ".join(dict.fromkeys(d.axis for d in found))
+        axes = ", ".join(self.differing)
+        most = f", most on {worst.axis}" if len(self.differing) > 1 else ""
         return (
-            f"{self.names[1]} differs from {self.names[0]} on {axes}, most on {worst.axis}: {worst.signal.replace('_', ' ')} by up to "
+            f"{self.names[1]} differs from {self.names[0]} on {axes}{most}: {worst.signal.replace('_', ' ')} by up to "
             f"{worst.max:.3g} {worst.unit} at {worst.at_s:.3f} s."
         )
+
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """Names of the axes that differ."""
+        return tuple(dict.fromkeys(d.axis for d in self.differences if d.max > LEAST))
 
     def table(self) -> str:
         """The errors of both and the differences, one line an axis that differs."""
         rows = []
         for e in self.errors:
             of_axis = {d.signal: d for d in self.differences if d.axis == e.axis}
-            if all(d.max <= LEAST for d in of_axis.values()):
+            if e.axis not in self.differing:
                 continue
             peaks = ["-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)]
             cells = [f"{d.max:.3g} {d.unit}" if (d := of_axis.get(s)) else "-" for s in self._shown]
@@ -105,9 +111,8 @@ class Comparison:
         """Error without the delay of both, and the difference of position, of the axes that differ; returns a matplotlib figure."""
         from twin.report.curves import Curve, Panel, curves_figure
 
-        found = {d.axis for d in self.differences if d.max > LEAST}
         panels = []
-        for axis in (a for a in self.machine.axes if a.name in found):
+        for axis in (a for a in self.machine.axes if a.name in self.differing):
             unit, factor = AXIS_UNITS[axis.kind].error
             asked = delayed_set_point(self.first, axis)
             curves = [
@@ -115,7 +120,7 @@ class Comparison:
                 for name, trace, colour, dash in zip(self.names, (self.first, self.second), ("setpoint", axis.name), ("-", "-"))
                 if trace.has(axis.name, "position")
             ]
-            panels.append(Panel(f"{axis.name} error without\nthe delay, {unit}", curves))
+            panels.append(Panel(f"{axis.name} error without\nthe delay, {unit}", curves, peaks=unit))
         if not panels:
             axis = self.machine.axes[0]
             panels.append(Panel(f"{axis.name} difference", [Curve("", np.zeros(len(self.first.time)), axis.name)]))

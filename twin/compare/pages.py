@@ -31,11 +31,16 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
     ]
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
     picture = Figure(figure_svg(gap.plot()), "Gap over what measuring noise alone makes; grey: as it should be.")
+    outliers = [Table(heading, cells[: len(marked)], left=3, marked=marked)] if marked else []
+    every = Table(heading, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [
         Section("Where the twin and the machine differ", figures=[picture]),
-        Section("Every signal, largest first", tables=[Table(heading, cells, left=3, marked=marked)]),
+        Section("Outliers", tables=outliers)
+        if outliers
+        else Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times what noise makes."]),
+        Section("Every signal", tables=[every]),
     ]
-    write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}. {made_line(gap.machine, gap.campaign)}", sections)
+    write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}.", sections, made_line(gap.machine, gap.campaign))
 
 
 def write_comparison_page(comparison: Comparison, path: Path, inputs: str) -> None:
@@ -48,10 +53,12 @@ def write_comparison_page(comparison: Comparison, path: Path, inputs: str) -> No
             *("-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)),
         ]
         for e in comparison.errors
+        if e.axis in comparison.differing
     ]
     differences = [
         [d.axis, d.signal.replace("_", " "), f"{d.rms:.3g} {d.unit}", f"{d.max:.3g} {d.unit}", f"{d.at_s:.3f} s"]
         for d in comparison.differences
+        if d.axis in comparison.differing
     ]
     a, b = comparison.names
     heading = ["axis", f"error, {a}", f"error, {b}", f"after reversals, {a}", f"after reversals, {b}"]
@@ -60,4 +67,4 @@ def write_comparison_page(comparison: Comparison, path: Path, inputs: str) -> No
         Section("Errors without the delay of the control", tables=[Table(heading, errors)]),
         Section(f"{b} minus {a}", tables=[Table(["axis", "signal", "RMS", "largest", "at"], differences, left=2)]),
     ]
-    write_page(path, f"{a} and {b}", f"{comparison.verdict} {made_line(comparison.machine.name, inputs)}", sections)
+    write_page(path, f"{a} and {b}", comparison.verdict, sections, made_line(comparison.machine.name, inputs))

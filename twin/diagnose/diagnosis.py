@@ -59,12 +59,14 @@ class Diagnosis:
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
+    decided: bool = True  # False: a quick look found no effect, and left a gap
 
     def document(self) -> dict[str, Any]:
         """The contract."""
         before, after = self._pooled("before"), self._pooled("after")
         return {
             "verdict": self.verdict,
+            **({} if self.decided else {"decided": False}),
             "effects": [self._effect(s, f, p) for s, f, p in self.settings],
             "candidates": self._candidates(),
             "where": self.where,
@@ -377,6 +379,9 @@ def diagnose(
     )
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
+    if quick and verdict == "none" and any(diagnosis.axis_level("after", axis) > thresholds.left_over for axis in diagnosis.axes):
+        # a quick look leaves axes out that are quiet where the blocks are cut: what the whole loop shows is not explained
+        diagnosis.verdict, diagnosis.decided = (verdict := "unknown"), False
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
     say("what each effect is worth")
     noise = noise_of(gaps["before"], machine)

@@ -10,7 +10,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import place_text, unseen_text, verdict_sentence
+from twin.diagnose.wording import parameters_of, place_text, unseen_text, verdict_sentence
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
@@ -42,7 +42,7 @@ def summary_text(document: dict[str, Any]) -> str:
     gap = document["gap"]
     lines = [verdict_sentence(document)]
     for e in document["effects"]:
-        values = ", ".join(f"{k} {v['value']:.4g} {v['unit']} ({v['low']:.4g} to {v['high']:.4g})" for k, v in e["parameters"].items())
+        values = ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(e))
         lines.append(
             f"  {e['effect']} on {place_text(e)} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
         )

@@ -14,6 +14,7 @@ from twin.diagnose.report_figures import as_image, budget_figure, map_figure, st
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
 from twin.files import write_text
+from twin.report.stamp import made_line
 from twin.units import ARCSEC
 
 CANDIDATES_SHOWN = 12
@@ -41,6 +42,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
     run_axes, runs = run_levels(diagnosis)
     return environment.get_template("report.html.j2").render(
         document=document,
+        made=made_line(),
         campaign=diagnosis.campaign,
         machine=diagnosis.machine,
         seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),

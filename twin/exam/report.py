@@ -10,9 +10,10 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
+from twin.report.stamp import made_line
 
 from .mark_budget import VISIBLE
-from .score import label_of, singles, target_text
+from .score import is_failed, label_of, singles, target_text, target_word
 
 Document = Mapping[str, Any]
 
@@ -28,7 +29,7 @@ def write_exam_report(document: Document, path: Path) -> None:
         f"{counted(document)}: machines with sealed faults, drawn on a second plant and diagnosed by a process that saw only their traces. "
         + (f"The effect and its axis were named first in {usual['right']} of {usual['of']} cases of usual size." if usual else "")
     )
-    write_page(path, "Examination of the diagnosis", lead, sections_of(document))
+    write_page(path, "Examination of the diagnosis", lead, sections_of(document), made_line(seed=document["seed"]))
 
 
 def sections_of(document: Document) -> list[Section]:
@@ -105,8 +106,8 @@ def _target_table(targets: Sequence[Document]) -> Table:
         value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
         interval = f"{t['low']:.0%} to {t['high']:.0%}" if "low" in t else ""
         share = f"{t['value']:.0%}" if "right" in t else ""
-        rows.append([t["what"], value, share, interval, target_text(t["target"]), {True: "met", False: "missed", None: ""}[t["met"]]])
-    missed = frozenset(i for i, t in enumerate(targets) if t["met"] is False)
+        rows.append([t["what"], value, share, interval, target_text(t["target"]), target_word(t)])
+    missed = frozenset(i for i, t in enumerate(targets) if is_failed(t))
     return Table(["", "measured", "share", "95 % interval", "target", ""], rows, marked=missed)
 
 

@@ -173,6 +173,13 @@ def is_failed(target: Mapping[str, Any]) -> bool:
     return bool(target["high"] < least or target["low"] > most)
 
 
+def target_word(target: Mapping[str, Any]) -> str:
+    """'met', 'missed', 'too few to say' where chance may have missed it, '' where it was not asked."""
+    if target["met"] is None:
+        return ""
+    return "met" if target["met"] else "missed" if is_failed(target) else "too few to say"
+
+
 def label_of(m: Mark) -> str:
     """What there was, in a word."""
     return "outside the library" if m["outside"] else m["true"][0][0] if m["true"] else "none"

@@ -8,6 +8,7 @@ from pathlib import Path
 from twin.identify import figures
 from twin.identify.result import Identification, Parameter, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
+from twin.report.stamp import made_line
 
 CAPTIONS = {
     "friction": "Friction against speed, both directions. Points: parts of constant speed, the measured torque less inertia and gravity; line and band: the "
@@ -52,7 +53,7 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
     sections.append(_signals(result))
     axes = ", ".join(a.name for a in result.before.axes)
     lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}."
-    write_page(path, "Identified from its own traces", lead, sections)
+    write_page(path, "Identified from its own traces", lead, sections, made_line(result.before.name, str(result.campaign)))
     return files
 
 

@@ -131,8 +131,13 @@ class Axis:
 
     @property
     def effort_unit(self) -> str:
-        """Unit of the effort: A, V or Nm."""
-        return keys.EFFORTS[self.effort].unit
+        """Unit of the effort: A, V or Nm; N of a direct drive."""
+        return self.motor_unit if self.effort == "torque" else keys.EFFORTS[self.effort].unit
+
+    @property
+    def motor_unit(self) -> str:
+        """Unit of what the motor gives: Nm; N of a direct drive."""
+        return "N" if self.drive == "direct" else "Nm"
 
     @property
     def coulomb_friction(self) -> float:

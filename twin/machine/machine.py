@@ -127,6 +127,11 @@ class Machine:
         return {axis.name: axis.kind for axis in self.axes}
 
     @property
+    def forces(self) -> frozenset[str]:
+        """Names of the axes whose motor gives a force [N], not a torque [Nm]: direct linear drives."""
+        return frozenset(axis.name for axis in self.axes if axis.motor_unit == "N")
+
+    @property
     def base_tick(self) -> float:
         """The shortest cycle [s]; the others are whole multiples of it."""
         return min(self.current_cycle, self.speed_cycle, self.position_cycle)

@@ -7,7 +7,7 @@ heading. Signals without an axis (block number, path feed) belong to the pseudo 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import html
 from pathlib import Path
 import re
@@ -63,12 +63,14 @@ class Trace:
     """Signals of several axes on one time base.
 
     `time` (sample,) [s], strictly increasing with a constant period; `signals` maps (axis, signal) to (sample,)
-    arrays in SI; `kinds` says 'linear' or 'rotary' per axis, which decides the units written.
+    arrays in SI; `kinds` says 'linear' or 'rotary' per axis, which decides the units written; the motors of the axes in
+    `forces` (direct linear drives) give a force: their torques are written in N.
     """
 
     time: np.ndarray
     signals: Mapping[tuple[str, str], np.ndarray]
     kinds: Mapping[str, str] = field(default_factory=dict)
+    forces: frozenset[str] = frozenset()
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -111,11 +113,18 @@ class Trace:
     def select(self, axes: Iterable[str]) -> Trace:
         """The same trace with only these axes (and the program's own columns)."""
         keep = {*axes, PROGRAM}
-        return Trace(self.time, {k: v for k, v in self.signals.items() if k[0] in keep}, self.kinds)
+        return replace(self, signals={k: v for k, v in self.signals.items() if k[0] in keep})
 
     def decimated(self, every: int) -> Trace:
         """Each `every`-th sample."""
-        return Trace(self.time[::every], {k: v[::every] for k, v in self.signals.items()}, self.kinds)
+        return replace(self, time=self.time[::every], signals={k: v[::every] for k, v in self.signals.items()})
+
+    def unit(self, axis: str, signal: str) -> str:
+        """The unit in which a signal of an axis is written."""
+        if axis == PROGRAM:
+            return "1"
+        unit = unit_of(signal, self.kinds[axis])
+        return "N" if unit == "Nm" and axis in self.forces else unit
 
     def to_table(self) -> pa.Table:
         """A pyarrow table as `write_trace` writes it: `time [s]`, `X.position [mm]`, ..."""
@@ -123,7 +132,7 @@ class Trace:
 
         columns = {"time [s]": self.time}
         for (axis, signal), values in self.signals.items():
-            unit = "1" if axis == PROGRAM else unit_of(signal, self.kinds[axis])
+            unit = self.unit(axis, signal)
             columns[heading_of(axis, signal, unit)] = values / UNITS[unit][1]
         return pa.table(columns)
 
@@ -140,7 +149,7 @@ class Trace:
 
         panels = []
         for axis in axes or self.axes:
-            units = {signal: unit_of(signal, self.kinds[axis]) for name, signal in self.signals if name == axis}
+            units = {signal: self.unit(axis, signal) for name, signal in self.signals if name == axis}
             if not units:
                 raise InputError(f"trace has no axis {axis}; {nearest(axis, self.axes)}")
             for unit in dict.fromkeys(units.values()):
@@ -191,7 +200,7 @@ def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
     """A simulated trace with the block numbers and feeds that its set points carry."""
     rows = np.clip(np.floor(followed.time / setpoints.period + 1e-9).astype(int), 0, len(setpoints.time) - 1)
     columns = {key: values[rows] for key, values in setpoints.signals.items() if key[0] == PROGRAM}
-    return Trace(followed.time, {**followed.signals, **columns}, followed.kinds)
+    return replace(followed, signals={**followed.signals, **columns})
 
 
 def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need: Sequence[str] = ()) -> Trace:
@@ -207,6 +216,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
         raise InputError(f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}")
     signals: dict[tuple[str, str], np.ndarray] = {}
     kinds: dict[str, str] = {}
+    forces = set()
     for name in names[1:]:
         axis, signal, unit = _parse_heading(name, path)
         if signal in BY_UNIT:
@@ -219,12 +229,14 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
             kind = _kind_from_unit(axis, signal, unit, (axes or {}).get(axis), f"{path}: column '{name}'")
             if kind:
                 kinds[axis] = kind
+            if unit == "N" and OTHER_UNITS.get(signal) == "Nm":
+                forces.add(axis)
         if (axis, signal) in signals:
             raise InputError(f"{path}: column '{name}' occurs twice; remove one")
         values = table[name] * factor_to_si(unit, f"{path}: column '{name}'")
         signals[axis, signal] = values
     time = table[names[0]] * factor_to_si(_TIME_HEADING.match(names[0])[1], f"{path}: column '{names[0]}'")  # type: ignore[index]
-    trace = Trace(time, signals, {**kinds, **(axes or {})})
+    trace = Trace(time, signals, {**kinds, **(axes or {})}, frozenset(forces))
     _check_samples(trace, path, names)
     for signal in need:
         lacking = [axis for axis in trace.axes if not trace.has(axis, signal)]
@@ -306,7 +318,8 @@ def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: 
             raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {implied} axis; use [{unit_of(signal, kind)}]")
         return implied
     expected = OTHER_UNITS.get(signal)
-    if expected and dimension(expected) != dimension(unit):
+    of_direct_drive = expected == "Nm" and unit == "N" and kind != "rotary"
+    if expected and dimension(expected) != dimension(unit) and not of_direct_drive:
         raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{expected}]")
     return None
 

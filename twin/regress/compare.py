@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 import math
 
@@ -81,7 +81,7 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
     same = len(thin.time) == len(golden.time) and bool(np.all(np.abs(thin.time[:count] - golden.time[:count]) < TIME_TOLERANCE_S))
 
     def cut(trace: Trace) -> Trace:
-        return Trace(trace.time[:count], {key: values[:count] for key, values in trace.signals.items()}, trace.kinds)
+        return replace(trace, time=trace.time[:count], signals={key: values[:count] for key, values in trace.signals.items()})
 
     return cut(golden), cut(thin), same
 
@@ -93,7 +93,8 @@ def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
         return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal.startswith("velocity"):
         return units.speed
-    return (OTHER_UNITS[signal], 1.0)
+    unit = OTHER_UNITS[signal]
+    return (machine.axis(axis).motor_unit if unit == "Nm" else unit, 1.0)
 
 
 def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterator[Check]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from twin.documents import read_json_table
 from twin.errors import InputError
-from twin.recordings.trace import Trace, read_trace, unit_of
+from twin.recordings.trace import Trace, read_trace
 from twin.regress.outcome import Feature, Outcome, kept_trace
 from twin.regress.suite import Case
 from twin.replay.events import Event
@@ -123,7 +123,7 @@ def write_small(trace: Trace, path: Path) -> None:
 
     columns = {"time [s]": trace.time}
     for (axis, signal), values in trace.signals.items():
-        unit = unit_of(signal, trace.kinds[axis])
+        unit = trace.unit(axis, signal)
         columns[f"{axis}.{signal} [{unit}]"] = values / factor_to_si(unit, str(path))
     pyarrow.parquet.write_table(
         pa.table(columns), path, compression="zstd", compression_level=19, use_dictionary=False, use_byte_stream_split=True

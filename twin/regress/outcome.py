@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ def kept_trace(trace: Trace, every_s: float) -> Trace:
     if every >= len(trace.time):
         raise InputError(f"keep_every_ms = {every_s * 1e3:g} keeps one sample of a run of {trace.time[-1]:.4g} s; keep more")
     signals = {key: np.asarray(values, float) for key, values in trace.signals.items() if key[1] in SIGNAL_UNITS}
-    return Trace(trace.time, signals, trace.kinds).decimated(every)
+    return replace(trace, signals=signals).decimated(every)
 
 
 def flat(prefix: str, content: Any, out: dict[str, Value]) -> dict[str, Value]:

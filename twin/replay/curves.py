@@ -129,12 +129,13 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
         yield from recorded("speed", "velocity_setpoint", "speed set point", units.speed, SETPOINT_COLOUR, leaf=leaf, key=SET_POINT)
     yield from recorded("speed", "velocity", "speed", units.speed, mine)
     yield from recorded("current", "current", "current", ("A", 1.0), mine)
+    unit = axis.motor_unit
     for part, values in torque_parts(trace, axis).items():
         # of several runs the torques are drawn whole: their parts would have to share the colours
         if part == "motor":
-            yield curve("torque", "motor torque", "Nm", values, mine, f"motor_{label}")
+            yield curve("torque", "motor torque", unit, values, mine, f"motor_{label}")
         elif alone:
-            yield curve("torque", f"torque, {part}", "Nm", values, TORQUE_COLOURS[part], f"{part}_{label}", part)
+            yield curve("torque", f"torque, {part}", unit, values, TORQUE_COLOURS[part], f"{part}_{label}", part)
 
 
 def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:

@@ -32,10 +32,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines on one scale; `label` names quantity and unit."""
+    """Lines on one scale; `label` names quantity and unit. With `peaks`, a unit, each curve's largest size is written beside it."""
 
     label: str
     curves: Sequence[Curve]
+    peaks: str = ""
 
 
 def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
@@ -46,6 +47,21 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
             asked = curve.colour == SETPOINT
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour))
             axes.plot(time, curve.values, curve.dashes, color=colour, linewidth=WIDE if asked else THIN, label=curve.label or None)
+            if panel.peaks and len(curve.values):
+                worst = int(np.argmax(np.abs(curve.values)))
+                at, value = float(time[worst]), float(curve.values[worst])
+                right = at > 0.85 * float(time[-1])
+                axes.annotate(
+                    f"{abs(value):.3g} {panel.peaks}",
+                    (at, value),
+                    (-8 if right else 8, 0),
+                    textcoords="offset points",
+                    ha="right" if right else "left",
+                    va="bottom" if value < 0 else "top",
+                    fontsize=8.5,
+                    weight="bold",
+                    color="#6b7280" if asked else colour,
+                )
         axes.set_ylabel(panel.label, fontsize=9)
         axes.margins(x=0.0)
         if any(curve.label for curve in panel.curves):

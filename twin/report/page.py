@@ -9,16 +9,22 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from twin.report.stamp import made_line
+
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and rows of text; the first `left` columns read from the left; `marked` rows (index) stand out."""
+    """Heading and rows of text; the first `left` columns read from the left; `marked` rows (index) stand out.
+
+    A table with `folded` text is closed until that text is clicked.
+    """
 
     heading: Sequence[str]
     rows: Sequence[Sequence[str]]
     left: int = 1
     marked: frozenset[int] = frozenset()
     caption: str = ""
+    folded: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,17 +50,17 @@ class Section:
     items: Sequence[str] = ()
 
 
-def page(title: str, lead: str, sections: Sequence[Section]) -> str:
-    """The page as text."""
+def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> str:
+    """The page as text; `made` says how it was made (`twin.report.stamp.made_line`; without it version and date)."""
     environment = Environment(
         loader=PackageLoader("twin.report", "."), autoescape=select_autoescape(["html"], default=True), undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    return environment.get_template("page.html").render(title=title, lead=lead, sections=sections)
+    return environment.get_template("page.html").render(title=title, lead=lead, sections=sections, made=made or made_line())
 
 
-def write_page(path: str | Path, title: str, lead: str, sections: Sequence[Section]) -> None:
+def write_page(path: str | Path, title: str, lead: str, sections: Sequence[Section], made: str = "") -> None:
     """Write the page; makes its folder."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page(title, lead, sections), encoding="utf-8")
+    path.write_text(page(title, lead, sections, made), encoding="utf-8")

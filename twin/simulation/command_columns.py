@@ -5,6 +5,8 @@ A SINUMERIK records VFFWS and TFFWS, from which gain and delay of the feedforwar
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twin.machine.machine import Machine
@@ -22,4 +24,4 @@ def with_command_columns(trace: Trace, machine: Machine, setpoints: Setpoints) -
         signals[axis.name, "velocity_feedforward"] = command.velocity_feedforward[cycle, a]
         if trace.has(axis.name, "velocity"):
             signals[axis.name, "acceleration"] = np.gradient(trace.get(axis.name, "velocity"), trace.time)
-    return Trace(trace.time, signals, trace.kinds)
+    return replace(trace, signals=signals)

@@ -166,12 +166,12 @@ def gap_of_campaign(
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Unit in which a gap is given, and the factor from SI: um or arcsec, mm/s or deg/s; A, V or Nm."""
+    """Unit in which a gap is given, and the factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
     if signal in ("position", "motor_position"):
         return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal == "velocity":
         return AXIS_UNITS[axis.kind].speed
-    return (OTHER_UNITS[signal], 1.0)
+    return (axis.motor_unit if OTHER_UNITS[signal] == "Nm" else OTHER_UNITS[signal], 1.0)
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:

@@ -58,7 +58,7 @@ class Run:
         """The trace as a pandas data frame indexed by time [s]."""
         return self.trace.to_pandas()
 
-    def plot(self, *axes: str) -> Figure:
+    def plot(self, *axes: str, title: str = "") -> Figure:
         """Position, error without the delay, speed and effort of the given axes, or of all that move; returns a matplotlib figure."""
         from twin.report.curves import Curve, Panel, curves_figure
 
@@ -77,10 +77,11 @@ class Run:
                 Panel(
                     f"{name} error without\nthe delay, {units.error[0]}",
                     (Curve("", self.error_without_delay(name) * units.error[1], name),),
+                    peaks=units.error[0],
                 ),
                 Panel(f"{name} {axis.effort}\n{axis.effort_unit}", (Curve("", self.trace.get(name, axis.effort), name),)),
             ]
-        return curves_figure(self.trace.time, panels, f"{self.machine.name}")
+        return curves_figure(self.trace.time, panels, title or self.machine.name)
 
     def __repr__(self) -> str:
         moving = [name for name in self.trace.axes if self.trace.moves(name)]

@@ -253,4 +253,4 @@ def _traces(machine: Machine, setpoints: Setpoints, record: loop.Record, rows: i
             key = (axis.name, axis.effort if channel == "current" else channel)
             if key != (axis.name, "torque"):  # a command is no measurement
                 seen[key] = getattr(record, loop.SEEN + channel)[:rows, a]
-    return Trace(time, seen, machine.kinds), Trace(time, signals, machine.kinds)
+    return Trace(time, seen, machine.kinds, machine.forces), Trace(time, signals, machine.kinds, machine.forces)

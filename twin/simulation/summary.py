@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from twin.effects import settings_of
+from twin.effects.readable import setting_text
+from twin.machine.axis import Loops
 from twin.machine.machine import Machine
 from twin.simulation.result import Run
 from twin.units import AXIS_UNITS, deg_from_rad
@@ -77,7 +80,7 @@ def summary_table(summary: dict[str, Any]) -> str:
     heading = [
         "axis",
         "error without delay",
-        "rms",
+        "RMS",
         "after reversals",
         "following error max",
         "speed max",
@@ -88,15 +91,22 @@ def summary_table(summary: dict[str, Any]) -> str:
     return table([*heading, "limits met"], rows)
 
 
-def effects_line(effects: Sequence[Mapping[str, Any]]) -> str:
-    """The effects of a machine in one line: 'backlash X (clearance 1.5e-05)', or 'none'."""
-    texts = []
-    for effect in effects:
-        values = ", ".join(
-            f"{k} {v:.4g}" if isinstance(v, int | float) else f"{k} {v}" for k, v in effect.items() if k not in ("name", "axis")
-        )
-        texts.append(f"{effect['name']} {effect.get('axis', '')}{f' ({values})' if values else ''}")
-    return "; ".join(texts) or "none"
+def effects_line(machine: Machine) -> str:
+    """The effects of a machine in one line: 'backlash X (clearance 15.0 um)', or 'none'."""
+    return "; ".join(setting_text(setting, machine) for setting in settings_of(machine)) or "none"
+
+
+def feedforward_line(machine: Machine) -> str:
+    """What the control feeds forward: 'velocity+torque', or by axis where they differ: 'X off, Y velocity'."""
+    words = {axis.name: _feedforward(axis.loops) for axis in machine.axes}
+    if len(set(words.values())) == 1:
+        return next(iter(words.values()))
+    return ", ".join(f"{name} {word}" for name, word in words.items())
+
+
+def _feedforward(loops: Loops) -> str:
+    weights = {"velocity": loops.velocity_feedforward, "torque": loops.torque_feedforward}
+    return "+".join(name + ("" if weight == 1.0 else f" x {weight:.3g}") for name, weight in weights.items() if weight) or "off"
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
 from twin.study.labels import label_of, titled, unit_of, valued
@@ -136,7 +137,9 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         if rows:
             lines = [[str(n), *answers.shown(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
             sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.factors, "reason"], lines)]))
-    write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections)
+    write_page(
+        out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections, made_line(inputs=study.path.name, seed=study.seed)
+    )
     return written
 
 

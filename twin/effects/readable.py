@@ -1,0 +1,75 @@
+"""Numbers in the units that engineers use: um, arcsec, per cent, ms; the decimals follow the interval.
+
+interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.effects.effect import Parameter
+from twin.effects.setting import Setting
+from twin.machine.machine import Machine
+from twin.units import ARCSEC, deg_from_rad
+
+_BY_UNIT: dict[str, tuple[str, float]] = {
+    "m": ("um", 1e6),
+    "rad": ("arcsec", 1.0 / ARCSEC),
+    "s": ("ms", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "rad/s": ("deg/s", deg_from_rad(1.0)),
+    "N/m": ("N/um", 1e-6),
+    "Nm/rad": ("kNm/rad", 1e-3),
+    "N s/m": ("kN s/m", 1e-3),
+    "Nm s/rad": ("Nm s/rad", 1.0),
+    "1": ("", 1.0),
+}
+
+FEWEST_DIGITS, MOST_DIGITS = 3, 5
+"""Significant digits of a number without an interval, and of one with a narrow interval."""
+
+
+def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -> tuple[str, float, float]:
+    """Unit for people, factor and offset of an SI value: shown value = factor (value - offset)."""
+    if parameter is not None and parameter.is_factor:
+        return "%", 100.0, 1.0
+    if parameter is not None and unit in parameter.shown:
+        return *parameter.shown[unit], 0.0
+    if unit == "m" and abs(value) >= 1e-3:
+        return "mm", 1e3, 0.0
+    return *_BY_UNIT.get(unit, (unit, 1.0)), 0.0
+
+
+def interval_text(unit: str, value: float, low: float, high: float, parameter: Parameter | None = None) -> tuple[str, str]:
+    """A value and its interval in the units that people use; the interval is '' where there is none."""
+    shown, factor, offset = readable_unit(unit, value, parameter)
+    numbers = [factor * (x - offset) for x in (value, low, high)]
+    half = 0.5 * abs(numbers[2] - numbers[1])
+    known = -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] else 0  # decimals of one digit, less one
+    decimals = FEWEST_DIGITS + known
+    if half > 0.0 and math.isfinite(half):
+        decimals = min(1 - math.floor(math.log10(half)), MOST_DIGITS + known)
+    decimals = max(decimals, 0)
+    sign = "+" if parameter is not None and parameter.is_factor else ""
+    texts = [f"{x:{sign}.{decimals}f}" for x in numbers]
+    end = f" {shown}" if shown else ""
+    return texts[0] + end, f"{texts[1]} to {texts[2]}{end}" if half > 0.0 else ""
+
+
+def parameter_label(name: str) -> str:
+    """'delay_s' -> 'delay', 'mass_kg' -> 'mass': the unit stands with the number."""
+    for ending in ("_rad", "_kg", "_hz", "_nm", "_s", "_m", "_a"):
+        name = name.removesuffix(ending)
+    return name.replace("_", " ")
+
+
+def setting_text(setting: Setting, machine: Machine) -> str:
+    """An effect with its axis and its parameters for people: 'backlash X (clearance 15.0 um)'."""
+    values = []
+    for name, value in setting.parameters.items():
+        parameter = setting.effect.parameter(name)
+        text, _ = interval_text(parameter.unit(machine.axis(setting.axis)), value, value, value, parameter)
+        values.append(f"{parameter_label(name)} {text}")
+    source = f" from {setting.from_axis}" if setting.from_axis else ""
+    listed = f" ({', '.join(values)})" if values else ""
+    return f"{setting.effect.name.replace('_', ' ')} {setting.axis}{source}{listed}"
