@@ -29,7 +29,8 @@ def test_a_direct_drive_is_written_and_read_in_newtons(tmp_path: Path) -> None:
     assert load_machine().forces == frozenset()
     file = tmp_path / "direct.csv"
     write_trace(trace_of(frozenset("X")).decimated(2).select(["X"]), file)
-    assert "X.torque [N]" in file.read_text() and "X.torque_friction [N]" in file.read_text()
+    assert "X.torque [N]" in file.read_text()
+    assert "X.torque_friction [N]" in file.read_text()
     again = read_trace(file)
     assert again.forces == {"X"}
     np.testing.assert_array_equal(again.get("X", "torque"), [0.0, 6e-3, 12e-3])
