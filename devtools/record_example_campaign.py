@@ -42,12 +42,9 @@ def _strokes() -> list[tuple[int, float, float]]:
     return [(0, 0.05, 0.2), (1, -0.05, 0.2), (2, -0.04, 0.15), (3, 15.0 * DEG, 50.0 * DEG), (4, -30.0 * DEG, 80.0 * DEG)]
 
 
-def main() -> None:
-    """Write the campaign."""
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/campaign")
+def record(folder: Path, case: Case, machine: dict) -> None:
+    """Write the runs of a case and their campaign.toml."""
     folder.mkdir(parents=True, exist_ok=True)
-    machine = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
-    case = Case(SEED, "healthy", 1.0, (), unit_factors(), Richness.off())
     lines, at = ["# recorded on the second plant: python -m devtools.record_example_campaign\n" + 'machine = "mikron_ucp710"\n'], 0.0
     for test in example_runs(machine):
         trace = simulate(case, machine, test, at)
@@ -68,6 +65,13 @@ def main() -> None:
         at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
         print(f"{test.name}: {len(trace.time)} samples, {(folder / test.name).with_suffix('.parquet').stat().st_size / 1e3:.0f} kB")
     (folder / "campaign.toml").write_text("\n".join(lines), encoding="utf-8")
+
+
+def main() -> None:
+    """Write the campaign."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/campaign")
+    machine = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
+    record(folder, Case(SEED, "healthy", 1.0, (), unit_factors(), Richness.off()), machine)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from twin.cli.arguments import add_machine, add_place, machine_of
-from twin.files import write_json
+from twin.files import shipped_example, write_json
 from twin.progress import Progress
 
 SHOWN = 12
@@ -15,7 +15,7 @@ SHOWN = 12
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", help="a part program, or a folder with them")
+    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", type=shipped_example, help="a part program, or a folder with them")
     add_machine(parser)
     add_place(parser)
     parser.add_argument("--read-only", action="store_true", help="only read the programs: no times, no check of limits")

@@ -134,9 +134,10 @@ def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, fo
     without = with_effects(machine, own[: len(own) - len(args.effect)])
     with Progress("simulating without the effects") as bar:
         nominal = simulate(without, setpoints, sample_period=followed.period, noise_seed=args.noise_seed, progress=bar).trace
-    words = " + ".join(args.effect)
-    comparison = compare(nominal, followed, machine, names=("without", "with"))
-    print(f"\n{words}:\n{comparison.verdict}\n{comparison.table()}")
+    added = settings_of(machine)[len(own) - len(args.effect) :]
+    name = f"with {added[0].effect.name.replace('_', ' ')} {added[0].axis}" if len(added) == 1 else f"with {len(added)} effects"
+    comparison = compare(nominal, followed, machine, names=("without", name))
+    print(f"\n{comparison.verdict}\n{comparison.table()}")
     write_trace(nominal, out / "without.parquet")
     write_json({"kind": "runs", **comparison.document()}, out / "compare.json", "compare")
     write_comparison_page(comparison, out / "report.html", f"{args.input}, with: {effects_line(machine)}")

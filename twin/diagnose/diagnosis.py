@@ -38,6 +38,10 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 
+UNDECIDED = 6.0
+"""Gap over noise, on runs left out, above which a quick look that finds no effect is no answer; a control that interpolates in its own way between
+its cycles leaves 3."""
+
 
 @dataclass
 class Diagnosis:
@@ -379,7 +383,7 @@ def diagnose(
     )
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
-    if quick and verdict == "none" and any(diagnosis.axis_level("after", axis) > thresholds.left_over for axis in diagnosis.axes):
+    if quick and verdict == "none" and any(diagnosis.axis_level("after", axis) > UNDECIDED for axis in diagnosis.axes):
         # a quick look leaves axes out that are quiet where the blocks are cut: what the whole loop shows is not explained
         diagnosis.verdict, diagnosis.decided = (verdict := "unknown"), False
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
