@@ -1,6 +1,6 @@
 """Mutilated recordings all the way: import, a machine of the recording, identification, gap. No traceback, and no claim that is wrong.
 
-    python -m devtools.fuzz_chain --count 500 [--data ../shared/data] [--seed 1]
+    scripts/fuzz --only chain --cases 500 --seed 1
 
 A recording made here comes from a machine whose numbers are known; a real one, from --data, has numbers that many samples agree on. A case is a
 fault where a command ends in a traceback, with other exit codes than 0 and 2, with more than one line of error, writes a number that no axis can
@@ -9,18 +9,12 @@ have, or claims a position gain that the recording does not have although the mu
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-import contextlib
 from dataclasses import dataclass, replace
-import io
 import json
 import math
 from pathlib import Path
-import tempfile
-import traceback
 from typing import Any
-import warnings
 
 import numpy as np
 
@@ -39,7 +33,7 @@ from devtools.fuzz_import import (
     unit_wrong,
     write_csv,
 )  # fmt: skip
-from twin.cli import main as twin
+from devtools.fuzz_loop import called
 from twin.machine.machine import load_machine
 
 GAIN_PER_S = 40.0
@@ -221,7 +215,7 @@ def run_case(seed: int, folder: Path, recordings: list[Recording], no_refine: bo
     )
     reached = "nothing"
     for step in steps:
-        code, fault = carried_out(step)
+        code, fault = called(step, allowed=("found: ",))
         if fault:
             return reached, f"{what}: twin {step[0]}: {fault}"
         if code == 2 and step[0] in ("import", "machine"):
@@ -231,23 +225,6 @@ def run_case(seed: int, folder: Path, recordings: list[Recording], no_refine: bo
     if keeps and not wrong:
         wrong = wrong_gain(recording, result)
     return reached, f"{what}: {wrong}" if wrong else ""
-
-
-def carried_out(arguments: tuple[object, ...]) -> tuple[int, str]:
-    """(exit code, fault or "") of one command; a warning of numpy is a fault."""
-    out, error = io.StringIO(), io.StringIO()
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
-            warnings.simplefilter("error", RuntimeWarning)
-            code = int(twin([*map(str, arguments)]) or 0)
-    except BaseException:
-        return -1, traceback.format_exc(limit=-4)
-    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith("found: ")]
-    if said := [line for line in out.getvalue().splitlines() if "nan" in line.lower().split() and "repair" not in line]:
-        return code, f"prints nan: {said[0][:200]}"
-    if "Warning" not in error.getvalue() and (code == 0 or (code == 2 and len(lines) == 1)):
-        return code, ""
-    return code, f"exit code {code}, {len(lines)} lines: {error.getvalue()[:300]}"
 
 
 def impossible_numbers(lumped: Path, identified: Path, *results: Path) -> str:
@@ -296,27 +273,3 @@ def wrong_gain(recording: Recording, result: Path) -> str:
         if abs(value - known) > 3.0 * half + FAR * known:
             return f"claims a position gain of {value:.4g} +-{half:.2g} 1/s of axis {entry.get('axis')}, it is {known:.4g}"
     return ""
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    args = parser.parse_args()
-    recordings = real(args.data)
-    reached: dict[str, int] = {}
-    faults = 0
-    for seed in range(args.seed, args.seed + args.count):
-        with tempfile.TemporaryDirectory() as scratch:
-            step, fault = run_case(seed, Path(scratch), recordings)
-        reached[step] = reached.get(step, 0) + 1
-        if fault:
-            faults += 1
-            print(fault, flush=True)
-    print(f"{args.count} mutilated recordings, last command with a result: {reached}; {faults} faults")
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

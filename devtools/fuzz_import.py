@@ -1,26 +1,20 @@
 """Mutilated recordings through `twin import FILES --out CAMPAIGN`: every one is imported, or refused in one line; never a traceback.
 
-    python -m devtools.fuzz_import --count 500 [--data ../shared/data] [--seed 1]
+    scripts/fuzz --only recording --cases 500 --seed 1
 
 Rows, columns, units, gaps and rates are spoilt in CSV, SINUMERIK Edge JSON and MATLAB files, made here or taken from --data.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-import contextlib
-import io
 import json
 from pathlib import Path
 import shutil
-import tempfile
-import traceback
-import warnings
 
 import numpy as np
 
-from twin.cli import main as twin
+from devtools.fuzz_loop import called
 
 Table = dict[str, np.ndarray]
 MOST_ROWS = 1200
@@ -220,17 +214,8 @@ def run_case(seed: int, folder: Path, real: list[Path]) -> tuple[int, str]:
         path = writer(folder / "run", table, rng)
         if rng.random() < 0.1:
             damaged(path, rng)
-    out, error = io.StringIO(), io.StringIO()
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
-            warnings.simplefilter("error", RuntimeWarning)
-            code = twin(["import", str(path), "--out", str(folder / "out"), "--no-picture"])
-    except BaseException:
-        return -1, f"seed {seed}, {path.name}: {traceback.format_exc(limit=-3)}"
-    lines = error.getvalue().strip().splitlines()
-    if (code == 0 and not lines) or (code == 2 and len(lines) == 1):
-        return code, ""
-    return code, f"seed {seed}, {path.name}: exit code {code}, {len(lines)} lines: {error.getvalue()[:300]}"
+    code, fault = called(("import", path, "--out", folder / "out", "--no-picture"), allowed=())
+    return code, f"seed {seed}, {path.name}: {fault}" if fault else ""
 
 
 def real_recordings(folder: Path) -> list[Path]:
@@ -241,27 +226,3 @@ def real_recordings(folder: Path) -> list[Path]:
         for p in sorted((folder / part).glob("*.*"))
         if p.suffix in (".json", ".mat", ".csv")
     ]
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    args = parser.parse_args()
-    codes: dict[int, int] = {}
-    faults = []
-    real = real_recordings(args.data)
-    for seed in range(args.seed, args.seed + args.count):
-        with tempfile.TemporaryDirectory() as scratch:
-            code, fault = run_case(seed, Path(scratch), real)
-        codes[code] = codes.get(code, 0) + 1
-        if fault:
-            faults.append(fault)
-            print(fault, flush=True)
-    print(f"{args.count} mutilated recordings: {codes.get(0, 0)} imported, {codes.get(2, 0)} refused in one line, {len(faults)} faults")
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

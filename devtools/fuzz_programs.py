@@ -1,23 +1,19 @@
 """Mutate programs and read them: no traceback, no hang, and what is accepted reads the same from its normalised print.
 
-    python devtools/fuzz_programs.py [--count 100000] [--seed 0] [FILES]
-
-Without files, the samples below are mutated.
+scripts/fuzz --only program --cases 100000 --seed 0
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 import random
-import tempfile
 import time
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Machine
 from twin.program import flow
 from twin.program import moves as mv
 from twin.program.collect import Collector
@@ -263,36 +259,3 @@ def check(name: str, text: str, machine: Machine, folder: Path) -> str:
         assert np.allclose(other.arcs[row][1], normal, atol=1e-6)
         assert abs(other.arcs[row][2] - angle) < 1e-5
     return "read and re-read"
-
-
-def fuzz(count: int, seed: int, samples: dict[str, str], machine: Machine, folder: Path) -> dict[str, int]:
-    """How many mutated programs were refused, read and re-read."""
-    rng = random.Random(seed)
-    counts: dict[str, int] = {}
-    names = sorted(samples)
-    for k in range(count):
-        name = names[k % len(names)]
-        text = mutate(samples[name], rng)
-        try:
-            result = check(name, text, machine, folder)
-        except Exception:
-            (folder / f"failed_{name}").write_text(text)
-            raise
-        counts[result] = counts.get(result, 0) + 1
-    return counts
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=Path)
-    parser.add_argument("--count", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    samples = {f.name: f.read_text(errors="replace") for f in args.files} or SAMPLES
-    folder = Path(tempfile.mkdtemp())
-    print(f"a program that fails is kept in {folder}")
-    print(fuzz(args.count, args.seed, samples, load_machine(), folder))
-
-
-if __name__ == "__main__":
-    main()

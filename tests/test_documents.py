@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from twin.documents import named_file, outer_file, read_json, read_json_table, read_toml
-from twin.errors import InputError
+from twin.errors import InputError, nearest, one_line
 
 TOML = {
     "nesting": ("x = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
@@ -105,3 +105,13 @@ def test_a_name_inside_is_found(tmp_path: Path) -> None:
     assert named_file("sub/a.stl", tmp_path, "x").read_text() == "a"
     assert named_file("b.stl", tmp_path, "x").read_text() == "a"
     assert outer_file("../sub/a.stl", tmp_path / "sub", "x").read_text() == "a"
+
+
+def test_a_message_is_short_and_keeps_what_to_do() -> None:
+    message = f"/a/b/machine.toml: [axis.X]: kind = '{'x' * 900}': {'a word and ' * 200} use one of linear, rotary"
+    text = one_line(message)
+    assert len(text) <= 340
+    assert text.startswith("/a/b/machine.toml: [axis.X]: kind = 'xxx")
+    assert text.endswith("use one of linear, rotary")
+    assert one_line("short:\n  and   sweet") == "short: and sweet"
+    assert nearest("zzzz", [f"name{i}" for i in range(500)]).endswith("and 476 more")

@@ -5,6 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 import difflib
 
+LONGEST = 300
+"""Characters of a message behind the file that it is about."""
+LONGEST_WORD = 80
+MOST_LISTED = 24
+"""Known words that a message lists."""
+
 
 class TwinError(Exception):
     """Base of all errors of this package; the command line prints it as one line and exits with 2."""
@@ -31,4 +37,19 @@ def nearest(word: str, known: Iterable[str]) -> str:
     match = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     if match:
         return f"did you mean '{match[0]}'?"
-    return f"known are: {', '.join(known)}"
+    listed = ", ".join(known[:MOST_LISTED])
+    return f"known are: {listed}" + (f" and {len(known) - MOST_LISTED} more" if len(known) > MOST_LISTED else "")
+
+
+def one_line(message: object) -> str:
+    """A message as the command line prints it: one line, in which a long word or text of a file is not echoed whole.
+
+    What was given stands at the beginning, what to do at the end: of a message that is longer than `LONGEST` the middle goes.
+    """
+    words = [word if len(word) <= LONGEST_WORD or "/" in word else f"{word[: LONGEST_WORD // 2]}..." for word in str(message).split()]
+    text = " ".join(words)
+    where, _, said = text.partition(": ")  # a path is given whole
+    if len(said) > LONGEST:
+        said = f"{said[: LONGEST * 6 // 10].rstrip()} ... {said[-LONGEST * 3 // 10 :].lstrip()}"
+        return f"{where}: {said}"
+    return text if said or len(text) <= LONGEST else f"{text[: LONGEST * 6 // 10].rstrip()} ... {text[-LONGEST * 3 // 10 :].lstrip()}"

@@ -68,3 +68,18 @@ def test_printed_times_may_be_rounded(tmp_path: Path) -> None:
     times = np.round(np.arange(50) / 300.0, 5)
     path.write_text("time [s],X.setpoint [mm]\n" + "".join(f"{t},0\n" for t in times))
     assert read_trace(path).period == pytest.approx(1 / 300, rel=1e-3)
+
+
+def test_a_trace_in_latin_1_is_read(tmp_path: Path) -> None:
+    """German controls write it; a degree sign or a name outside ASCII must not end a reading."""
+    (tmp_path / "a.csv").write_bytes("time [s],X.setpoint [mm],X.pr\u00fcfkraft [N]\n0,0,1\n0.001,0,2\n".encode("latin-1"))
+    assert read_trace(tmp_path / "a.csv").get("X", "pr\u00fcfkraft").tolist() == [1.0, 2.0]
+
+
+def test_whole_numbers_beyond_a_float_are_rounded(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    table = {"time [s]": [0.0, 0.001], "X.setpoint [mm]": [0.0, 0.0], "X.counter [1]": pa.array([2**64 - 1, 2**64 - 2], pa.uint64())}
+    pyarrow.parquet.write_table(pa.table(table), tmp_path / "a.parquet")
+    assert read_trace(tmp_path / "a.parquet").get("X", "counter")[0] == 2.0**64

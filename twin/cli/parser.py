@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import twin
-from twin.errors import TwinError, nearest
+from twin.errors import TwinError, nearest, one_line
 from twin.limits import RAISED_BY
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with _effects_of(args):
             return _carried_out(args)
     except TwinError as error:
-        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"twin: {one_line(error)}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         return 0
@@ -130,7 +130,7 @@ class _Parser(argparse.ArgumentParser):
     """Usage errors in one line, with exit code 2; commands by groups in the help."""
 
     def error(self, message: str) -> Any:
-        self.exit(2, f"twin: {message}; try '{self.prog} --help'\n")
+        self.exit(2, f"twin: {one_line(message)}; try '{self.prog} --help'\n")
 
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
@@ -192,7 +192,7 @@ def _command_in(arguments: Sequence[str]) -> str | None:
     """The command that is given, if it is one: a word that is none gets one line with the nearest."""
     word = next((a for a in arguments if not a.startswith("-")), None)
     if word is not None and word not in _commands() and arguments and arguments[0] == word:
-        sys.stderr.write(f"twin: no command '{word}'; {nearest(word, _commands())}; try 'twin --help'\n")
+        sys.stderr.write(f"twin: no command '{one_line(word)}'; {nearest(word, _commands())}; try 'twin --help'\n")
         raise SystemExit(2)
     return word if word in _commands() else ""
 

@@ -10,6 +10,7 @@ import numpy as np
 from twin.errors import TwinError
 from twin.program.budget import QUANTITIES, ErrorBudget
 from twin.recordings.trace import PROGRAM, Trace
+from twin.report.figure import plain_text
 
 MM_PER_MIN = 60e3
 
@@ -37,7 +38,7 @@ def plot_feed(setpoints: Trace, path: str | Path, title: str = "") -> None:
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper right")
-    figure.savefig(path, dpi=120)
+    plain_text(figure).savefig(path, dpi=120)
     plt.close(figure)
 
 
@@ -57,5 +58,5 @@ def plot_budget(budget: ErrorBudget, path: str | Path, title: str = "") -> None:
     axes[1].set_xlabel("programmed path length in mm")
     if title:
         figure.suptitle(title)
-    figure.savefig(path, dpi=120)
+    plain_text(figure).savefig(path, dpi=120)
     plt.close(figure)

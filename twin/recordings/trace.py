@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.limits import refuse_above
 from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ _MOTION = {signal: order for order, own in enumerate((POSITIONS, SPEEDS, ACCELER
 _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
 
+MOST_VALUES = 250_000_000
+"""Numbers in one file: 2 GB in memory."""
 RELATIVE_PERIOD_TOLERANCE = 0.02
 """Sample times may scatter about the constant period by this fraction (printed times are rounded)."""
 
@@ -270,7 +273,7 @@ def _read_table(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
     try:
-        table = pyarrow.parquet.ParquetFile(path).read() if path.suffix == ".parquet" else pyarrow.csv.read_csv(path)
+        table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
     except PermissionError:
         raise InputError(f"{path}: cannot be read; check its permissions") from None
     except (pa.ArrowException, OSError, UnicodeError) as error:
@@ -287,8 +290,36 @@ def _read_table(path: Path) -> dict[str, np.ndarray]:
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
             row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
             raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is no number; correct or remove it")
-        columns[name] = column.cast(pa.float64()).to_numpy()  # missing cells become NaN
+        columns[name] = column.cast(pa.float64(), safe=False).to_numpy()  # missing cells become NaN
     return columns
+
+
+def _parquet(path: Path) -> Any:
+    """The table of a Parquet file whose size its head says."""
+    import pyarrow.parquet
+
+    file = pyarrow.parquet.ParquetFile(path)
+    about = file.metadata
+    refuse_above(about.num_rows * about.num_columns, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    return file.read()
+
+
+def _csv(path: Path) -> Any:
+    """The table of a CSV file in UTF-8, or else in Latin-1, which German controls write."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    try:
+        table = pyarrow.csv.read_csv(path)
+        if table.column_names:  # decoded here
+            return table
+    except pa.ArrowException as error:
+        if "UTF8" not in str(error):
+            raise
+    except UnicodeDecodeError:
+        pass
+        return pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
 
 
 def _is_number(cell: object) -> bool:

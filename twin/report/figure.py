@@ -42,13 +42,37 @@ def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0
         return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
+def plain_text(figure: MplFigure) -> MplFigure:
+    """The figure with all its words taken as they are: `$` in the name of a run, an axis or a surface begins no formula.
+
+    Tick labels that an axis makes itself (powers of ten) stay formulas.
+    """
+    from matplotlib.text import Text
+    from matplotlib.ticker import FuncFormatter, LogFormatter, NullFormatter, ScalarFormatter
+
+    done = getattr(figure, "_plain_text", False)
+    figure._plain_text = True  # type: ignore[attr-defined]  # a second call would mark what is marked
+
+    ticks: set[int] = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            inner = axis.get_major_formatter()
+            if not done and not isinstance(inner, LogFormatter | NullFormatter | ScalarFormatter):
+                axis.set_major_formatter(FuncFormatter(lambda x, at, inner=inner: str(inner(x, at)).replace("$", r"\$")))
+            ticks |= {id(label) for label in axis.get_ticklabels(which="both")}
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and id(text) not in ticks:
+            text.set_parse_math(False)
+    return figure
+
+
 def figure_svg(figure: MplFigure) -> str:
     """Inline SVG without the XML head; equal figures give equal text."""
     from matplotlib import rc_context
 
     out = io.StringIO()
     with rc_context(STYLE):
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        plain_text(figure).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
 
@@ -60,4 +84,4 @@ def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> N
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
-        figure.savefig(path, dpi=dots_per_inch)
+        plain_text(figure).savefig(path, dpi=dots_per_inch)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
+from twin.report.figure import plain_text
 from twin.surface.export import COLOUR_MAP
 from twin.surface.height_rays import HeightRays
 from twin.surface.machining import CutSurface, Machining
@@ -88,7 +89,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
         figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", fontsize=14, x=0.012, ha="left", fontweight="bold")
         relief.set_title(subtitle, fontsize=10, color=QUIET, loc="left")
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        plain_text(figure).savefig(path)
 
 
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
@@ -125,7 +126,7 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
             fontweight="bold",
         )
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        plain_text(figure).savefig(path)
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
@@ -146,7 +147,7 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
         ax.set_title(f"{name}: {label}", loc="left")
         ax.set_ylabel("v [mm]")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    plain_text(figure).savefig(path)
 
 
 def colour_end(height: np.ndarray) -> float:
@@ -230,4 +231,4 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
         figure.colorbar(drawn, ax=axes).set_label("deviation from nominal [um]   (below 0: cut too deep)")
         axes.set_title(f"{machining.part.name}, {one.surface.name}: {one.level.label}", loc="left", fontweight="bold")
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        plain_text(figure).savefig(path)

@@ -1,0 +1,75 @@
+"""Every fuzzer through one loop: spoilt files and options of all commands, mutilated recordings, changed programs.
+
+scripts/fuzz --cases 2000 --seed 1            all kinds in turn
+scripts/fuzz --cases 500 --only machine       one kind; --list names them
+scripts/fuzz --cases 1 --seed 1234 --only map a fault again
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from pathlib import Path
+import random
+import time
+
+from devtools import fuzz_chain, fuzz_files, fuzz_import, fuzz_programs
+from devtools.fuzz_loop import SECONDS, Case, fuzz
+
+
+def kinds(data: Path) -> dict[str, Case]:
+    """Kind -> case of all fuzzers."""
+    real = functools.cache(fuzz_import.real_recordings)
+    chain = functools.cache(fuzz_chain.real)
+    return {
+        **fuzz_files.all_kinds(),
+        "program": program,
+        "recording": lambda seed, folder: fuzz_import.run_case(seed, folder, real(data))[1],
+        "chain": lambda seed, folder: fuzz_chain.run_case(seed, folder, chain(data), no_refine=True)[1],
+    }
+
+
+@functools.cache
+def _mikron() -> object:
+    from twin.machine.machine import load_machine
+
+    return load_machine()
+
+
+def program(seed: int, folder: Path) -> str:
+    """A changed program: refused in one line, or read with the same meaning as its normalised print."""
+    rng = random.Random(f"program {seed}")
+    name = rng.choice(sorted(fuzz_programs.SAMPLES))
+    text = fuzz_programs.mutate(fuzz_programs.SAMPLES[name], rng)
+    try:
+        fuzz_programs.check(name, text, _mikron(), folder)  # type: ignore[arg-type]
+    except AssertionError as error:
+        return f"{name}: {error}"
+    except Exception as error:
+        return f"{name}: {type(error).__name__}: {error}"
+    return ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", action="append", metavar="KIND")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="longest time of one case")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="recordings of real machines, where they are")
+    parser.add_argument("--list", action="store_true", help="name the kinds and end")
+    args = parser.parse_args()
+    known = kinds(args.data.resolve())
+    if args.list or not set(args.only or known) <= set(known):
+        print("\n".join(known))
+        return 0 if args.list else 2
+    begin = time.monotonic()
+    tally = fuzz(
+        {k: v for k, v in known.items() if k in (args.only or known)}, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds
+    )
+    print(f"{tally.total} cases in {time.monotonic() - begin:.0f} s: {tally.cases}; {len(tally.faults)} faults")
+    return 1 if tally.faults else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

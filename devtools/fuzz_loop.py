@@ -1,0 +1,180 @@
+"""One loop for all fuzzers: seeded cases in a process of their own, with limits on time and memory; what is no refusal in one line is a fault.
+
+A kind is a name and a function `case(seed, folder) -> fault or ""`. The loop draws the kinds in turn. The child process writes which case it is
+at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS`, memory above
+`BYTES`, a file outside the folder of the case, a process that ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+import contextlib
+from dataclasses import dataclass, field
+import io
+import multiprocessing
+import os
+from pathlib import Path
+import signal
+import tempfile
+import traceback
+from typing import Any
+import warnings
+
+SECONDS = 60.0
+BYTES = 2_000_000_000
+"""Memory that a case may take beside what the process has when all is loaded."""
+LONGEST_LINE = 420
+"""Characters of a message: a path, 300 for what is said."""
+
+Case = Callable[[int, Path], str]
+
+
+class TooLong(BaseException):
+    """A case that goes on for longer than it may; no `except Exception` on the way swallows it."""
+
+
+@dataclass
+class Tally:
+    """Cases by kind, and what went wrong."""
+
+    cases: dict[str, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def total(self) -> int:
+        """All cases."""
+        return sum(self.cases.values())
+
+
+def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ", "note: ", "warning: ")) -> tuple[int, str]:
+    """(exit code, fault or "") of one command in this process: done, or refused with one line that begins with `twin:`."""
+    from twin.cli import main as twin
+
+    out, error = io.StringIO(), io.StringIO()
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+            warnings.simplefilter("error", RuntimeWarning)
+            code = int(twin([*map(str, arguments)]) or 0)
+    except SystemExit as stop:  # usage: said by the parser
+        code = int(stop.code or 0)
+    except TooLong:
+        raise
+    except BaseException:
+        return -1, traceback.format_exc(limit=-4)
+    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith(allowed)]
+    if code not in (0, 1, 2):
+        return code, f"exit code {code}: {error.getvalue()[:300]}"
+    if code == 2 and (len(lines) != 1 or not lines[0].startswith("twin: ")):
+        return code, f"exit code 2 with {len(lines)} lines: {error.getvalue()[:300]}"
+    if code == 2 and len(lines[0]) > LONGEST_LINE + len(str(arguments)):
+        return code, f"a message of {len(lines[0])} characters: {lines[0][:300]}"
+    if said := [line for line in out.getvalue().splitlines() if "nan" in line.lower().split() and "repair" not in line]:
+        return code, f"prints nan: {said[0][:200]}"
+    if code == 0 and lines:
+        return code, f"done, and on standard error: {lines[0][:300]}"
+    if "Traceback" in error.getvalue():
+        return code, error.getvalue()[-1500:]
+    return code, ""
+
+
+def fuzz(kinds: Mapping[str, Case], cases: int, seed: int, say: Callable[[str], Any] = print, seconds: float = SECONDS) -> Tally:
+    """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended."""
+    tally, at, names = Tally(), seed, list(kinds)
+    context = multiprocessing.get_context("spawn" if os.name == "nt" else "fork")
+    while at < seed + cases:
+        mine, theirs = context.Pipe(duplex=False)
+        child = context.Process(target=_carry_out, args=(kinds, at, seed + cases, theirs, seconds), daemon=False)
+        child.start()
+        theirs.close()
+        for done, fault in _messages(mine):
+            at = done + 1
+            name = names[done % len(names)]
+            tally.cases[name] = tally.cases.get(name, 0) + 1
+            if fault:
+                tally.faults.append(f"seed {done} ({name}): {fault}")
+                say(tally.faults[-1])
+        child.join()
+        if at < seed + cases and child.exitcode != 0:
+            name = names[at % len(names)]
+            tally.cases[name] = tally.cases.get(name, 0) + 1
+            tally.faults.append(f"seed {at} ({name}): the process ended with {child.exitcode}")
+            say(tally.faults[-1])
+            at += 1
+    return tally
+
+
+def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
+    """The fault of one case, "" where there is none: in an empty folder, with a watch on time, memory and stray files."""
+    with tempfile.TemporaryDirectory(prefix="twin-fuzz-") as scratch:
+        here, place = Path(scratch) / "here", Path(scratch) / "case"
+        here.mkdir()
+        place.mkdir()
+        before, peak = os.getcwd(), _peak()
+        os.chdir(here)
+        try:
+            with _watch(seconds):
+                fault = kind(seed, place)
+        except TooLong:
+            fault = f"takes longer than {seconds:g} s: {traceback.format_exc(limit=-3)}"
+        except MemoryError:
+            fault = f"memory: {traceback.format_exc(limit=-4)}"
+        finally:
+            os.chdir(before)
+        if not fault and (stray := [p.name for p in (*here.iterdir(), *Path(scratch).iterdir()) if p not in (here, place)]):
+            fault = f"wrote outside its folder: {', '.join(stray)}"
+        if not fault and peak is not None and (_peak() or 0) > max(peak, _PEAK_LOADED) + BYTES:
+            fault = f"took {((_peak() or 0) - peak) / 1e9:.1f} GB"
+    return fault
+
+
+_PEAK_LOADED = 600_000_000
+"""Memory of a process that has all rooms loaded."""
+
+
+def _carry_out(kinds: Mapping[str, Case], start: int, end: int, pipe: Any, seconds: float) -> None:
+    """The child: cases one after the other, each reported when it is done."""
+    with contextlib.suppress(ImportError, ValueError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (24_000_000_000, resource.RLIM_INFINITY))
+    names = list(kinds)
+    for seed in range(start, end):
+        pipe.send((seed, one_case(kinds[names[seed % len(names)]], seed, seconds)))
+    pipe.close()
+
+
+def _messages(pipe: Any) -> Iterator[tuple[int, str]]:
+    while True:
+        try:
+            yield pipe.recv()
+        except EOFError:
+            return
+
+
+@contextlib.contextmanager
+def _watch(seconds: float) -> Iterator[None]:
+    """Raise TooLong after a time, where the system can."""
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise TooLong
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _peak() -> int | None:
+    """Largest memory of this process so far [bytes]."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

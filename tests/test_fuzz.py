@@ -1,0 +1,75 @@
+"""A seeded part of `scripts/fuzz`, and a proof that its loop sees what it must see."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import signal
+import sys
+import time
+
+import pytest
+
+from devtools import fuzz_files, fuzz_loop
+from devtools.fuzz_loop import called, fuzz, one_case
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the watch on time and memory is that of Unix")
+
+
+def test_no_spoilt_file_and_no_option_ends_in_more_than_one_line() -> None:
+    """Longer: scripts/fuzz --cases 20000."""
+    said: list[str] = []
+    tally = fuzz(fuzz_files.all_kinds(), 2 * len(fuzz_files.all_kinds()), 5000, said.append)
+    assert tally.faults == []
+    assert tally.total == 2 * len(fuzz_files.all_kinds())
+
+
+@pytest.mark.parametrize("kind", [k for k in fuzz_files.samples() if k not in ("part", "map")])
+def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> None:
+    """Else the fuzzer would see one refusal only."""
+    import random
+
+    for name, content in fuzz_files.samples()[kind].items():
+        (tmp_path / name).write_bytes(content)
+    code, fault = called(fuzz_files.commands(kind, tmp_path, random.Random(1)))
+    assert (code, fault) == (0, "")
+
+
+def ends(seed: int, _: Path) -> str:
+    if seed == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return ""
+
+
+def test_a_process_that_crashes_is_one_fault_and_the_rest_goes_on() -> None:
+    tally = fuzz({"ends": ends}, 4, 0, lambda _: None)
+    assert tally.total == 4
+    assert tally.faults == ["seed 1 (ends): the process ended with -9"]
+
+
+def test_the_watch_sees_time_memory_strays_and_tracebacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fills(_: int, __: Path) -> str:
+        import numpy as np
+
+        assert np.ones(50_000_000).all()  # 400 MB
+        return ""
+
+    def strays(_: int, __: Path) -> str:
+        Path("stray.txt").write_text("x")
+        return ""
+
+    def waits(_: int, __: Path) -> str:
+        time.sleep(30.0)
+        return ""
+
+    assert "takes longer" in one_case(waits, 0, seconds=0.2)
+    assert "wrote outside its folder: stray.txt" in one_case(strays, 0)
+    monkeypatch.setattr(fuzz_loop, "BYTES", 100_000_000)
+    monkeypatch.setattr(fuzz_loop, "_PEAK_LOADED", 0)
+    assert "GB" in fuzz({"fills": fills}, 1, 0, lambda _: None).faults[0]
+
+    def breaks(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("twin.cli.effects.carry_out", breaks)
+    assert "ZeroDivisionError" in called(("effects",))[1]
