@@ -121,3 +121,10 @@ def test_the_study_of_the_mark_changes_what_it_says(mikron: Machine) -> None:
             }
             assert given.pop(what) == pytest.approx(factor)
             assert np.allclose(list(given.values()), 1.0)
+
+
+def test_other_structures_run_a_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    carried_out("examples/kinematics/run.py", "--out", tmp_path)
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in said] == ["table_table", "head_table", "head_head", "three_axis"]
+    assert all(float(line.split()[-2]) < 1e-9 for line in said)

@@ -1,42 +1,45 @@
-"""The five-axis transformation: where the tool is in the part for given axes, and which axes bring it there.
+"""The transformation of a machine's chain: where the tool is in the part for given axes, and which axes bring it there.
 
 The frames are read from the MJCF at rest with the machine file's lengths (joint axes, anchors, sites `tool` and `workpiece`);
-nothing is typed twice. With axes X Y Z A C the part side is turned by R = Rot(A) Rot(C), both about the joints' own axes, the tool side is
-shifted along the slides:
+nothing is typed twice. Three slides, and up to two rotary axes that turn the part (table) or the tool (head): the *turning* axis
+is the one nearer to the part in the chain, the *tilting* axis the one nearer to the tool. Table-table: both turn the part; head-table:
+the turning axis turns the part, the tilting one the tool; head-head: both turn the tool.
 
-    workpiece_from_tool = (bed_from_workpiece(A, C))^-1 @ bed_from_tool(X, Y, Z)
+    workpiece_from_tool = (bed_from_workpiece(tilt, turn))^-1 @ bed_from_tool(X, Y, Z, tilt, turn)
 
-Positions in m, angles in rad, right-handed; arrays are (sample, axis) in machine order X Y Z A C. The tool axis is the
-unit vector from the tip towards the spindle. Any machine of the structure RRTTT is covered, with skew axes and offsets.
+A slide under the table counts with its direction reversed. Positions in m, angles in rad, right-handed; arrays are (sample, axis) in
+the order X Y Z, tilting axis, turning axis (A and C of the Mikron). The tool axis is the unit vector from the tip towards the
+spindle. Skew axes and offsets of any kind are covered, slides that a rotary axis carries are not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+import functools
 
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.chain import frames_at_rest
 from twin.machine.machine import Machine
-
-if TYPE_CHECKING:
-    import mujoco
+from twin.machine.model_file import state_of_model
 
 SINGULAR_SINE = 1e-9
 """A tool axis closer than this (as a sine) to the turning axis leaves C free: C then keeps its angle."""
 REACH_TOLERANCE = 1e-9
 """A tool axis may miss the reachable cone by this (as a cosine) and count as on its edge: rounding of the program."""
+FEWER_AXES_TOLERANCE = 1e-5
+"""The same for a machine with one rotary axis or none, whose tool axis has no angle to give way."""
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Frames of a RRTTT machine at rest, in the bed (world) frame.
+    """Frames of a machine at rest, in the bed (world) frame.
 
-    `slides` (3, 3) has the directions of X Y Z as columns; `tool_tip` (3,), `tool_axis` (3,) belong to the tool;
-    `tilt_*` and `turn_*` are axis (3,) and anchor (3,) of the outer (A) and inner (C) rotation; `part_origin` (3,) and
-    `part_axes` (3, 3, columns) place the workpiece. `travel` (5, 2) may hold infinities.
+    `slides` (3, 3) has the directions of X Y Z as columns, those under the table reversed; `tool_tip` (3,), `tool_axis` (3,) belong
+    to the tool; `tilt_*` and `turn_*` are axis (3,) and anchor (3,) of the rotary axes, which turn the part or (`.._on_table` False)
+    the tool; `part_origin` (3,) and `part_axes` (3, 3, columns) place the workpiece. `travel` (5, 2) may hold infinities. `names` are
+    the axes of the machine, '' for one that it lacks, `letters` those of programs.
     """
 
     slides: np.ndarray
@@ -50,6 +53,15 @@ class Kinematics:
     part_axes: np.ndarray
     travel: np.ndarray
     tool_length: float
+    tilt_on_table: bool = True
+    turn_on_table: bool = True
+    names: tuple[str, ...] = ("X", "Y", "Z", "A", "C")
+    letters: tuple[str, ...] = ("X", "Y", "Z", "A", "C")
+
+    @property
+    def label(self) -> tuple[str, ...]:
+        """What messages call the five axes: their names, or the letter where the machine lacks one."""
+        return tuple(name or letter for name, letter in zip(self.names, self.letters))
 
     def with_tool_length(self, length: float) -> Kinematics:
         """The same machine with a tool of another length [m], measured along the tool axis from the spindle nose."""
@@ -60,48 +72,80 @@ class Kinematics:
         axes = self.part_axes if rotation is None else self.part_axes @ rotation
         return replace(self, part_origin=self.part_origin + self.part_axes @ np.asarray(offset, float), part_axes=axes)
 
+    def _turns(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (sample, 3, 3) by the tilting and the turning axis."""
+        return rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
+
     def part_rotation(self, axes: np.ndarray) -> np.ndarray:
         """bed_from_workpiece rotations (sample, 3, 3)."""
         axes = np.atleast_2d(axes)
-        return rotation(self.tilt_axis, axes[:, 3]) @ rotation(self.turn_axis, axes[:, 4]) @ self.part_axes
+        return self._part_rotation(*self._turns(axes))
+
+    def _part_rotation(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        out = np.broadcast_to(self.part_axes, turn.shape)
+        if self.turn_on_table:
+            out = turn @ out
+        return tilt @ out if self.tilt_on_table else out
 
     def part_position(self, axes: np.ndarray) -> np.ndarray:
         """Origin of the part frame in the bed frame (sample, 3)."""
         axes = np.atleast_2d(axes)
-        return self._part_position(rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4]))
+        return self._part_position(*self._turns(axes))
 
     def _part_position(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        turned = turn @ (self.part_origin - self.turn_anchor) + self.turn_anchor
-        return np.einsum("nij,nj->ni", tilt, turned - self.tilt_anchor) + self.tilt_anchor
+        point = np.broadcast_to(self.part_origin, (len(turn), 3))
+        if self.turn_on_table:
+            point = _about(turn, self.turn_anchor, point)
+        return _about(tilt, self.tilt_anchor, point) if self.tilt_on_table else point
+
+    def _tip_at_rest(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Tool tip (sample, 3) with the slides at zero."""
+        point = np.broadcast_to(self.tool_tip, (len(turn), 3))
+        if not self.tilt_on_table:
+            point = _about(tilt, self.tilt_anchor, point)
+        return point if self.turn_on_table else _about(turn, self.turn_anchor, point)
 
     def tip_in_bed(self, axes: np.ndarray) -> np.ndarray:
-        """Tool tip in the bed frame (sample, 3)."""
-        return np.atleast_2d(axes)[:, :3] @ self.slides.T + self.tool_tip
+        """Tool tip as seen from the slides of the table (sample, 3): in the bed frame where they stand still."""
+        axes = np.atleast_2d(axes)
+        return axes[:, :3] @ self.slides.T + self._tip_at_rest(*self._turns(axes))
 
     def forward(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool tip (sample, 3) and tool axis (sample, 3) in the part frame, for axes (sample, 5)."""
         axes = np.atleast_2d(axes)
-        tilt, turn = rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
-        workpiece_from_bed = np.swapaxes(tilt @ turn @ self.part_axes, 1, 2)
-        tip = np.einsum("nij,nj->ni", workpiece_from_bed, self.tip_in_bed(axes) - self._part_position(tilt, turn))
-        return tip, workpiece_from_bed @ self.tool_axis
+        tilt, turn = self._turns(axes)
+        workpiece_from_bed = np.swapaxes(self._part_rotation(tilt, turn), 1, 2)
+        tip_in_bed = axes[:, :3] @ self.slides.T + self._tip_at_rest(tilt, turn)
+        tip = np.einsum("nij,nj->ni", workpiece_from_bed, tip_in_bed - self._part_position(tilt, turn))
+        if self.tilt_on_table and self.turn_on_table:
+            return tip, workpiece_from_bed @ self.tool_axis
+        head = np.eye(3) if self.tilt_on_table else tilt
+        return tip, workpiece_from_bed @ (head if self.turn_on_table else turn @ head) @ self.tool_axis
 
     def linear_axes(self, tip: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        """X Y Z (sample, 3) that hold the tip (sample, 3, part frame) at given A and C (sample, 2)."""
+        """X Y Z (sample, 3) that hold the tip (sample, 3, part frame) at given rotary axes (sample, 2)."""
         tip, angles = np.atleast_2d(tip), np.atleast_2d(angles)
-        axes = np.column_stack([np.zeros((len(angles), 3)), angles])
-        in_bed = np.einsum("nij,nj->ni", self.part_rotation(axes), tip) + self.part_position(axes)
-        return (in_bed - self.tool_tip) @ np.linalg.inv(self.slides).T
+        tilt, turn = self._turns(np.column_stack([np.zeros((len(angles), 3)), angles]))
+        in_bed = np.einsum("nij,nj->ni", self._part_rotation(tilt, turn), tip) + self._part_position(tilt, turn)
+        return (in_bed - self._tip_at_rest(tilt, turn)) @ np.linalg.inv(self.slides).T
 
     def angles(self, tool_axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both pairs (A, C) for tool axes (sample, 3) in the part frame.
+        """Both pairs (tilt, turn) for tool axes (sample, 3) in the part frame.
 
-        Returns angles (solution 0 or 1, sample, 2), A and C in (-pi, pi], and reachable (sample,). Where the tool axis
-        lies along the turning axis C is NaN: any angle serves.
+        Returns angles (solution 0 or 1, sample, 2) in (-pi, pi], and reachable (sample,). Where the tool axis lies along the
+        turning axis the turn is NaN: any angle serves. A machine with one rotary axis has one solution, given twice.
         """
         axis = np.atleast_2d(tool_axis)
         axis = (axis / np.linalg.norm(axis, axis=1, keepdims=True)) @ self.part_axes.T
-        a, c, z = self.tilt_axis, self.turn_axis, self.tool_axis
+        # a head turns the tool by +angle where a table turns the part by -angle: seen from the part, its axis is reversed
+        a = self.tilt_axis if self.tilt_on_table else -self.tilt_axis
+        c = self.turn_axis if self.turn_on_table else -self.turn_axis
+        z = self.tool_axis
+        pairs = np.zeros((2, len(axis), 2))
+        if not self.names[3]:
+            off = axis @ c - c @ z if self.names[4] else np.linalg.norm(axis - z, axis=1)
+            pairs[:, :, 1] = _turn_between(axis, np.broadcast_to(z, axis.shape), c) if self.names[4] else np.nan
+            return pairs, np.abs(off) <= FEWER_AXES_TOLERANCE
         # c . Rot(a, -A) z = c . axis is one equation in A alone: p cos A + q sin A = r
         p, q = c @ z - (a @ z) * (a @ c), -(c @ np.cross(a, z))
         r = axis @ c - (a @ z) * (a @ c)
@@ -110,15 +154,12 @@ class Kinematics:
             raise InputError("machine: the tilting axis cannot tilt the tool against the turning axis; check the joints of the MJCF")
         reachable = np.abs(r) <= size * (1.0 + REACH_TOLERANCE)
         half = np.arccos(np.clip(r / size, -1.0, 1.0))
-        pairs = np.empty((2, len(axis), 2))
         for k, sign in enumerate((1.0, -1.0)):
             tilt = _wrapped(np.arctan2(q, p) + sign * half)
             # what C must turn the tool axis into, seen after A is undone
             goal = np.einsum("nij,j->ni", rotation(a, -tilt), z)
-            have, want = axis - np.outer(axis @ c, c), goal - np.outer(goal @ c, c)
-            turn = np.arctan2(np.cross(have, want) @ c, np.einsum("ni,ni->n", have, want))
             pairs[k, :, 0] = tilt
-            pairs[k, :, 1] = np.where(np.linalg.norm(have, axis=1) < SINGULAR_SINE, np.nan, turn)
+            pairs[k, :, 1] = _turn_between(axis, goal, c)
         return pairs, reachable
 
     def outside_travel(self, axes: np.ndarray, tolerance: float = 1e-9) -> tuple[int, int] | None:
@@ -137,69 +178,45 @@ def rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return along + np.cos(angle) * (np.eye(3) - along) + np.sin(angle) * cross
 
 
+def _about(turn: np.ndarray, anchor: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Points (sample, 3) turned by (sample, 3, 3) about an anchor (3,)."""
+    return np.asarray(np.einsum("nij,nj->ni", turn, point - anchor) + anchor)
+
+
+def _turn_between(axis: np.ndarray, goal: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Angles (sample,) about c (3,) that turn directions (sample, 3) into their goals; NaN where a direction lies along c."""
+    have, want = axis - np.outer(axis @ c, c), goal - np.outer(goal @ c, c)
+    turn = np.arctan2(np.cross(have, want) @ c, np.einsum("ni,ni->n", have, want))
+    return np.where(np.linalg.norm(have, axis=1) < SINGULAR_SINE, np.nan, turn)
+
+
 def _wrapped(angle: np.ndarray) -> np.ndarray:
     """Angles in (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
 
 
 def kinematics_of(machine: Machine) -> Kinematics:
-    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file."""
-    order = ("X", "Y", "Z", "A", "C")
-    known = {axis.name: axis.travel for axis in machine.axes}
-    travel = np.array([known.get(name, (0.0, 0.0)) for name in order])
-    return Kinematics(**_frames(machine), travel=travel)
+    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file; equal machines share one."""
+    told = repr((machine.geometry, machine.document.get("program"), machine.axis_names))
+    return _known(_Key(machine, state_of_model(machine.model_path), told), tuple(axis.travel for axis in machine.axes))
 
 
-def _frames(machine: Machine) -> Mapping[str, Any]:
-    """Read the frames with all axes at zero."""
-    import mujoco  # only here: usage and what moves need no engine
+class _Key:
+    """A machine that is known by what its frames come from."""
 
-    from twin.simulation.plant_spec import frames_of_model
+    def __init__(self, machine: Machine, model: bytes, told: str) -> None:
+        self.machine, self.content = machine, (machine.model_path, model, told)
 
-    model_path = machine.model_path
-    model = frames_of_model(machine)
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0.0
-    mujoco.mj_kinematics(model, data)
-    sites = {}
-    for name in ("tool", "workpiece"):
-        sites[name] = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-        if sites[name] < 0:
-            raise InputError(f"{model_path}: no site '{name}'; the five-axis transformation needs the sites tool and workpiece")
-    slides = _chain(model, sites["tool"], mujoco.mjtJoint.mjJNT_SLIDE)
-    turns = _chain(model, sites["workpiece"], mujoco.mjtJoint.mjJNT_HINGE)
-    joint = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j): j for j in (*slides, *turns)}
-    if len(slides) != 3 or len(turns) != 2 or not {"X", "Y", "Z", "A", "C"} <= set(joint):
-        raise InputError(
-            f"{model_path}: not a RRTTT machine: the tool must hang on the slides X Y Z and the part on the hinges A C, "
-            f"found {', '.join(map(str, joint))}; correct the joints"
-        )
-    tilt, turn = turns[1], turns[0]  # from the part outwards: first C, then A
-    if tilt != joint["A"] or turn != joint["C"]:
-        raise InputError(f"{model_path}: the part must hang on C and C on A; reorder the bodies")
-    tool_body = model.site_bodyid[sites["tool"]]
-    tool_axis = data.site_xmat[sites["tool"]].reshape(3, 3)[:, 2]
-    # where the file does not say how long the tool is, the body that carries it begins at the spindle nose
-    carrier_to_tip = float((data.xpos[tool_body] - data.site_xpos[sites["tool"]]) @ tool_axis)
-    return {
-        "slides": np.column_stack([data.xaxis[joint[name]] for name in "XYZ"]),
-        "tool_tip": data.site_xpos[sites["tool"]].copy(),
-        "tool_axis": tool_axis.copy(),
-        "tilt_axis": data.xaxis[tilt].copy(),
-        "tilt_anchor": data.xanchor[tilt].copy(),
-        "turn_axis": data.xaxis[turn].copy(),
-        "turn_anchor": data.xanchor[turn].copy(),
-        "part_origin": data.site_xpos[sites["workpiece"]].copy(),
-        "part_axes": data.site_xmat[sites["workpiece"]].reshape(3, 3).copy(),
-        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
-    }
+    def __hash__(self) -> int:
+        return hash(self.content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and other.content == self.content
 
 
-def _chain(model: mujoco.MjModel, site: int, kind: int) -> list[int]:
-    """Joints between a site and the bed, from the site outwards; other kinds of joints there are an error of the caller."""
-    joints, body = [], model.site_bodyid[site]
-    while body:
-        first, count = model.body_jntadr[body], model.body_jntnum[body]
-        joints += [j for j in range(first + count - 1, first - 1, -1) if model.jnt_type[j] == kind]
-        body = model.body_parentid[body]
-    return joints
+@functools.lru_cache(maxsize=16)
+def _known(key: _Key, _travel: tuple) -> Kinematics:
+    frames = frames_at_rest(key.machine)
+    known = {axis.name: axis.travel for axis in key.machine.axes}
+    travel = np.array([known.get(name, (0.0, 0.0)) for name in frames["names"]])
+    return Kinematics(**frames, travel=travel)

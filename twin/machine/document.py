@@ -67,7 +67,7 @@ def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
     program = document.get("program", {})
     if not isinstance(program, dict):
         raise InputError(f"{where}: 'program' must be a table; write [program] and below it calls_without_motion")
-    keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion",))
+    keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion", "axes"))
     calls = program.get("calls_without_motion", [])
     if not isinstance(calls, list) or not all(isinstance(name, str) for name in calls):
         raise InputError(f'{where}: [program]: calls_without_motion must be a list of names; write ["TOOLCHECK"]')

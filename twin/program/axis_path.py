@@ -1,9 +1,10 @@
 """The path of the axes: q(u) and its derivatives from the spline w(u), through the five-axis transformation under TRAORI.
 
-Without TRAORI q = w. With it X Y Z hold the tip while A and C turn the part:
+Without TRAORI q = w. With it X Y Z hold the tip while the rotary axes turn the part, the tool or both:
 
-    v = Rot(C) (part_origin + part_axes p - turn_anchor) + turn_anchor
-    (X, Y, Z) = slides^-1 (Rot(A) (v - tilt_anchor) + tilt_anchor - tool_tip)
+    b = part_origin + part_axes p, turned by those of turning and tilting axis that are on the table (Rot(b - anchor) + anchor)
+    t = tool_tip, turned by those of tilting and turning axis that are on the head
+    (X, Y, Z) = slides^-1 (b - t)
 
 The chain rule to the third derivative is done on jets (f, f', f'', f'''), with Rot = P + cos (1 - P) + sin K.
 """
@@ -22,13 +23,16 @@ class Frames(NamedTuple):
     """The transformation as arrays for compiled code; `active` is False without TRAORI."""
 
     active: bool
+    tilt_on_table: bool
+    turn_on_table: bool
     slides_inverse: np.ndarray
     part_axes: np.ndarray
-    part_arm: np.ndarray  # part origin as seen from the turning axis
-    tilt_arm: np.ndarray  # turn anchor as seen from the tilting axis
-    tip_arm: np.ndarray  # tilt anchor as seen from the tool tip at rest
+    part_origin: np.ndarray
+    tool_tip: np.ndarray
+    turn_anchor: np.ndarray
     turn_along: np.ndarray
     turn_cross: np.ndarray
+    tilt_anchor: np.ndarray
     tilt_along: np.ndarray
     tilt_cross: np.ndarray
 
@@ -44,15 +48,16 @@ def frames_of(kinematics: Kinematics, active: bool) -> Frames:
     arrays = (
         np.linalg.inv(k.slides),
         k.part_axes,
-        k.part_origin - k.turn_anchor,
-        k.turn_anchor - k.tilt_anchor,
-        k.tilt_anchor - k.tool_tip,
+        k.part_origin,
+        k.tool_tip,
+        k.turn_anchor,
         np.outer(k.turn_axis, k.turn_axis),
         cross(k.turn_axis),
+        k.tilt_anchor,
         np.outer(k.tilt_axis, k.tilt_axis),
         cross(k.tilt_axis),
     )
-    return Frames(bool(active), *(np.ascontiguousarray(a, float) for a in arrays))
+    return Frames(bool(active), k.tilt_on_table, k.turn_on_table, *(np.ascontiguousarray(a, float) for a in arrays))
 
 
 @compiled(allocates=True)
@@ -91,23 +96,48 @@ def _turned(angle, along, cross, v, cos, sin, term, out):
 
 
 @compiled(allocates=True)
+def _swung(angle, along, cross, anchor, v, work, out):
+    """Jets (4, 3) of Rot(angle) (v - anchor) + anchor; `v` is changed."""
+    for i in range(3):
+        v[0, i] -= anchor[i]
+    _turned(angle, along, cross, v, work[2, 0], work[2, 1], work[3], out)
+    for i in range(3):
+        out[0, i] += anchor[i]
+
+
+@compiled(allocates=True)
 def axis_jet(f, w, work, out):
-    """Jets (4, 5) of the axes from jets (4, 5) of tip, A and C; `work` (5, 4, 4) is scratch."""
+    """Jets (4, 5) of the axes from jets (4, 5) of tip, tilting and turning axis; `work` (5, 4, 4) is scratch."""
     if not f.active:
         out[:, :] = w
         return
     a, b = work[0], work[1]
-    cos, sin = work[2, 0], work[2, 1]
     for i in range(3):
         for d in range(4):
             a[d, i] = f.part_axes[i, 0] * w[d, 0] + f.part_axes[i, 1] * w[d, 1] + f.part_axes[i, 2] * w[d, 2]
-        a[0, i] += f.part_arm[i]
-    _turned(w[:, 4], f.turn_along, f.turn_cross, a, cos, sin, work[3], b)
-    for i in range(3):
-        b[0, i] += f.tilt_arm[i]
-    _turned(w[:, 3], f.tilt_along, f.tilt_cross, b, cos, sin, work[3], a)
-    for i in range(3):
-        a[0, i] += f.tip_arm[i]
+        a[0, i] += f.part_origin[i]
+    if f.turn_on_table:
+        _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, a, work, b)
+        a[:, :] = b
+    if f.tilt_on_table:
+        _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, a, work, b)
+        a[:, :] = b
+    if f.turn_on_table and f.tilt_on_table:
+        for i in range(3):
+            a[0, i] -= f.tool_tip[i]
+    else:
+        t = work[4]
+        for i in range(3):
+            t[0, i], t[1, i], t[2, i], t[3, i] = f.tool_tip[i], 0.0, 0.0, 0.0
+        if not f.tilt_on_table:
+            _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, t, work, b)
+            t[:, :] = b
+        if not f.turn_on_table:
+            _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, t, work, b)
+            t[:, :] = b
+        for i in range(3):
+            for d in range(4):
+                a[d, i] -= t[d, i]
     for i in range(3):
         for d in range(4):
             out[d, i] = f.slides_inverse[i, 0] * a[d, 0] + f.slides_inverse[i, 1] * a[d, 1] + f.slides_inverse[i, 2] * a[d, 2]

@@ -21,7 +21,6 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program.curve import nearest_along, programmed_curve
-from twin.program.interpolator import AXES
 from twin.program.moves import Program
 from twin.recordings.trace import PROGRAM, Trace
 
@@ -111,7 +110,7 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
     line = setpoints.get(PROGRAM, "line")[:count].astype(int)
     home = program.start
     wanted, actual = np.tile(home, (count, 1)), np.tile(home, (count, 1))
-    for i, axis in enumerate(AXES):
+    for i, axis in enumerate(program.kinematics.names):
         if setpoints.has(axis, "setpoint"):
             wanted[:, i] = setpoints.get(axis, "setpoint")[:count]
         actual[:, i] = np.interp(time, followed.time, followed.get(axis, "position")) if followed.has(axis, "position") else wanted[:, i]

@@ -82,6 +82,11 @@ class Collector:
         self.settled = 0
         self.last_angles = np.array(self.position[3:])
 
+    @property
+    def own_axes(self) -> str:
+        """The axes of the machine, as messages name them."""
+        return " ".join(letter for letter, name in zip(self.kinematics.letters, self.kinematics.names) if name)
+
     def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
         """An error at a place of the program."""
         return InputError(f"{mv.place_of(self.path, line, block, column)}: {text}")
@@ -128,7 +133,9 @@ class Collector:
             if cut.size:
                 k = begin + int(cut[0])
                 raise self.fail(
-                    self.lines[k], self.blocks[k], "C meets its stop and would rewind inside the cut; retract before, or turn the part"
+                    self.lines[k],
+                    self.blocks[k],
+                    f"{self.kinematics.label[4]} meets its stop and would rewind inside the cut; retract before, or turn the part",
                 )
             self.angles.append(chosen.angles)
             self.last_angles = chosen.angles[-1]
@@ -152,7 +159,7 @@ class Collector:
         if not self.kinds:
             raise InputError(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000")
         for line, block, name in self.missing.values():
-            raise self.fail(line, block, f"axis {name} moves, and this machine has X Y Z A C; use a machine file with that axis")
+            raise self.fail(line, block, f"axis {name} moves, and this machine has {self.own_axes}; use a machine file with that axis")
         self.settle()
         angles = np.vstack(self.angles)
         n = len(self.kinds)
@@ -277,13 +284,18 @@ class Collector:
             row, axis = at_start or hit  # type: ignore[misc]
             value = program.start[axis] if at_start else axes[row, axis]
             line, block = (self.lines[0], self.blocks[0]) if at_start else (int(moves.line[row]), int(moves.block[row]))
-            raise OutsideTravel(str(self.fail(line, block, travel_text("XYZAC"[axis], float(value), self.kinematics))), program)
+            raise OutsideTravel(str(self.fail(line, block, travel_text(axis, float(value), self.kinematics))), program)
 
 
-def travel_text(name: str, value: float, kinematics: Kinematics) -> str:
-    """What lies outside travel and what to do."""
-    unit, factor = AXIS_UNITS["rotary" if name in "AC" else "linear"].position
-    low, high = kinematics.travel["XYZAC".index(name)] * factor
+def travel_text(axis: int, value: float, kinematics: Kinematics) -> str:
+    """What lies outside travel (axis 0 to 4) and what to do."""
+    name = kinematics.label[axis]
+    unit, factor = AXIS_UNITS["rotary" if axis > 2 else "linear"].position
+    low, high = kinematics.travel[axis] * factor
+    if not kinematics.names[axis]:
+        return (
+            f"axis {name} would go to {value * factor:.6g} {unit}, and this machine has no axis {name}; use a machine file with that axis"
+        )
     return (
         f"axis {name} would go to {value * factor:.6g} {unit}, outside its travel {low:.6g} .. {high:.6g} {unit}; "
         "move the program, set a frame (G54) or place the part elsewhere"

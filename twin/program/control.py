@@ -103,6 +103,9 @@ class Control:
         self.line, self.block = 0, -1
         self.reads: list[Any] | None = None  # see `flow.FrontEnd`
         self.tools = Tools(self.out, machine, self.iso)
+        own = self.out.kinematics.letters
+        self.slot_of = dict(zip([*own, *(n for n in "XYZAC" if n not in own)], [*"XYZAC", *(n for n in own if n not in "XYZAC")]))
+        """Letter of a program -> letter of its place here: A is the tilting axis, C the turning one."""
 
     # ------------------------------------------------------------------ places
 
@@ -152,6 +155,7 @@ class Control:
         offset = np.zeros(5)
         for key, value in table.items():
             axis, _, unit = key.partition("_")
+            axis = self.slot_of.get(axis.upper(), axis)
             if axis.upper() not in INDEX or unit != ("deg" if axis.upper() in ROTARY else "m") or not isinstance(value, int | float):
                 raise InputError(
                     f"{self.machine.path or self.machine.name}: [frame.{name}]: unknown key '{key}'; use x_m, y_m, z_m, a_deg, c_deg"
@@ -206,7 +210,7 @@ class Control:
         """An axis that this machine lacks: fine at zero, reported at the end elsewhere."""
         self.other_axes[name] = value
         if value and "other" not in self.out.missing:
-            self.out.missing["other"] = (self.line, self.block, name)
+            self.out.missing["other"] = (self.line, self.block, next((n for n, slot in self.slot_of.items() if slot == name), name))
 
     def go(
         self,

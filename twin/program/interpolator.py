@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.kinematics import kinematics_of
 from twin.machine.machine import Machine
 from twin.program import blend, lookahead, sampling, timelaw
 from twin.program.axis_path import frames_of
@@ -29,17 +30,18 @@ LIMIT_TOLERANCE = 1.5e-4
 """By this fraction the set points may be too fast: a speed limit is exceeded by it, acceleration by twice, jerk by three times it."""
 WORTH_PLANNING, ATTEMPTS = 2e-3, 4
 """An excess up to the first makes the stretch slower as a whole; above, it is planned anew, at most so many times."""
-AXES = ("X", "Y", "Z", "A", "C")
+NO_LIMIT = 1e9
+"""Limit of an axis that the machine lacks, which never moves."""
 
 Progress = Callable[[float], None]
 
 
 def limits_of(machine: Machine, brisk: bool = False) -> lookahead.Limits:
-    """Limits of X Y Z A C; under BRISK the acceleration is reached within one interpolation cycle instead of by the jerk."""
-    axes = [machine.axis(name) for name in AXES]
-    acceleration = np.array([axis.max_acceleration for axis in axes])
-    jerk = acceleration / machine.interpolation_cycle if brisk else np.array([axis.max_jerk for axis in axes])
-    return lookahead.Limits(np.array([axis.max_velocity for axis in axes]), acceleration, jerk)
+    """Limits of X Y Z, tilting and turning axis; under BRISK the acceleration is reached within one interpolation cycle, not by the jerk."""
+    axes = [machine.axis(name) if name else None for name in kinematics_of(machine).names]
+    acceleration = np.array([axis.max_acceleration if axis else NO_LIMIT for axis in axes])
+    jerk = acceleration / machine.interpolation_cycle if brisk else np.array([axis.max_jerk if axis else NO_LIMIT for axis in axes])
+    return lookahead.Limits(np.array([axis.max_velocity if axis else NO_LIMIT for axis in axes]), acceleration, jerk)
 
 
 def interpolate(
@@ -140,7 +142,7 @@ def _check_travel(program: Program, axes: np.ndarray, row: np.ndarray) -> None:
     if hit:
         sample, axis = hit
         raise InputError(
-            f"{program.place(int(row[sample]))}: on the way {travel_text(AXES[axis], float(axes[sample, axis]), program.kinematics)}"
+            f"{program.place(int(row[sample]))}: on the way {travel_text(axis, float(axes[sample, axis]), program.kinematics)}"
         )
 
 
@@ -155,7 +157,7 @@ def _trace(program: Program, machine: Machine, pieces: list[_Piece], period: flo
     tip_speed = np.concatenate([p.tip_speed for p in pieces])
     length = np.concatenate([[0.0], np.cumsum(0.5 * (tip_speed[1:] + tip_speed[:-1]) * period)])
     feed = np.where(np.isfinite(m.feed), m.feed, 0.0)[row]
-    signals = {(name, "setpoint"): axes[::every, i] for i, name in enumerate(AXES) if name in machine.axis_names}
+    signals = {(name, "setpoint"): axes[::every, i] for i, name in enumerate(program.kinematics.names) if name in machine.axis_names}
     columns = {
         "block": m.block[row].astype(float),
         "line": m.line[row].astype(float),

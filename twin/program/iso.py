@@ -27,10 +27,6 @@ from twin.program.source import Unit
 from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
 from twin.program.words import NUMBER
 
-_PLAIN = re.compile(
-    r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?" + "".join(rf"(?:{axis}({NUMBER})\s*)?" for axis in "XYZAC") + rf"(?:F({NUMBER})\s*)?;?\s*$",
-    re.A,
-)
 _NOT_IN_LINUXCNC: dict[float, str] = {76: "threading is not simulated", 5: "splines; let the CAM system put out lines or arcs"}
 _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
@@ -51,6 +47,12 @@ class Iso(IsoCalls):
     def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, unit, linuxcnc=linuxcnc)
         self.flow = Flow(self.unit_read, self)
+        self.plain_block = re.compile(
+            r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?"
+            + "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
+            + rf"(?:F({NUMBER})\s*)?;?\s*$",
+            re.A,
+        )
         self.with_m19 = False
         self.stored_modes: dict[int, tuple[list, float, int, float]] = {}
         self.set_frames()
@@ -146,7 +148,7 @@ class Iso(IsoCalls):
         """Take a plain block of coordinates; False if it must be read word by word."""
         if not self.plain or self.cycle is not None or self.polar or self.modal_macro is not None:
             return False
-        match = _PLAIN.match(text)
+        match = self.plain_block.match(text)
         if not match:
             return False
         number, g, x, y, z, a, c, f = match.groups()
@@ -194,6 +196,7 @@ class Iso(IsoCalls):
         codes = {number for number, _ in g}
         if self._calls(codes, m_codes, w):
             return
+        w = {self.slot_of.get(name, name): item for name, item in w.items()}
         self._feed_and_tool(codes, g, m_codes, w)
         if self.linuxcnc:
             for alike in _ALIKE:

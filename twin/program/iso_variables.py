@@ -128,8 +128,7 @@ class IsoVariables(IsoFrames):
         """A zero offset by its parameter, #5221 and on."""
         if k == 10:
             self.turned[n] = value
-        elif 1 <= k <= 6 and "XYZABC"[k - 1] in INDEX:
-            name = "XYZABC"[k - 1]
+        elif 1 <= k <= 6 and (name := self.slot_of.get("XYZABC"[k - 1], "XYZABC"[k - 1])) in INDEX:
             self.systems[n] = self.systems[n].copy()
             self.systems[n][INDEX[name]] = math.radians(value) if name in ROTARY else value * 1e-3
         elif value:
@@ -139,9 +138,8 @@ class IsoVariables(IsoFrames):
 
     def _own(self, values: np.ndarray, k: int) -> float:
         """Component k (1 to 9: X Y Z A B C U V W) in the unit of the program."""
-        if not 1 <= k <= 9 or "XYZABCUVW"[k - 1] not in INDEX:
+        if not 1 <= k <= 9 or (name := self.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])) not in INDEX:
             return 0.0
-        name = "XYZABCUVW"[k - 1]
         value = float(values[INDEX[name]])
         return math.degrees(value) if name in ROTARY else value / self.unit
 
@@ -149,7 +147,7 @@ class IsoVariables(IsoFrames):
         fanuc = not self.linuxcnc
         if 5420 <= key < 5429 or (fanuc and (5001 <= key <= 5006 or 5041 <= key <= 5046)):
             k = key - 5419 if key >= 5420 else key - (5000 if key < 5040 else 5040)
-            name = "XYZABCUVW"[k - 1]
+            name = self.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])
             if name in OTHER:
                 return math.degrees(self.other_axes[name]) if name == "B" else self.other_axes[name] / self.unit
             return self._own(self._place(), k)

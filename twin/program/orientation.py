@@ -89,10 +89,13 @@ def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int)
     """Why a tool axis cannot be had, and what to do."""
     i, j, k = tool_axis
     low, high = np.degrees(kinematics.travel[3])
+    a, c = kinematics.label[3:]
+    if status == UNREACHABLE and not kinematics.names[3]:
+        return f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) cannot be had with the rotary axes of this machine; take a five-axis machine file"
     if status == UNREACHABLE:
-        return f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) lies outside what A and C can reach; turn the part on the table"
+        return f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) lies outside what {a} and {c} can reach; turn the part on the table"
     return (
-        f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) needs an angle outside travel in both solutions (A {low:g} to {high:g} deg); "
+        f"tool axis ({i:.4f}, {j:.4f}, {k:.4f}) needs an angle outside travel in both solutions ({a} {low:g} to {high:g} deg); "
         "tilt less or turn the part on the table"
     )
 

@@ -23,13 +23,11 @@ from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, S
 from twin.program.words import NUMBER, Word, split_arguments, split_words
 from twin.units import rad_from_deg
 
-_PLAIN = re.compile(
+_PLAIN = (
     r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?"
-    + "".join(rf"(?:{axis}=?({NUMBER})\s*)?" for axis in "XYZ")
-    + rf"(?:A=?({NUMBER})\s*)?(?:C=?({NUMBER})\s*)?(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?(?:F({NUMBER})\s*)?$",
-    re.A,
+    + rf"(?:X=?({NUMBER})\s*)?(?:Y=?({NUMBER})\s*)?(?:Z=?({NUMBER})\s*)?(?:A=?({NUMBER})\s*)?(?:C=?({NUMBER})\s*)?(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?(?:F({NUMBER})\s*)?$"
 )
-_MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "C1"}
+_MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, 331, 332}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {70, 71, 700, 710}, {40, 41, 42}, {60, 64, 641, 642, 643, 644, 645, 646},
     {54, 55, 56, 57, 500, *range(505, 600)}, {601, 602, 603}, {450, 451},
@@ -39,6 +37,14 @@ _SWITCH_WORDS = {"TRANS", "ATRANS", "ROT", "AROT", "SCALE", "ASCALE", "MIRROR", 
 _VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1", "OVR")} - {SINUMERIK_NAMES["CIP"][1]}
 
 
+def _plain_block(*letters: str) -> re.Pattern[str]:
+    """A block of coordinates alone with the letters of a machine; its groups are in the order of the places."""
+    pattern = _PLAIN
+    for place, letter in zip("XYZAC", letters):
+        pattern = pattern.replace(f"(?:{place}=?(", f"(?:@{letter}=?(")
+    return re.compile(pattern.replace("(?:@", "(?:"), re.A)
+
+
 class Sinumerik(SinumerikCalls):
     """Reads the blocks of one SINUMERIK program."""
 
@@ -46,6 +52,7 @@ class Sinumerik(SinumerikCalls):
         super().__init__(path, machine, units)
         self.flow = Flow(units[0], self)
         self.corners_meet = False
+        self.plain_block = _plain_block(*self.out.kinematics.letters)
         self.set_frames()
 
     def run(self) -> Any:
@@ -60,7 +67,7 @@ class Sinumerik(SinumerikCalls):
         """Take a plain block of coordinates; False if it must be read word by word."""
         if not self.plain or self.mcall is not None or self.held is not None or self.every_corner or self.override != 1.0:
             return False
-        match = _PLAIN.match(text)
+        match = self.plain_block.match(text)
         if not match:
             return False
         number, g, x, y, z, a, c, i, j, k, f = match.groups()
@@ -114,7 +121,7 @@ class Sinumerik(SinumerikCalls):
         """Everything that stands in one block: first the modes, then the move."""
         block = Block()
         for word in words:
-            name = word.name
+            name = self.slot_of.get(word.name, word.name)
             if word.assigned and (
                 name in self.flow.frame.variables or name in self.globals or re.fullmatch(r"R\d*", name) or name[0] == "$"
             ):
@@ -123,8 +130,9 @@ class Sinumerik(SinumerikCalls):
                 block.g.append((self._value(word), word))
             elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in ("POS", "POSA") and word.index):
                 axis = name[0] if not name.startswith("POS") else (word.index or "").strip().removesuffix("1")
+                axis = self.slot_of.get(axis, axis) if axis != name else axis
                 if axis not in INDEX and axis not in OTHER:
-                    raise WordError(f"{name}[{axis}]: this machine has X Y Z A C", word.column)
+                    raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)
                 if axis in block.coordinates:
                     raise WordError(f"{axis} stands twice in the block; keep one", word.column)
                 block.coordinates[axis] = self._item(word)

@@ -118,8 +118,12 @@ class SinumerikVariables(SinumerikFrames):
         """System variables with a meaning here."""
         if name in ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_SEARCHL", "$P_DRYRUN", "$AC_ALARM_STAT", "$P_SUBPAR"):
             return 0.0
-        if name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM") and len(index) == 1 and index[0] in INDEX:
-            i = INDEX[index[0]]
+        if (
+            name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM")
+            and len(index) == 1
+            and self.slot_of.get(str(index[0]), index[0]) in INDEX
+        ):
+            i = INDEX[self.slot_of.get(str(index[0]), str(index[0]))]
             machine = name == "$AA_IM"
             if i >= 3:
                 angle = float(self.out.settle()[i - 3]) - (0.0 if machine else self.offset[i])
@@ -232,7 +236,7 @@ class SinumerikVariables(SinumerikFrames):
             old = self.program_matrix, self.program_offset
         else:
             old = self.basic
-        parts = [str(i) for i in index if isinstance(i, str)]
+        parts = [self.slot_of.get(i, i) for i in index if isinstance(i, str)]
         if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
             offset = old[1].copy()
             value = self.si(parts[0], self.number_of(text, column))
@@ -263,7 +267,7 @@ class SinumerikVariables(SinumerikFrames):
             part = _FRAME_PART.match(text, at)
             if not part:
                 raise WordError(f"'{text[at:].strip()[:20]}' is no frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
-            values = [t for t, _ in split_arguments(part[2])]
+            values = [self.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
             inner, shift = np.eye(3), np.zeros(5)
             if part[1] == "MIRROR":
                 inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])

@@ -163,7 +163,7 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
             return angles
     if np.abs(k.forward(axes)[1] - middle).max() > LEAVES_THE_CIRCLE:
         raise InputError(
-            f"{program.place(row)}: on the way the tool axis asks for more than the travel of A and would swing through while it cuts; "
-            "begin the move with the other A and C (retract, turn, approach), or divide it there"
+            f"{program.place(row)}: on the way the tool axis asks for more than the travel of {k.label[3]} and would swing through while it cuts; "
+            f"begin the move with the other {k.label[3]} and {k.label[4]} (retract, turn, approach), or divide it there"
         )
     return angles

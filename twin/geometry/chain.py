@@ -1,0 +1,180 @@
+"""The chain of a machine's axes as its model has it: which joint carries the tool, which the part, and the letters of programs.
+
+Nothing is taken from names but what a machine file leaves open: the order of the joints between workpiece and tool says whether
+a rotary axis turns the part (table) or the tool (head). A program's letters are the first letters of the axes' names, or what
+[program.axes] of the machine file says: `B = "TILT"`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine.machine import Machine
+
+if TYPE_CHECKING:
+    import mujoco
+
+LINEAR_LETTERS, ROTARY_LETTERS = "XYZ", "ABC"
+
+
+class Joint(NamedTuple):
+    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), whether it turns, whether it moves the part."""
+
+    number: int
+    name: str
+    axis: np.ndarray
+    anchor: np.ndarray
+    turns: bool
+    on_table: bool
+
+
+def frames_at_rest(machine: Machine) -> Mapping[str, Any]:
+    """The fields of `Kinematics` but its travel, from the model with all axes at zero.
+
+    Raises:
+        InputError: the joints between workpiece and tool are not three slides with up to two hinges behind them.
+    """
+    import mujoco  # only here: usage and what moves need no engine
+
+    from twin.simulation.plant_spec import frames_of_model
+
+    model_path = machine.model_path
+    model = frames_of_model(machine)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    sites = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in ("tool", "workpiece")}
+    if min(sites.values()) < 0:
+        if any(axis.kind == "rotary" for axis in machine.axes):
+            missing = next(name for name, number in sites.items() if number < 0)
+            raise InputError(f"{model_path}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
+        joints = _all_joints(model, data, machine)
+    else:
+        part, tool = (_chain(model, data, sites[name], machine, on_table=name == "workpiece") for name in ("workpiece", "tool"))
+        for side in (part, tool):
+            kinds = [joint.turns for joint in side]  # from the part or the tool towards the bed
+            if kinds != sorted(kinds, reverse=True):
+                raise InputError(
+                    f"{model_path}: a slide is carried by a rotary axis ({', '.join(j.name for j in side)} from the "
+                    f"{'part' if side is part else 'tool'} on), which the transformation does not cover; hang the rotary axes on the slides"
+                )
+        joints = [*part, *reversed(tool)]  # from the part to the tool
+    slides, turns = [j for j in joints if not j.turns], [j for j in joints if j.turns]
+    if len(slides) > 3 or len(turns) > 2:
+        raise InputError(
+            f"{model_path}: not a machine of up to three slides and two rotary axes between part and tool: "
+            f"found {', '.join(j.name for j in joints)}; lock what is no axis of programs"
+        )
+    letters = _letters(joints, machine)
+    columns, names = np.eye(3), [""] * 5
+    for joint in slides:
+        i = _slot(joint, letters, slides)
+        columns[:, i] = -joint.axis if joint.on_table else joint.axis
+        names[i] = joint.name
+    turn = turns[0] if turns else None  # the one nearer to the part; a single rotary axis is the turning one
+    tilt = turns[1] if len(turns) == 2 else None
+    names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
+    tool_body = int(model.site_bodyid[sites["tool"]]) if sites["tool"] >= 0 else 0
+    with_sites = min(sites.values()) >= 0
+    tool_axis = data.site_xmat[sites["tool"]].reshape(3, 3)[:, 2] if with_sites else np.array([0.0, 0.0, 1.0])
+    # where the file does not say how long the tool is, the body that carries it begins at the spindle nose
+    carrier_to_tip = float((data.xpos[tool_body] - data.site_xpos[sites["tool"]]) @ tool_axis) if with_sites else 0.0
+    return {
+        "slides": columns,
+        "tool_tip": data.site_xpos[sites["tool"]].copy() if with_sites else np.zeros(3),
+        "tool_axis": tool_axis.copy(),
+        "tilt_axis": tilt.axis if tilt else np.array([1.0, 0.0, 0.0]),
+        "tilt_anchor": tilt.anchor if tilt else np.zeros(3),
+        "turn_axis": turn.axis if turn else np.array([0.0, 0.0, 1.0]),
+        "turn_anchor": turn.anchor if turn else np.zeros(3),
+        "part_origin": data.site_xpos[sites["workpiece"]].copy() if with_sites else np.zeros(3),
+        "part_axes": data.site_xmat[sites["workpiece"]].reshape(3, 3).copy() if with_sites else np.eye(3),
+        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
+        "tilt_on_table": tilt is None or tilt.on_table,
+        "turn_on_table": turn is None or turn.on_table,
+        "names": tuple(names),
+        "letters": _five_letters(letters, slides, tilt, turn),
+    }
+
+
+def _chain(model: mujoco.MjModel, data: mujoco.MjData, site: int, machine: Machine, *, on_table: bool) -> list[Joint]:
+    """Joints of axes between a site and the bed, from the site outwards."""
+    numbers, body = [], model.site_bodyid[site]
+    while body:
+        first, count = model.body_jntadr[body], model.body_jntnum[body]
+        numbers += list(range(first + count - 1, first - 1, -1))
+        body = model.body_parentid[body]
+    found = [_joint(model, data, j, on_table) for j in numbers]
+    return [j for j in found if j.name in machine.axis_names or not machine.axis_names]
+
+
+def _all_joints(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> list[Joint]:
+    """The joints of the axes of a machine whose model has no sites: three slides, however they hang."""
+    return [j for j in (_joint(model, data, k, False) for k in range(model.njnt)) if j.name in machine.axis_names]
+
+
+def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -> Joint:
+    import mujoco
+
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint {j}"
+    return Joint(j, name, data.xaxis[j].copy(), data.xanchor[j].copy(), model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE, on_table)
+
+
+def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
+    """The letter of each axis in programs; those of [program.axes] first, then first letters of names, then directions."""
+    program = machine.document.get("program", {})
+    given = program.get("axes", {}) if isinstance(program, Mapping) else {}
+    where = f"{machine.where}: [program.axes]"
+    if not isinstance(given, Mapping):
+        raise InputError(f'{where}: write a table of letters and axes, e.g. B = "TILT"')
+    by_name = {j.name: j for j in joints}
+    letters: dict[str, str] = {}
+    for letter, name in given.items():
+        if len(letter) != 1 or letter.upper() not in "XYZABCUVW" or name not in by_name:
+            raise InputError(
+                f"{where}: {letter} = '{name}': give one of the letters X Y Z U V W A B C and one of the axes {', '.join(by_name)}"
+            )
+        letters[name] = letter.upper()
+    for kind, own in ((False, "XYZUVW"), (True, ROTARY_LETTERS)):
+        rest = [j for j in joints if j.turns == kind and j.name not in letters]
+        for joint in rest:
+            first = joint.name[0].upper()
+            if first in own and first not in letters.values() and sum(j.name[0].upper() == first for j in rest) == 1:
+                letters[joint.name] = first
+        for joint in rest:
+            if joint.name not in letters:  # by what it moves along or turns about
+                order = np.argsort(-np.abs(joint.axis))
+                free = [own[i] for i in order if own[i] not in letters.values()]
+                letters[joint.name] = free[0]
+    return letters
+
+
+def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
+    """Which of X Y Z a slide is: by its letter, or by its direction where the letters are others."""
+    letter = letters[joint.name]
+    if letter in LINEAR_LETTERS:
+        return LINEAR_LETTERS.index(letter)
+    taken = {LINEAR_LETTERS.index(letters[j.name]) for j in slides if letters[j.name] in LINEAR_LETTERS}
+    rest = [j for j in slides if letters[j.name] not in LINEAR_LETTERS]
+    for other in rest:
+        slot = next(int(i) for i in np.argsort(-np.abs(other.axis)) if int(i) not in taken)
+        if other is joint:
+            return slot
+        taken.add(slot)
+    raise AssertionError
+
+
+def _five_letters(letters: dict[str, str], slides: list[Joint], tilt: Joint | None, turn: Joint | None) -> tuple[str, ...]:
+    """Letters of X Y Z, tilting and turning axis; a rotary axis that is not there gets one that is left."""
+    out = list(LINEAR_LETTERS)
+    for joint in slides:
+        out[_slot(joint, letters, slides)] = letters[joint.name]
+    used = [letters[j.name] for j in (tilt, turn) if j is not None]
+    free = [letter for letter in "ACB" if letter not in used]
+    out.append(letters[tilt.name] if tilt else free.pop(0))
+    out.append(letters[turn.name] if turn else free.pop(0))
+    return tuple(out)
