@@ -98,9 +98,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
         for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
             if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
                 continue
-            if block == "speed controller" and not (
-                view.on_each_cycle and all(view.trace.has(name, s) for s in ("velocity", "velocity_setpoint"))
-            ):
+            if block == "speed controller" and not shows_speed_controller(view, axis):
                 continue
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
@@ -111,6 +109,18 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
 
 def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """Recorded current minus the current that the controller would command for the recorded speeds, without drift; and where it moves."""
+    _, error = commanded_current(view, axis, trace)
+    moving = np.flatnonzero(view.reference(axis.name)[2])
+    return error[moving], moving
+
+
+def shows_speed_controller(view: RunView, axis: Axis) -> bool:
+    """Does the record hold what the speed controller gets, and the current that it gives, at each position cycle?"""
+    return view.on_each_cycle and all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
+
+
+def commanded_current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """The current (sample,) that the controller would command for the recorded speeds, and how far the recorded one is from it, without drift [A]."""
     machine = view.machine.with_axes([axis.name])
     a = view.machine.axis_names.index(axis.name)
     ticks = max(1, round(trace.period / machine.base_tick))
@@ -132,9 +142,7 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         predicted,
     )
     error = current - predicted
-    error = error - _moving_mean(error, round(view.thresholds.drift_s / trace.period))
-    moving = np.flatnonzero(view.reference(axis.name)[2])
-    return error[moving], moving
+    return predicted, error - _moving_mean(error, round(view.thresholds.drift_s / trace.period))
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -32,7 +32,7 @@ from twin.diagnose.verdict import judged, named, probabilities_of, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import left_of, places
-from twin.effects import Setting, with_effects
+from twin.effects import Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -193,8 +193,8 @@ class Diagnosis:
         One that was screened only has no width: nothing was fitted.
         """
         axis = self.machine.axis(setting.axis)
-        of = found.fit.sizes() if setting in found.fit.settings else sizes if sizes is not None and setting in sizes.settings else None
-        index = of.settings.index(setting) if of is not None else None
+        of = found.fit.sizes() if setting.key in found.keys else sizes if sizes is not None and setting in sizes.settings else None
+        index = [s.key for s in of.settings].index(setting.key) if of is not None else None
         out = {}
         covariance = of.covariance(found.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
@@ -353,6 +353,7 @@ def diagnose(
         with_laws = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
         if with_laws.left(machine, campaign.runs) < held_out.left(machine, campaign.runs):
             corrected, held_out = laws.corrected, with_laws
+            settings = kept_in(corrected, settings)
         else:
             laws = None  # what does not shrink the gap on runs left out is no law of this machine
     after = {name: p.trace for name, p in held_out.predictions["after"].items()}
@@ -401,6 +402,12 @@ def diagnose(
         say("where the gap lies")
         diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
     return diagnosis
+
+
+def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, Found, float]]) -> list[tuple[Setting, Found, float]]:
+    """The effects that the corrected machine holds, with its sizes: a law may have taken the place of some."""
+    held = {s.key: s for s in settings_of(corrected)}
+    return [(held[setting.key], found, p) for setting, found, p in settings if setting.key in held]
 
 
 def folds_of(runs: int) -> list[list[int]]:

@@ -28,14 +28,16 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.effects.change import Change
 from twin.effects.effect import FROM_TABLE, Effect, Parameter
-from twin.effects.law_shapes import CURVE, LAG, MOST_POINTS, NOTCH, TABLE, Number, Shape, find_shape, row_of, value_of, values_of
+from twin.effects.law_filters import FIRST_FREE, filter_row, filtered
+from twin.effects.law_shapes import CURVE, LAG, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, value_of, values_of
 from twin.effects.picture import Picture
 from twin.errors import InputError, nearest
-from twin.machine.machine import Axis
+from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import (
     CURRENT,
     FORCE,
     MEASURE,
+    RECORD,
     SETPOINT,
     SPEED,
     X_CURRENT,
@@ -50,6 +52,7 @@ from twin.simulation.loop_terms import (
     X_MOTOR_POSITION,
     X_MOTOR_SPEED,
     X_MOTOR_TORQUE,
+    X_RECORDED_CURRENT,
     X_ROTOR_MIDDLE,
     X_ROTOR_POSITION,
     X_SCALE,
@@ -122,7 +125,10 @@ OUTPUTS: dict[str, dict[str, Output]] = {
         "friction": Output("force", "added to the Coulomb friction, which acts against the motion and holds at rest"),
     },
     "transmission": {"displacement": Output("length", "motor position minus load position, from the start of a run")},
-    "measurement": {"displacement": Output("length", "scale minus load position, from the start of a run")},
+    "measurement": {
+        "displacement": Output("length", "scale minus load position, from the start of a run"),
+        "current": Output("current", "added to the recorded current, which the control does not see"),
+    },
     "current loop": {"torque": Output("torque", "torque added to the motor's")},
     "speed controller": {"current": Output("current", "added to the current set point")},
     "position controller": {
@@ -131,6 +137,13 @@ OUTPUTS: dict[str, dict[str, Output]] = {
     },
 }
 """What a law may change in each block; the first is meant where a table names none."""
+
+FILTERED = {
+    ("speed controller", "current"): "current_setpoint",
+    ("position controller", "speed"): "speed_setpoint",
+    ("measurement", "current"): "current",
+}
+"""What a filter may act on: block and output, and the variable that passes through it."""
 
 DEFINING = ("block", "output", "variables", "formula", "points", "between", "period")
 """Entries of a law's table that are no numbers to fit."""
@@ -202,8 +215,10 @@ def law_of(table: Mapping[str, Any], where: str) -> Law:
         raise InputError(f"{where}: law: give either a formula or points = [[x, y], ...]")
     if "formula" in table:
         shape = find_shape(table["formula"], variable, f"{where}: law")
-        if shape.code in (LAG, NOTCH) and variable not in ("speed_setpoint", "current_setpoint"):
-            raise InputError(f"{where}: law: a {shape.name} filters a set point; give it the variable speed_setpoint or current_setpoint")
+        passed = FILTERED.get((block, output))
+        if shape.is_filter and variable != passed:
+            pairs = ", ".join(f"{o} over {v} in the {b}" for (b, o), v in FILTERED.items())
+            raise InputError(f"{where}: law: a {shape.name} is a filter of {pairs}; not of {output} over {variable} in the {block}")
         return Law(block, output, variable, shape)
     return Law(block, output, variable, CURVE, *_points_of(table, f"{where}: law"))
 
@@ -297,7 +312,7 @@ def _parameter(number: Number, law: Law) -> Parameter:
 # the compiled row of a law: this head, then the shape's numbers
 P_VARIABLE, P_SHAPE, P_AXIS, P_FACTOR, P_OFFSET, P_LENGTH, P_MEMORY, P_CYCLE, P_PERIOD = range(9)
 HEAD = 9
-S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST, S_N1, S_N2 = range(7)
+S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST = range(5)
 
 
 def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
@@ -306,13 +321,13 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         "force": (FORCE, force_law),
         "friction": (FORCE, friction_law),
         "torque": (FORCE, torque_law),
-        "current": (CURRENT, current_law),
+        "current": (RECORD, record_law) if law.block == "measurement" else (CURRENT, current_law),
         "speed": (SPEED, speed_law),
         "set_point": (SETPOINT, set_point_law),
         "displacement": (MEASURE, motor_law if law.block == "transmission" else scale_law),
     }[law.output]
     source = from_axis or axis
-    cycle = {CURRENT: machine.current_cycle, SPEED: machine.position_cycle, SETPOINT: machine.position_cycle}.get(stage, machine.base_tick)
+    cycle = cycle_of(law, machine)
     head = [0.0] * HEAD
     head[P_VARIABLE], head[P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
     head[P_AXIS], head[P_FACTOR] = float(change.index(source)), 1.0 / source.ratio if law.variable == "turn" else 1.0
@@ -320,8 +335,8 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     head[P_LENGTH], head[P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
     head[P_CYCLE], head[P_PERIOD] = cycle, law.period
     row = (
-        _filter_row(law, numbers, cycle)
-        if law.shape.code in (LAG, NOTCH)
+        filter_row(law.shape, numbers, cycle)
+        if law.shape.is_filter
         else row_of(law.shape, numbers, law.gain(axis), law.points, law.between)
     )
     change.add_term(kernel, stage, axis, [*head, *row])
@@ -329,13 +344,11 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         change.held_with(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
 
 
-def _filter_row(law: Law, numbers: Mapping[str, float], cycle: float) -> list[float]:
-    """Coefficients of a sampled filter: y += p0 (x - y), or b0 b1 b2 a1 a2 of a notch by the bilinear rule with prewarping."""
-    if law.shape.code == LAG:
-        return [-math.expm1(-cycle / numbers["time_constant_s"])]
-    t = math.tan(min(math.pi * numbers["frequency_hz"] * cycle, 1.5))
-    a0 = 1.0 + numbers["width"] * t + t * t
-    return [v / a0 for v in (1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 - numbers["width"] * t + t * t)]
+def cycle_of(law: Law, machine: Machine) -> float:
+    """Time [s] from one value of a law to the next: the cycle of its controller, or the base tick."""
+    if law.block == "position controller":
+        return machine.position_cycle
+    return machine.current_cycle if law.block == "speed controller" else machine.base_tick
 
 
 def _at_rest(law: Law, numbers: Mapping[str, float], source: Axis, position: float, started_at: float) -> float:
@@ -384,7 +397,7 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
     if p[P_PERIOD] > 0.0:
         u -= p[P_PERIOD] * math.floor(u / p[P_PERIOD])
     shape = int(p[P_SHAPE])
-    y = filtered(shape, u, p, s) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
+    y = filtered(shape, u, p[HEAD:], s[FIRST_FREE:], s[S_STARTED] == 0.0) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
     if p[P_MEMORY] > 0.0:
         if s[S_STARTED] == 0.0:
             s[S_LAGGED] = y
@@ -392,24 +405,6 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
         y = s[S_LAGGED]
     if s[S_STARTED] == 0.0:
         s[S_STARTED], s[S_FIRST], s[S_BEFORE] = 1.0, y, y
-    return y
-
-
-@compiled
-def filtered(shape, u, p, s):  # type: ignore[no-untyped-def]
-    """A set point behind the filter; before the first call it has stood where it is."""
-    if shape == LAG:
-        if s[S_STARTED] == 0.0:
-            s[S_N1] = u
-        s[S_N1] += p[HEAD] * (u - s[S_N1])
-        return s[S_N1]
-    b0, b1, b2, a1, a2 = p[HEAD], p[HEAD + 1], p[HEAD + 2], p[HEAD + 3], p[HEAD + 4]
-    if s[S_STARTED] == 0.0:
-        s[S_N2] = (b2 - a2) * u
-        s[S_N1] = (b1 - a1) * u + s[S_N2]
-    y = b0 * u + s[S_N1]
-    s[S_N1] = b1 * u - a1 * y + s[S_N2]
-    s[S_N2] = b2 * u - a2 * y
     return y
 
 
@@ -453,6 +448,13 @@ def set_point_law(parameters, state, signals, axis):  # type: ignore[no-untyped-
     """s += y."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_SETPOINT] += law_value(p, s, x, axis, False)
+
+
+@term
+def record_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """Recorded current += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_RECORDED_CURRENT] += law_value(p, s, x, axis, False)
 
 
 @term

@@ -35,7 +35,7 @@ from twin.errors import InputError
     DEAD_BAND,
     TABLE,
 ) = range(15)
-LAG, NOTCH = 100, 101
+LAG, NOTCH, DEAD_TIME = 100, 101, 102
 """Filters: what they give depends on what came before."""
 
 NUMBERS = 8
@@ -67,6 +67,11 @@ class Shape:
     equation: str
     numbers: tuple[Number, ...]
     words: str
+
+    @property
+    def is_filter(self) -> bool:
+        """Does what it gives depend on what came before?"""
+        return self.code >= LAG
 
     def text(self, variable: str) -> str:
         """The equation with the variable's name in it."""
@@ -158,6 +163,13 @@ SHAPES = {
                 Number("frequency_hz", "frequency", 0.1, 2000.0, logarithmic=True),
             ),
             "a notch",
+        ),
+        Shape(
+            "dead time",
+            DEAD_TIME,
+            "y(t) = x(t - time_s)",
+            (Number("time_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
+            "a dead time",
         ),
     )
 }

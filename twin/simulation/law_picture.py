@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from twin.effects import Setting, check_setting, settings_of
-from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, law_of
+from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, Law, cycle_of, law_of
+from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure, save_png
 from twin.report.colours import axis_colour, hexadecimal
@@ -55,12 +58,27 @@ def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
         "angle": ("deg", math.degrees(1.0)),
         "time": ("s", 1.0),
         "number": ("", 1.0),
+        "frequency": ("Hz", 1.0),
     }[quantity]
 
 
 def small_length(axis: Axis) -> tuple[str, float]:
     """Unit and factor from SI of a displacement that is an error: um or arcsec."""
     return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+
+
+def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: Machine, colour: str) -> None:
+    """Size and phase of a filter over the frequency; the phase on a scale of its own."""
+    cycle = cycle_of(law, machine)
+    frequency = np.geomspace(1.0, 0.45 / max(cycle, 1e-3), 500)
+    passed = response(law.shape, numbers, cycle, frequency)
+    place.semilogx(frequency, np.abs(passed), color=colour, linewidth=1.8)
+    place.set_xlabel("frequency [Hz]")
+    place.set_ylabel(f"{law.variable.replace('_', ' ')}, after over before")
+    place.set_ylim(0.0, 1.3)
+    phase = place.twinx()
+    phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(passed))), color=colour, linewidth=1.0, linestyle="--")
+    phase.set_ylabel("phase [deg] (dashed)")
 
 
 def draw_laws(machine: Machine, path: Path) -> Path:
@@ -70,6 +88,10 @@ def draw_laws(machine: Machine, path: Path) -> Path:
     for place, setting in zip(places[:, 0], shown):
         axis, law = machine.axis(setting.axis), law_of(setting.table(), "twin effects law")
         source = machine.axis(setting.from_axis) if setting.from_axis else axis
+        place.set_title(f"law on axis {axis.name}, {law.block}: {law.definition().get('formula', 'through points')}")
+        if law.shape.is_filter:
+            draw_response(place, law, setting.parameters, machine, hexadecimal(axis_colour(axis.name)))
+            continue
         low, high = range_of(law.variable, machine, source)
         widths = [setting.parameters[n] for n in ("width", "scale", "period") if n in setting.parameters]
         if widths and law.variable != "turn":
@@ -84,6 +106,5 @@ def draw_laws(machine: Machine, path: Path) -> Path:
             place.plot(per * px, factor * setting.parameters["scale"] * py, "o", color=hexadecimal(axis_colour(axis.name)), markersize=4)
         place.set_xlabel(f"{law.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{variable_unit or '1'}]")
         place.set_ylabel(f"{law.output.replace('_', ' ')} [{unit}]")
-        place.set_title(f"law on axis {axis.name}, {law.block}: {law.definition().get('formula', 'through points')}")
     save_png(figure, path, 80)
     return path

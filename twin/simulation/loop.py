@@ -35,6 +35,7 @@ from twin.simulation.loop_terms import (
     CURRENT,
     FORCE,
     MEASURE,
+    RECORD,
     SETPOINT,
     SPEED,
     X_CURRENT,
@@ -50,6 +51,7 @@ from twin.simulation.loop_terms import (
     X_MOTOR_POSITION,
     X_MOTOR_SPEED,
     X_MOTOR_TORQUE,
+    X_RECORDED_CURRENT,
     X_ROTOR_FORCE,
     X_ROTOR_MIDDLE,
     X_ROTOR_POSITION,
@@ -168,6 +170,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
     axes = drives.ratio.size
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.outside) > 0
+    has_record = terms.start[RECORD + 1] > terms.start[RECORD]
     counts = counted.sums.shape[0] > 0
 
     for n in range(ticks):
@@ -204,13 +207,16 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
                 measured_current = current
             motor_speed = signals[a, X_MOTOR_SPEED]
             signals[a, X_CURRENT] = current
+            signals[a, X_RECORDED_CURRENT] = current
+            if has_record:
+                call_axis_terms(terms, RECORD, signals, a)
             if recorded:
                 record_control(a, row, record, drives, state, signals)
                 record.velocity[row, a] = measured_speed if differentiated else motor_speed
                 record.seen_position[row, a] = scale
                 record.seen_motor_position[row, a] = motor_position
                 record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
-                record.seen_current[row, a] = measured_current
+                record.seen_current[row, a] = measured_current + (signals[a, X_RECORDED_CURRENT] - current)
             # winding: the motor turns as fast as its encoder shows
             mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
@@ -327,7 +333,7 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
     record.load_position[row, a] = signals[a, X_LOAD_POSITION]
     record.velocity_setpoint[row, a] = state.commanded_speed[a] * drives.ratio[a]
     record.drive_velocity_setpoint[row, a] = state.speed_setpoint[a] * drives.ratio[a]
-    record.current[row, a] = state.current[a]
+    record.current[row, a] = signals[a, X_RECORDED_CURRENT]
     record.current_setpoint[row, a] = state.current_setpoint[a]
     record.torque[row, a] = drives.torque_constant[a] * state.current[a]
     record.torque_feedforward[row, a] = state.torque_feedforward[a]

@@ -1,4 +1,4 @@
-"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at five places.
+"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at six places.
 
 A term is a C function `void law(parameters*, state*, signals*, axis)` made by `@term` from a function whose first line
 is `p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals (and may read
@@ -9,6 +9,7 @@ the rows of other axes). The loop keeps one table of active terms and knows none
     SPEED     every position cycle  the speed set point that the position controller made
     CURRENT   every current cycle   the current set point
     FORCE     every tick            LOAD_FORCE, ROTOR_FORCE, MOTOR_TORQUE, FRICTION_LEVEL
+    RECORD    every tick            the current as it is recorded
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ import numpy as np
 
 from twin.compiled_functions import compiled, compiled_callback
 
-MEASURE, SETPOINT, SPEED, CURRENT, FORCE = range(5)
-STAGES = 5
+MEASURE, SETPOINT, SPEED, CURRENT, FORCE, RECORD = range(6)
+STAGES = 6
 
 # columns of the signals, one row an axis; positions in m or rad, forces at the axis in N or Nm
 (
@@ -51,10 +52,12 @@ STAGES = 5
     X_FOLLOWING_ERROR,  # delayed set point minus what the position loop is closed on
     X_TRANSMISSION_ERROR,  # how far the transmission carries the load ahead of a rotor on a joint of its own; the coupling takes it
     X_TRANSMISSION_ERROR_SPEED,
-) = range(24)
-SIGNAL_COUNT = 24
+    X_RECORDED_CURRENT,  # current as it is recorded, A
+) = range(25)
+SIGNAL_COUNT = 25
 PARAMETER_COUNT = 88
-STATE_COUNT = 8
+STATE_COUNT = 70
+"""Numbers of a term's state; a dead time remembers its last cycles there."""
 MAX_AXES = 32
 
 _Pointer = types.CPointer(types.float64)

@@ -13,7 +13,7 @@ from twin.diagnose.law.wording import BAND
 from twin.effects.law import OUTPUTS, VARIABLES, law_of
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
-from twin.simulation.law_picture import shown_in, small_length
+from twin.simulation.law_picture import draw_response, shown_in, small_length
 
 HARDLY = 0.002
 """Share of the samples up to which the runs hardly were at a place."""
@@ -27,6 +27,14 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
         source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
         table = law_of(law.setting.table(), "a measured law")
         curve = law.measured.curve
+        place.set_title(f"axis {law.axis}, {law.block}")
+        if table.shape.is_filter:
+            low, high = curve.y - BAND * curve.band, curve.y + BAND * curve.band
+            place.fill_between(curve.x, low, high, color=SOFT, alpha=0.35, lw=0)
+            place.plot(curve.x, curve.y, "o", color=SOFT, markersize=3.5, label="measured, with 95 % band")
+            draw_response(place, table, law.setting.parameters, machine, BLUE)
+            place.legend(loc="lower left")
+            continue
         quantity = OUTPUTS[table.block][table.output].quantity
         unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
         x_unit, per = shown_in(VARIABLES[table.variable].quantity, source)
@@ -48,7 +56,6 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
         place.set_ylim(middle - 0.9 * span, middle + 0.9 * span)
         place.set_xlabel(f"{table.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{x_unit or '1'}]")
         place.set_ylabel(f"{table.output.replace('_', ' ')} [{unit}]")
-        place.set_title(f"axis {law.axis}, {law.block}")
         place.legend(loc="lower right" if formula[0] < formula[-1] else "upper left")
     return figure
 

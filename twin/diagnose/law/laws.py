@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
-from twin.diagnose.law.measure import Candidate, Curve, excess, measured_laws
+from twin.diagnose.law.measure import Curve, excess, measured_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.observe import Group, Mapper
@@ -44,7 +45,8 @@ LITTLE_LEFT = 0.02
 """Share of that from which on nothing more is looked for."""
 
 LEAST_EVIDENCE = 30.0
-"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
+"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out; and laws alone, to stand instead of
+the effects that were found."""
 
 MOST_PROBABLE = 0.98
 """What nobody listed cannot be ruled out."""
@@ -103,11 +105,12 @@ def laws_of(
     for group in groups:
         for axis in [a for a in group.axes if a in axes]:
             say(f"{axis}: is there a law that no effect describes?")
-            found, fitted, share = _laws_of_axis(group, machine, corrected, axis, folds, mapper, say)
-            left[axis] = share
-            if not found or fitted is None:
+            best = _of_axis(group, machine, corrected, axis, folds, mapper, say)
+            left[axis] = best.left
+            if not best.laws or best.fitted is None:
                 continue
-            laws += found
+            laws += best.laws
+            fitted = best.fitted
             corrected = fitted.state.corrected()
             without = [_taken_over(m, fitted.without(i), axis) for i, m in enumerate(without)]
     return Laws(tuple(laws), corrected, tuple(without), left)
@@ -130,64 +133,89 @@ def _leaves(table, prefix: str = ""):  # type: ignore[no-untyped-def]
             yield f"{prefix}{key}", value
 
 
-def _laws_of_axis(
+@dataclass(frozen=True)
+class _OfAxis:
+    """Laws of one axis from one start, the fit that holds them, and the share of the gap above noise that is left."""
+
+    laws: list[Law]
+    fitted: Fitted | None
+    left: float
+
+
+def _of_axis(
     group: Group, machine: Machine, corrected: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
-) -> tuple[list[Law], Fitted | None, float]:
-    """Laws of one axis, one after another while each earns its place; with the fit that holds them and the share that is left."""
-    tolerance = machine.parameter_tolerance
+) -> _OfAxis:
+    """Laws of one axis beside the effects that were found on it, or instead of them where that predicts clearly better.
+
+    A search that lacks the law puts effects in its place that are not there. Laws are therefore looked for from the machine without the
+    axis' effects, too; those of the effects that still earn their place come back.
+    """
     loop = ClosedLoop(group, (axis,), folds, mapper)
     state = state_of(machine, corrected, (axis,), group.thresholds)
-    fitted: Fitted | None = None
-    first: Fitted | None = None
+    beside = _from(loop, state, axis, machine, say)
+    own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
+    if not own:
+        return beside
+    say(f"{axis}: a law instead of {', '.join(s.effect.name for s in own)}?")
+    alone = _from(loop, replace(state, settings=tuple(s for s in state.settings if s not in own)), axis, machine, say, own)
+    if alone.fitted is None or not alone.laws:
+        return beside
+    margin = LEAST_EVIDENCE * _inflation(loop, alone.fitted.held_out)
+    return alone if beside.fitted is None or alone.fitted.held_out + margin < beside.fitted.held_out else beside
+
+
+def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = ()) -> _OfAxis:
+    """Laws of one axis from a state on, one after another while each earns its place; then effects that may come `back`."""
+    tolerance = machine.parameter_tolerance
+    first = loop.fit(state, tolerance, steps=2)
+    if first is None:
+        return _OfAxis([], None, 1.0)
+    fitted = first
     laws: list[Law] = []
-    refused: set[Candidate] = set()
-    while len(laws) < MOST_LAWS and (fitted is None or first is None or _above(loop, fitted) > LITTLE_LEFT * _above(loop, first)):
-        proposals = _proposals(group, state, axis, mapper, refused)
+    while len(laws) < MOST_LAWS and _above(loop, fitted) > LITTLE_LEFT * _above(loop, first):
+        proposals = _proposals(loop.group, fitted.state if laws else state, axis, loop.mapper)
         if not proposals:
             break
-        if fitted is None:
-            fitted = first = loop.fit(state, tolerance, steps=2)
-        if fitted is None or first is None:
-            break
         say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
-        tried = [(loop.fit(with_law(fitted.state, s), tolerance, like=fitted), d, x, s) for d, x, s in _settings(proposals, axis, machine)]
-        best = min(((f, d, x, s) for f, d, x, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
+        tried = [(loop.fit(with_law(fitted.state, s), tolerance, like=fitted), d, x) for d, x, s in _settings(proposals, axis, machine)]
+        best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
         if best is None or not _earned(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * _above(loop, first)):
             break
-        new, description, samples, _ = best
-        above = max(_above(loop, first), 1e-300)
-        share = (fitted.held_out - new.held_out) / above
-        index = len(new.state.settings) - 1
-        deviations = _deviations(new, index)
+        new, description, samples = best
+        share = (fitted.held_out - new.held_out) / max(_above(loop, first), 1e-300)
         certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / _inflation(loop, new.held_out) / LEAST_EVIDENCE)
         laws.append(
             Law(
-                new.state.settings[index],
+                new.state.settings[-1],
                 description,
                 samples,
                 float(min(max(share, 0.0), 1.0)),
                 float(min(certain, MOST_PROBABLE)),
-                deviations,
+                _deviations(new, len(new.state.settings) - 1),
             )
         )
-        fitted, state = new, new.state
-    if fitted is None or first is None:
-        return [], None, 1.0
-    if laws:  # sizes of earlier laws are those of the last fit
-        settings = {s.key: s for s in fitted.state.settings}
-        laws = [
-            Law(
-                settings[x.setting.key],
-                x.measured,
-                x.samples,
-                x.explained,
-                x.probability,
-                _deviations(fitted, list(settings).index(x.setting.key)),
-            )
-            for x in laws
-        ]
+        fitted = new
+    if laws:
+        fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
+    # sizes of all laws are those of the last fit
+    settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
+    at = [settings[law.setting.key] for law in laws]
+    laws = [replace(law, setting=fitted.state.settings[i], deviations=_deviations(fitted, i)) for law, i in zip(laws, at)]
     unexplained = _above(loop, fitted) / max(_above(loop, first), 1e-300)
-    return laws, fitted, float(min(max(unexplained, 0.0), 1.0))
+    return _OfAxis(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
+
+
+def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setting], tolerance: float, least: float) -> Fitted:
+    """The fit with those of the effects `back` that shrink the gap on runs left out, best first."""
+    waiting = list(back)
+    while waiting:
+        tried = [(loop.fit(with_law(fitted.state, s), tolerance, steps=2, like=fitted), s) for s in waiting]
+        best = min(((f, s) for f, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
+        if best is None or not _earned(loop, fitted.held_out, best[0].held_out, least):
+            break
+        fitted = best[0]
+        waiting.remove(best[1])
+    return fitted
 
 
 def _inflation(loop: ClosedLoop, loss: float) -> float:
@@ -220,24 +248,20 @@ def _named(d: Described) -> str:
     return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
 
 
-def _proposals(group: Group, state: State, axis: str, mapper: Mapper, refused: set[Candidate]) -> list[tuple[Described, Samples]]:
-    """The laws that predict best in the block of an axis that is furthest from noise, as formulas or tables."""
+def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tuple[Described, Samples]]:
+    """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
     samples = [s for s in residuals_of(group.views, state.machine_of, (axis,), mapper) if excess(s) > NOISY]
     own = state.machine.axis(axis)
     found: list[tuple[float, Described, Samples]] = []
     for s in samples:
-        curves = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
-        if not curves:
-            continue
+        suited = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
         distinct: dict[tuple[str, str, str, bool], Curve] = {}
-        for c in curves:
+        for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
-        near = [c for c in distinct.values() if c.predicts > NEAR_BEST * curves[0].predicts][: TRIED + 1]
-        size = excess(s)
-        for c in near:
-            if c.candidate not in refused:
-                d = described(s, c, own)
-                found.append((size * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
+        near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
+        filters = [f for f in filters_of(s, state.machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
+        for d in [*(described(s, c, own) for c in near), *filters]:
+            found.append((excess(s) * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
     return [(d, s) for _, d, s in found[:TRIED]]
 

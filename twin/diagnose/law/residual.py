@@ -7,6 +7,7 @@ both, so that the rest is what the twin does not know:
     mechanics             force on the load that the motion shows:  M a - Kt i / r + friction + bias      [N, Nm]
     transmission          motor position minus scale                                                      [m, rad]
     position controller   speed set point beside the control law                                          [m/s, rad/s]
+    speed controller      current beside the one that the controller would command for the recorded speeds  [A]
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import savgol_filter
 
-from twin.diagnose.blocks import MOTION, inertia_and_bias
+from twin.diagnose.blocks import MOTION, commanded_current, inertia_and_bias, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
@@ -43,6 +44,19 @@ NOISE_SEED = 977
 """Seed of the noise of the record from which a block's noise level is taken."""
 
 MECHANICS = "mechanics"
+CONTROL = ("position controller", "speed controller")
+"""Blocks that pass a signal on."""
+
+
+@dataclass(frozen=True)
+class Passed:
+    """What a control block of one run makes of its inputs (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; noise of `given`."""
+
+    run: int
+    wanted: np.ndarray
+    given: np.ndarray
+    noise: float
+    period: float
 
 
 @dataclass(frozen=True)
@@ -51,7 +65,7 @@ class Samples:
 
     `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has the
     columns of `COLUMNS`; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
-    is the index of the sample at which the run of each sample begins.
+    is the index of the sample at which the run of each sample begins. `passed` is what a control block makes of its inputs, run by run.
     """
 
     axis: str
@@ -63,6 +77,7 @@ class Samples:
     first: np.ndarray
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    passed: tuple[Passed, ...] = ()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -87,6 +102,7 @@ class _Piece:
     noise: np.ndarray
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]]
+    passed: Passed | None = None
 
 
 def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
@@ -117,6 +133,7 @@ def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
             other: {name: column(lambda p, o=other: p.others.get(o), name) for name in ("position", "velocity", "acceleration")}  # type: ignore[misc]
             for other in sorted(names)
         },
+        tuple(p.passed for p in pieces if p.passed is not None),
     )
 
 
@@ -136,6 +153,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             (MECHANICS, _forces, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
             ("position controller", _speed_set_point, 0.0),
+            ("speed controller", _current, 0.0),
         ):
             measured = law(actual, axis, view.trace)
             if measured is None:
@@ -150,15 +168,24 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             if len(index) < LEAST_SAMPLES:
                 continue
             motion = _motion(view, name, axis)
+            noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
+            passed = None
+            if block in CONTROL:
+                signal = motion["speed_setpoint"] if block == "position controller" else commanded_current(actual, axis, view.trace)[0]
+                every = max(1, round(view.machine.position_cycle / view.trace.period)) if block == "position controller" else 1
+                wanted, beside = signal[::every], (measured[0] - expected[0])[::every]
+                level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
+                passed = Passed(r, wanted, wanted + beside, level, every * view.trace.period)
             pieces.append(
                 _Piece(
                     r,
                     name,
                     block,
                     (measured[0] - expected[0])[index],
-                    (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis)),
+                    noise,
                     {key: values[index] for key, values in motion.items()},
                     {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
+                    passed,
                 )
             )
     return pieces
@@ -209,6 +236,13 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
     where = np.zeros(len(trace.time), bool)
     out[::every], where[::every] = error, True
     return out, where
+
+
+def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """Current beside the one that the controller would command (sample,), while the axis moves."""
+    if not shows_speed_controller(view, axis):
+        return None
+    return commanded_current(view, axis, trace)[1], view.reference(axis.name)[2]
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:

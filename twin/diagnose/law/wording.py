@@ -16,6 +16,9 @@ from twin.machine.machine import Machine
 from twin.simulation.effect_picture import readable
 from twin.simulation.law_picture import shown_in, small_length
 
+PASSED = {"time_constant_s": "of", "time_s": "of", "width": "as wide as", "frequency_hz": "at"}
+"""Words before the numbers of a filter."""
+
 BAND = 1.96
 """Standard deviations to either side of a 95 % interval."""
 
@@ -63,6 +66,10 @@ def sentence(law: Law, machine: Machine) -> str:
     head = f"a {what.replace('_', ' ')} on {law.axis}"
     over = VARIABLES[described.variable].words.split(":")[0].split(" z ")[0] + (f" of {source.name}" if source is not axis else "")
     name = described.shape.name
+    if described.shape.is_filter:
+        numbers = " and ".join(f"{PASSED[n.name]} {_value(law, n.name, axis, source)}" for n in described.shape.numbers if n.name in p)
+        late = "recorded current" if described.block == "measurement" else over
+        return f"{described.shape.words} in the {late} of {law.axis}, {numbers}"
     if described.shape.code == TABLE:
         low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
         quantity = OUTPUTS[described.block][described.output].quantity

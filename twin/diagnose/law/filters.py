@@ -1,0 +1,177 @@
+"""A control block whose output passes a filter that no effect describes: measured as a frequency response, recognised as lag, notch or dead time.
+
+With U what the block should give by its law and Y what was recorded, as windowed transforms of stretches of all runs,
+
+    H = sum(conj(U) Y / S) / sum(|U|^2 / S)         S: power of the noise, and of the share of U to which the law is trusted
+
+is the measured response. A filter F with its numbers and a free gain g, which is the block's own, leaves sum(|Y - g F U|^2 / S). Every run
+is left out in turn, the numbers fitted to the others, and the run predicted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import itertools
+import math
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.diagnose.law.measure import Candidate, Curve
+from twin.diagnose.law.residual import Passed, Samples
+from twin.diagnose.law.shapes import Described
+from twin.effects.law import Law, cycle_of
+from twin.effects.law_filters import RING, response
+from twin.effects.law_shapes import SHAPES, Shape
+from twin.machine.machine import Machine
+
+STRETCH_S = 0.5
+"""Length of a stretch that is transformed: it resolves 4 Hz."""
+
+FIRST_LINE = 2
+"""First line of a transform that is used: slower is what integrators and drift make."""
+
+HIGHEST = 0.9
+"""Share of the highest frequency that the record holds up to which lines are used."""
+
+LAW_SHARE = 0.01
+"""Share of what a block should give to which its law is trusted."""
+
+RESPONSE_POINTS = 40
+"""Points of a measured response."""
+
+ACTS_IN = {
+    "speed controller": (Candidate("speed controller", "current", "current_setpoint"), Candidate("measurement", "current", "current")),
+    "position controller": (Candidate("position controller", "speed", "speed_setpoint"),),
+}
+"""What a filter seen in a block may be: in the block itself, or between it and the record."""
+
+SUITS = {
+    "speed controller": ("lag", "notch", "dead time"),
+    "measurement": ("lag", "dead time"),
+    "position controller": ("lag", "dead time"),
+}
+"""Filters that are tried in each block."""
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Sums over the stretches of one run at each frequency: |U|^2 / S, conj(U) Y / S, |Y|^2 / S."""
+
+    own: np.ndarray
+    cross: np.ndarray
+    given: np.ndarray
+
+
+def filters_of(samples: Samples, machine: Machine) -> list[Described]:
+    """The filters that explain a control block, best first; none where the block passes no signal on or the record is too short."""
+    places = ACTS_IN.get(samples.block, ())
+    if not places or not samples.passed:
+        return []
+    period = samples.passed[0].period
+    length = max(16, round(STRETCH_S / period))
+    frequency = np.fft.rfftfreq(length, period)
+    used = slice(FIRST_LINE, max(FIRST_LINE + 2, int(HIGHEST * len(frequency))))
+    runs = [lines for p in samples.passed if len(p.wanted) >= length and (lines := _lines(p, length, used)) is not None]
+    if len(runs) < 2:
+        return []
+    found = []
+    for candidate in places:
+        for name in SUITS[candidate.block]:
+            law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
+            found.append(_fitted(samples, candidate, law.shape, cycle_of(law, machine), runs, frequency[used]))
+    return sorted((f for f in found if f is not None), key=lambda d: -d.predicts)
+
+
+def _lines(passed: Passed, length: int, used: slice) -> _Lines | None:
+    """Transforms of one run; None where nothing was asked of the block."""
+    window = np.hanning(length)
+    first = range(0, len(passed.wanted) - length + 1, length // 2)
+
+    def transformed(values: np.ndarray) -> np.ndarray:
+        cut = np.stack([values[i : i + length] for i in first])
+        return np.asarray(np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)[:, used])
+
+    u, y = transformed(passed.wanted), transformed(passed.given)
+    power = passed.noise**2 * float(window @ window) + (LAW_SHARE * np.abs(u)) ** 2
+    if not np.any(np.abs(u) ** 2 > power):
+        return None
+    return _Lines((np.abs(u) ** 2 / power).sum(axis=0), (np.conj(u) * y / power).sum(axis=0), (np.abs(y) ** 2 / power).sum(axis=0))
+
+
+def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:
+    """What a filter (frequency,) leaves with its best gain, and that gain."""
+    cross = sum(float(np.sum((np.conj(f) * r.cross).real)) for r in runs)
+    own = sum(float(np.sum(np.abs(f) ** 2 * r.own)) for r in runs)
+    gain = cross / max(own, 1e-300)
+    return sum(float(r.given.sum()) for r in runs) - gain * cross, gain
+
+
+def _left(run: _Lines, f: np.ndarray, gain: float) -> float:
+    """What a filter with its gain leaves of one run."""
+    return float(np.sum(run.given - 2.0 * gain * (np.conj(f) * run.cross).real + gain**2 * np.abs(f) ** 2 * run.own))
+
+
+def _fitted(
+    samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_Lines], frequency: np.ndarray
+) -> Described | None:
+    """One filter, fitted to all runs and judged on each by the fit of the others."""
+    names = [n.name for n in shape.numbers]
+    starts, low, high = _starts(shape, cycle, frequency)
+
+    def of(logs: np.ndarray) -> np.ndarray:
+        return response(shape, dict(zip(names, np.exp(np.clip(logs, low, high)))), cycle, frequency)
+
+    def fit(some: Sequence[_Lines], start: np.ndarray) -> np.ndarray:
+        simplex = np.vstack([start, start + 0.2 * np.eye(len(names))])
+        options = {"initial_simplex": simplex, "maxfev": 80 * len(names), "xatol": 1e-4}
+        found = minimize(lambda logs: _loss(some, of(logs))[0], start, method="Nelder-Mead", options=options)
+        return np.asarray(np.clip(found.x, low, high))
+
+    best = fit(runs, min(starts, key=lambda logs: _loss(runs, of(logs))[0]))
+    through = np.ones(len(frequency), complex)
+    of_run, base = np.zeros(len(runs)), np.zeros(len(runs))
+    moved = []
+    for i, run in enumerate(runs):
+        others = [*runs[:i], *runs[i + 1 :]]
+        logs = fit(others, best)
+        moved.append(logs)
+        of_run[i] = _left(run, of(logs), _loss(others, of(logs))[1])
+        base[i] = _left(run, through, _loss(others, through)[1])
+    predicts = 1.0 - of_run.sum() / max(base.sum(), 1e-300)
+    better = float(base[of_run < base].sum() / max(base.sum(), 1e-300))
+    spread = np.std(moved, axis=0) * math.sqrt(max(len(runs) - 1, 1))
+    numbers = {n: float(math.exp(v)) for n, v in zip(names, best)}
+    deviations = {n: numbers[n] * float(d) for n, d in zip(names, spread)}
+    curve = _curve(candidate, runs, frequency, predicts, better)
+    return Described(candidate, shape.name, numbers, deviations, predicts, curve, np.zeros(len(samples)))
+
+
+def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Logarithms of the numbers that are tried first, and their bounds."""
+    slowest = 0.5 / frequency[0]
+    if shape.name == "notch":
+        # numbers in the order of the shape: width, frequency
+        at = np.geomspace(2.0 * frequency[0], frequency[-1], 30)
+        widths = (0.1, 0.4, 1.2)
+        starts = [np.log([w, f]) for w, f in itertools.product(widths, at)]
+        return starts, np.log([0.02, frequency[0]]), np.log([5.0, frequency[-1]])
+    longest = min(slowest, (RING - 3) * cycle) if shape.name == "dead time" else slowest
+    times = np.geomspace(0.5 * cycle, 0.5 * longest, 16)
+    return [np.log([t]) for t in times], np.log([0.1 * cycle]), np.log([longest])
+
+
+def _curve(candidate: Candidate, runs: Sequence[_Lines], frequency: np.ndarray, predicts: float, better: float) -> Curve:
+    """The measured response: its size over the frequency [Hz], in bands as wide as they are high, with its standard deviation."""
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, RESPONSE_POINTS + 1)
+    own, cross = np.sum([r.own for r in runs], axis=0), np.sum([r.cross for r in runs], axis=0)
+    x, y, band = [], [], []
+    for low, high in itertools.pairwise(edges):
+        rows = (frequency >= low) & (frequency < high)
+        weight = float(np.sum(own[rows])) if rows.any() else 0.0
+        if weight > 1.0:
+            x.append(float(np.average(frequency[rows], weights=own[rows])))
+            y.append(float(np.abs(np.sum(cross[rows])) / weight))
+            band.append(1.0 / math.sqrt(weight))
+    return Curve(candidate, predicts, better, np.array(x), np.array(y), np.array(band))
