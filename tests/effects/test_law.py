@@ -9,6 +9,7 @@ import pytest
 from twin.cli import main as twin_command
 from twin.effects import check_setting, settings_of, with_effects
 from twin.effects.law import law_of
+from twin.effects.law_filters import RING, filter_row, filtered, response
 from twin.effects.law_shapes import SHAPES, TABLE, row_of, values_of
 from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
@@ -50,6 +51,26 @@ def test_a_law_of_the_turn_is_a_ripple():
     wave = {"name": "law", "axis": "X", "block": "current loop", "variables": ["turn"], "formula": "sine"}
     wave |= {"amplitude": 0.2, "period": math.pi / 2.0, "phase_rad": 0.3}
     np.testing.assert_allclose(trace_of(wave).get("X", "current"), ripple.get("X", "current"), atol=1e-9)
+
+
+def test_a_recorded_current_is_late_and_nothing_else_is():
+    plain = trace_of()
+    late = trace_of({"name": "law", "axis": "X", "block": "measurement", "output": "current", "variables": ["current"],
+                     "formula": "dead time", "time_s": 0.004})  # fmt: skip
+    np.testing.assert_allclose(late.get("X", "current")[4:], plain.get("X", "current")[:-4], atol=1e-12)
+    assert np.array_equal(late.get("X", "position"), plain.get("X", "position"))
+
+
+@pytest.mark.parametrize(("name", "numbers"), [("lag", {"time_constant_s": 0.004}), ("notch", {"width": 0.7, "frequency_hz": 90.0}),
+                                               ("dead time", {"time_s": 0.0013})])  # fmt: skip
+def test_a_filter_answers_a_sine_as_its_response_says(name: str, numbers: dict[str, float]):
+    cycle, frequency = 2.5e-4, 60.0
+    row, state = np.array(filter_row(SHAPES[name], numbers, cycle)), np.zeros(RING + 1)
+    t = cycle * np.arange(8000)
+    out = np.array([filtered(SHAPES[name].code, u, row, state, i == 0) for i, u in enumerate(np.sin(2 * np.pi * frequency * t))])
+    settled = slice(4000, 8000)  # whole periods
+    measured = 2.0 * np.mean(out[settled] * np.exp(-2j * np.pi * frequency * t[settled])) * 1j
+    assert measured == pytest.approx(response(SHAPES[name], numbers, cycle, np.array([frequency]))[0], abs=2e-6)
 
 
 def test_a_lag_of_the_current_set_point_is_the_current_filter():
@@ -156,7 +177,7 @@ def test_a_curve_goes_through_its_points_and_stays_beyond_them():
         ({"variables": ["following_error"]}, "is known in the position controller only"),
         ({"variables": ["speed", "position"]}, "name one"),
         ({"formula": "bessel"}, "is none of the shapes step, line"),
-        ({"formula": "lag"}, "filters a set point"),
+        ({"formula": "lag"}, "is a filter of"),
         ({"points": [[0.0, 1.0]]}, "either a formula or points"),
         ({"width": -1.0}, "out of bounds"),
         ({"colour": 1.0}, "no parameter 'colour'"),

@@ -25,14 +25,19 @@ STROKES = ((0.010, 0.015), (0.020, 0.03), (0.040, 0.06))
 """Distance [m] and speed [m/s] of the runs."""
 
 
-def found(effects: list[dict]):
-    """Laws of X on three short runs, with measuring noise, of a machine that has these effects."""
+def runs_of(effects: list[dict]) -> list[MeasuredRun]:
+    """Three short runs of X, with measuring noise, of a machine that has these effects."""
     runs = []
     for seed, (distance, speed) in enumerate(STROKES):
         position = moves_in_turn(0.0, [distance, -distance], speed, 0.3, 5.0, 0.1, 1e-3)[1]
         run = simulate(with_effects(X, effects), Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=seed)
         runs.append(MeasuredRun(f"run{seed}", run.trace, "velocity+torque", 0.0))
-    views = [view_of(X, run) for run in runs]
+    return runs
+
+
+def found(effects: list[dict]):
+    """Laws of X on these runs."""
+    views = [view_of(X, run) for run in runs_of(effects)]
     folds = folds_of(len(views))
     return laws_of([observe(views, ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
 
@@ -48,6 +53,25 @@ def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():
     assert laws.left["X"] < 0.1
     # the corrected machine and those fitted without a fold have it
     assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *laws.without_fold))
+
+
+def test_a_law_takes_the_place_of_an_effect_that_stood_in_for_it():
+    runs = runs_of([BELL])
+    views = [view_of(X, run) for run in runs]
+    folds = folds_of(len(views))
+    wrong = with_effects(X, [{"name": "viscous_friction", "axis": "X", "factor": 0.7}])
+    laws = laws_of([observe(views, ("X",))], X, wrong, ["X"], folds, [wrong] * len(folds), in_turn)
+    assert [s.effect.name for s in settings_of(laws.corrected)] == ["law"]
+    assert laws.laws[0].setting.parameters["height"] == pytest.approx(-300.0, rel=0.1)
+
+
+def test_an_effect_that_is_there_stays_beside_the_law():
+    there = {"name": "viscous_friction", "axis": "X", "factor": 1.6}
+    views = [view_of(X, run) for run in runs_of([BELL, there])]
+    folds = folds_of(len(views))
+    right = with_effects(X, [there])
+    laws = laws_of([observe(views, ("X",))], X, right, ["X"], folds, [right] * len(folds), in_turn)
+    assert [s.effect.name for s in settings_of(laws.corrected)] == ["viscous_friction", "law"]
 
 
 def test_a_machine_without_a_law_gets_none():

@@ -45,8 +45,7 @@ LITTLE_LEFT = 0.02
 """Share of that from which on nothing more is looked for."""
 
 LEAST_EVIDENCE = 30.0
-"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out; and laws alone, to stand instead of
-the effects that were found."""
+"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
 
 MOST_PROBABLE = 0.98
 """What nobody listed cannot be ruled out."""
@@ -160,8 +159,12 @@ def _of_axis(
     alone = _from(loop, replace(state, settings=tuple(s for s in state.settings if s not in own)), axis, machine, say, own)
     if alone.fitted is None or not alone.laws:
         return beside
-    margin = LEAST_EVIDENCE * _inflation(loop, alone.fitted.held_out)
-    return alone if beside.fitted is None or alone.fitted.held_out + margin < beside.fitted.held_out else beside
+    if beside.fitted is None:
+        return alone
+    # each effect or law must earn its place; as many of both: what was found stays unless laws alone are clearly better
+    more = len(alone.fitted.state.settings) - len(beside.fitted.state.settings)
+    margin = LEAST_EVIDENCE * _inflation(loop, alone.fitted.held_out) * (more if more < 0 else more + 1)
+    return alone if alone.fitted.held_out + margin < beside.fitted.held_out else beside
 
 
 def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = ()) -> _OfAxis:
