@@ -53,6 +53,7 @@ from twin.simulation.loop_terms import (
     X_MOTOR_SPEED,
     X_MOTOR_TORQUE,
     X_RECORDED_CURRENT,
+    X_ROTOR_FORCE,
     X_ROTOR_MIDDLE,
     X_ROTOR_POSITION,
     X_SCALE,
@@ -60,6 +61,7 @@ from twin.simulation.loop_terms import (
     X_SPEED_SETPOINT,
     X_STEP,
     X_TIME,
+    X_TRANSMISSION_ERROR,
     arrays,
     term,
 )
@@ -80,7 +82,8 @@ NAME = "law"
     V_FOLLOWING_ERROR,
     V_SPEED_SETPOINT,
     V_CURRENT_SETPOINT,
-) = range(13)
+    V_WINDUP,
+) = range(14)
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ VARIABLES = {
     "slack": Variable(V_SLACK, "number", "place inside a play of `length` to either side: dz/dt = v / length, between -1 and 1"),
     "following_error": Variable(V_FOLLOWING_ERROR, "length", "delayed set point minus measured position", ("position controller",)),
     "speed_setpoint": Variable(V_SPEED_SETPOINT, "speed", "speed set point", ("position controller",)),
+    "windup": Variable(V_WINDUP, "length", "rotor minus load position of a drive train with a spring", ("transmission",)),
     "current_setpoint": Variable(V_CURRENT_SETPOINT, "current", "current set point", ("speed controller",)),
 }
 """What a law may depend on, by its name in a machine file."""
@@ -124,7 +128,10 @@ OUTPUTS: dict[str, dict[str, Output]] = {
         "force": Output("force", "force on the load, towards +q"),
         "friction": Output("force", "added to the Coulomb friction, which acts against the motion and holds at rest"),
     },
-    "transmission": {"displacement": Output("length", "motor position minus load position, from the start of a run")},
+    "transmission": {
+        "displacement": Output("length", "motor position minus load position, from the start of a run"),
+        "force": Output("force", "pushes the load towards +q and the rotor back, beside the spring of the drive train"),
+    },
     "measurement": {
         "displacement": Output("length", "scale minus load position, from the start of a run"),
         "current": Output("current", "added to the recorded current, which the control does not see"),
@@ -318,7 +325,7 @@ S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST = range(5)
 def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
     machine = change.machine
     stage, kernel = {
-        "force": (FORCE, force_law),
+        "force": (FORCE, spring_law if law.block == "transmission" else force_law),
         "friction": (FORCE, friction_law),
         "torque": (FORCE, torque_law),
         "current": (RECORD, record_law) if law.block == "measurement" else (CURRENT, current_law),
@@ -327,6 +334,10 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         "displacement": (MEASURE, motor_law if law.block == "transmission" else scale_law),
     }[law.output]
     source = from_axis or axis
+    if law.variable == "windup" and axis.name not in change.couplings:
+        raise InputError(
+            f"law on axis {axis.name}: a law over the windup needs a spring; give the axis a transmission_compliance or backlash, too"
+        )
     cycle = cycle_of(law, machine)
     head = [0.0] * HEAD
     head[P_VARIABLE], head[P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
@@ -340,7 +351,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         else row_of(law.shape, numbers, law.gain(axis), law.points, law.between)
     )
     change.add_term(kernel, stage, axis, [*head, *row])
-    if law.output == "force":
+    if law.output == "force" and law.block != "transmission":
         change.held_with(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
 
 
@@ -387,6 +398,8 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
     elif variable == V_SLACK:
         s[S_MEMORY] = min(max(s[S_MEMORY] + speed * p[P_CYCLE] / p[P_LENGTH], -1.0), 1.0)
         u = s[S_MEMORY]
+    elif variable == V_WINDUP:
+        u = row[X_ROTOR_MIDDLE] + row[X_TRANSMISSION_ERROR] - row[X_LOAD_MIDDLE]
     elif variable == V_FOLLOWING_ERROR:
         u = row[X_FOLLOWING_ERROR]
     elif variable == V_SPEED_SETPOINT:
@@ -413,6 +426,15 @@ def force_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F += y."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_LOAD_FORCE] += law_value(p, s, x, axis, True)
+
+
+@term
+def spring_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += y on the load, -y on the rotor."""
+    p, s, x = arrays(parameters, state, signals)
+    y = law_value(p, s, x, axis, True)
+    x[axis, X_LOAD_FORCE] += y
+    x[axis, X_ROTOR_FORCE] -= y
 
 
 @term

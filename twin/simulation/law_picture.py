@@ -37,7 +37,13 @@ def laws_shown(machine: Machine) -> list[Setting]:
 def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]:
     """Values of a variable that the axis can reach, SI."""
     half = {"velocity": axis.max_velocity, "speed_setpoint": axis.max_velocity, "acceleration": axis.max_acceleration, "direction": 1.0}
-    half |= {"slack": 1.0, "following_error": 1e-4, "current": axis.motor.peak_current_a, "current_setpoint": axis.motor.peak_current_a}
+    half |= {
+        "slack": 1.0,
+        "following_error": 1e-4,
+        "windup": 1e-4,
+        "current": axis.motor.peak_current_a,
+        "current_setpoint": axis.motor.peak_current_a,
+    }
     if variable in half:
         return -half[variable], half[variable]
     whole = {"speed": axis.max_velocity, "acceleration_size": axis.max_acceleration, "turn": 2.0 * math.pi, "time": SHOWN_TIME_S}

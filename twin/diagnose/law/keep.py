@@ -113,10 +113,15 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
 
 
 def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
-    """Numbers of effects and laws on these axes, then their toleranced parameters."""
+    """Numbers of effects and laws on these axes, then their toleranced parameters.
+
+    What every machine has a little of stays as it was found, but for the spring beside which a law of the drive train acts.
+    """
     found = []
+    wound = {s.axis for s in state.settings if s.effect.definition.get("variables") == ["windup"]}
     for i, setting in enumerate(state.settings):
-        if setting.axis not in axes or setting.effect.normal:
+        beside = setting.axis in wound and setting.effect.block == "transmission"
+        if setting.axis not in axes or (setting.effect.normal and not beside):
             continue
         for p in setting.effect.parameters:
             value = setting.parameters.get(p.name)

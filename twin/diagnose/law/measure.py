@@ -15,7 +15,7 @@ import math
 import numpy as np
 from scipy.interpolate import BSpline
 
-from twin.diagnose.law.residual import MECHANICS, Samples, remembered
+from twin.diagnose.law.residual import MECHANICS, SPRING, Samples, remembered
 from twin.diagnose.observe import ROBUST
 from twin.machine.machine import Axis
 
@@ -91,6 +91,8 @@ def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
             yield Candidate("measurement", "displacement", "slack", length=length * metre)
         for other in samples.others:
             yield Candidate("measurement", "displacement", "position", other)
+    elif samples.block == SPRING:
+        yield Candidate("transmission", "force", "windup")
     elif samples.block == "position controller":
         for variable in ("following_error", "speed_setpoint", "position", "velocity"):
             if variable in samples.motion:
@@ -137,6 +139,8 @@ def nuisances_in(samples: Samples) -> np.ndarray:
         return np.column_stack([ones, np.sign(v), v, samples.motion["acceleration"]])
     if samples.block == "transmission":
         return from_start(samples, np.column_stack([samples.motion["position"], samples.motion["time"]]))
+    if samples.block == SPRING:
+        return np.column_stack([ones, samples.motion["windup"], samples.motion["acceleration"]])
     return ones[:, None]
 
 
@@ -209,7 +213,7 @@ class Curve:
 def machines_own(x: np.ndarray, variable: str) -> np.ndarray:
     """Curves over a variable (place, n) that toleranced parameters make."""
     level = np.ones((len(x), 1))
-    return np.column_stack([level, x / max(float(np.abs(x).max()), 1e-300)]) if variable in ("speed", "velocity") else level
+    return np.column_stack([level, x / max(float(np.abs(x).max()), 1e-300)]) if variable in ("speed", "velocity", "windup") else level
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ both, so that the rest is what the twin does not know:
 
     mechanics             force on the load that the motion shows:  M a - Kt i / r + friction + bias      [N, Nm]
     transmission          motor position minus scale                                                      [m, rad]
+    spring                force of the motor that does not accelerate its rotor, beside the drive train's spring [N, Nm]
     position controller   speed set point beside the control law                                          [m/s, rad/s]
     speed controller      current beside the one that the controller would command for the recorded speeds  [A]
 """
@@ -25,6 +26,7 @@ from twin.diagnose.blocks import MOTION, commanded_current, inertia_and_bias, sh
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
+from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 
@@ -44,6 +46,9 @@ NOISE_SEED = 977
 """Seed of the noise of the record from which a block's noise level is taken."""
 
 MECHANICS = "mechanics"
+SPRING = "spring"
+"""The part of the transmission that a spring makes."""
+
 CONTROL = ("position controller", "speed controller")
 """Blocks that pass a signal on."""
 
@@ -152,6 +157,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
         for block, law, period in (
             (MECHANICS, _forces, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
+            (SPRING, _spring_force, FORCE_PERIOD_S),
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
         ):
@@ -226,6 +232,30 @@ def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
     return trace.get(axis.name, "motor_position") - trace.get(axis.name, "position"), np.ones(len(trace.time), bool)
 
 
+def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """What drives the load beyond the drive train's spring (sample,), everywhere; None where the machine has no spring there."""
+    wound = windup(view, axis, trace)
+    if wound is None or not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * _window(view):
+        return None
+    coupling = apply_effects(view.machine).couplings.get(axis.name)
+    if coupling is None:
+        return None
+    window = _window(view)
+    acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
+    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    half = coupling.clearance / 2.0
+    stretch = np.sign(wound) * np.maximum(np.abs(wound) - half, 0.0)
+    return drive - axis.reflected_inertia * acceleration - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
+
+
+def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
+    """Motor position minus scale from the start of the run (sample,), smoothed; None where one of them was not recorded."""
+    if not (view.trace.has(axis.name, "position") and view.trace.has(axis.name, "motor_position")) or len(trace.time) < 2 * _window(view):
+        return None
+    apart = trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")
+    return np.asarray(savgol_filter(apart, _window(view), 2)) - apart[0]
+
+
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Speed set point beside the law (sample,), at the position cycles, while the axis moves."""
     error = law_error(trace, view, axis)
@@ -263,6 +293,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
     found |= {"turn": motor / own.ratio, "time": view.started_at + trace.time - trace.time[0]}
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+    if (wound := windup(view, own, trace)) is not None:
+        found["windup"] = wound
     if trace.has(name, own.effort):
         found["current"] = trace.get(name, own.effort)
     if trace.has(name, "velocity_setpoint") and signal != "setpoint":

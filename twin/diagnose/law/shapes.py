@@ -48,6 +48,7 @@ SUITS: dict[str, tuple[str, ...]] = {
     "time": ("line", "approach"),
     "direction": ("line",),
     "slack": ("line",),
+    "windup": ("power", "saturation"),
     "acceleration": ("line", "power"),
     "acceleration_size": ("line", "power"),
     "current": ("bending", "saturation", "power"),
