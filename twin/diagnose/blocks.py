@@ -109,7 +109,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
 
 def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """Recorded current minus the current that the controller would command for the recorded speeds, without drift; and where it moves."""
-    _, error = commanded_current(view, axis, trace)
+    error = without_drift(trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace), view)
     moving = np.flatnonzero(view.reference(axis.name)[2])
     return error[moving], moving
 
@@ -119,8 +119,13 @@ def shows_speed_controller(view: RunView, axis: Axis) -> bool:
     return view.on_each_cycle and all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
 
 
-def commanded_current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """The current (sample,) that the controller would command for the recorded speeds, and how far the recorded one is from it, without drift [A]."""
+def without_drift(current: np.ndarray, view: RunView) -> np.ndarray:
+    """A current error (sample,) without what the integrator drifts by: it sums up all that lies between the samples of the speed."""
+    return current - _moving_mean(current, round(view.thresholds.drift_s / view.trace.period))
+
+
+def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:
+    """The current (sample,) that the controller would command for the recorded speeds [A]; `limited` by what drive and motor can."""
     machine = view.machine.with_axes([axis.name])
     a = view.machine.axis_names.index(axis.name)
     ticks = max(1, round(trace.period / machine.base_tick))
@@ -129,6 +134,8 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
     every = round(machine.position_cycle / trace.period)
     command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
+    if not limited:
+        drives = drives._replace(peak_current=np.full(1, np.inf), bus_limit=np.full(1, np.inf))
     current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
     predicted = np.empty(count)
@@ -141,8 +148,7 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,
     )
-    error = current - predicted
-    return predicted, error - _moving_mean(error, round(view.thresholds.drift_s / trace.period))
+    return predicted
 
 
 @compiled

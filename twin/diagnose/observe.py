@@ -135,6 +135,10 @@ class Group:
             out[channel.rows] = of_run[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
 
+    def without_doubt(self) -> Group:
+        """The group where no effect is doubted."""
+        return replace(self, channels=[replace(c, doubt=0.0) for c in self.channels])
+
     def doubted(self, change: np.ndarray, left: np.ndarray) -> Group:
         """The group where effects that change its channels by `change` (row,) are trusted to a share of that, and the twin less where
         they leave it with more than noise, `left` (row,); both weighted."""

@@ -35,6 +35,7 @@ from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import (
     CURRENT,
+    DRIVE,
     FORCE,
     MEASURE,
     RECORD,
@@ -140,6 +141,7 @@ OUTPUTS: dict[str, dict[str, Output]] = {
     "speed controller": {"current": Output("current", "added to the current set point")},
     "position controller": {
         "speed": Output("speed", "added to the speed set point"),
+        "received_speed": Output("speed", "added to the speed set point on its way to the speed controller; the recorded one is without"),
         "set_point": Output("length", "added to the delayed set point"),
     },
 }
@@ -148,6 +150,7 @@ OUTPUTS: dict[str, dict[str, Output]] = {
 FILTERED = {
     ("speed controller", "current"): "current_setpoint",
     ("position controller", "speed"): "speed_setpoint",
+    ("position controller", "received_speed"): "speed_setpoint",
     ("measurement", "current"): "current",
 }
 """What a filter may act on: block and output, and the variable that passes through it."""
@@ -330,6 +333,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         "torque": (FORCE, torque_law),
         "current": (RECORD, record_law) if law.block == "measurement" else (CURRENT, current_law),
         "speed": (SPEED, speed_law),
+        "received_speed": (DRIVE, speed_law),
         "set_point": (SETPOINT, set_point_law),
         "displacement": (MEASURE, motor_law if law.block == "transmission" else scale_law),
     }[law.output]
@@ -357,6 +361,8 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
 
 def cycle_of(law: Law, machine: Machine) -> float:
     """Time [s] from one value of a law to the next: the cycle of its controller, or the base tick."""
+    if law.output == "received_speed":
+        return machine.speed_cycle
     if law.block == "position controller":
         return machine.position_cycle
     return machine.current_cycle if law.block == "speed controller" else machine.base_tick

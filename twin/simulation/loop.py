@@ -33,6 +33,7 @@ from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_terms import (
     CURRENT,
+    DRIVE,
     FORCE,
     MEASURE,
     RECORD,
@@ -170,6 +171,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
     axes = drives.ratio.size
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.outside) > 0
+    has_drive = terms.start[DRIVE + 1] > terms.start[DRIVE]
     has_record = terms.start[RECORD + 1] > terms.start[RECORD]
     counts = counted.sums.shape[0] > 0
 
@@ -193,6 +195,8 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
             if k % schedule.speed_ticks == 0:
                 if drives.dsc[a]:
                     drive_position_loop(a, drives, state, closed_on)
+                if has_drive:
+                    received_by_drive(a, drives, state, terms, signals)
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
                 # what is constant is divided by first, for nothing waits for that
@@ -312,6 +316,15 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
         state.commanded_speed[a] = signals[a, X_SPEED_SETPOINT] / drives.ratio[a]
         if not drives.dsc[a]:
             state.speed_setpoint[a] = state.commanded_speed[a]
+
+
+@compiled(inline=True)
+def received_by_drive(a, drives, state, terms, signals):  # type: ignore[no-untyped-def]
+    """The speed set point of axis `a` through the terms that lie between the position controller and the speed controller."""
+    sent = state.speed_setpoint[a] if drives.dsc[a] else state.commanded_speed[a]
+    signals[a, X_SPEED_SETPOINT] = sent * drives.ratio[a]
+    call_axis_terms(terms, DRIVE, signals, a)
+    state.speed_setpoint[a] = signals[a, X_SPEED_SETPOINT] / drives.ratio[a]
 
 
 @compiled(inline=True)

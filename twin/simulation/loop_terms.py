@@ -1,4 +1,4 @@
-"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at six places.
+"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at seven places.
 
 A term is a C function `void law(parameters*, state*, signals*, axis)` made by `@term` from a function whose first line
 is `p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals (and may read
@@ -7,6 +7,7 @@ the rows of other axes). The loop keeps one table of active terms and knows none
     MEASURE   every tick            what the encoders see: SCALE, MOTOR_POSITION, MOTOR_SPEED
     SETPOINT  every position cycle  the delayed set point
     SPEED     every position cycle  the speed set point that the position controller made
+    DRIVE     every speed cycle     the speed set point as the speed controller gets it
     CURRENT   every current cycle   the current set point
     FORCE     every tick            LOAD_FORCE, ROTOR_FORCE, MOTOR_TORQUE, FRICTION_LEVEL
     RECORD    every tick            the current as it is recorded
@@ -23,8 +24,8 @@ import numpy as np
 
 from twin.compiled_functions import compiled, compiled_callback
 
-MEASURE, SETPOINT, SPEED, CURRENT, FORCE, RECORD = range(6)
-STAGES = 6
+MEASURE, SETPOINT, SPEED, DRIVE, CURRENT, FORCE, RECORD = range(7)
+STAGES = 7
 
 # columns of the signals, one row an axis; positions in m or rad, forces at the axis in N or Nm
 (

@@ -1,6 +1,6 @@
 """A control block whose output passes a filter that no effect describes: measured as a frequency response, recognised as lag, notch or dead time.
 
-With U what the block should give by its law and Y what was recorded, as windowed transforms of stretches of all runs,
+With U what the block should give by its law and Y what was recorded, as transforms of whole runs that begin and end at rest,
 
     H = sum(conj(U) Y / S) / sum(|U|^2 / S)         S: power of the noise, and of the share of U to which the law is trusted
 
@@ -26,14 +26,17 @@ from twin.effects.law_filters import RING, response
 from twin.effects.law_shapes import SHAPES, Shape
 from twin.machine.machine import Machine
 
-STRETCH_S = 0.5
-"""Length of a stretch that is transformed: it resolves 4 Hz."""
+BAND_HZ = 1.0
+"""Lines of a run's transform are summed in bands of this width; the first one is left out: slower is what integrators and drift make."""
 
-FIRST_LINE = 2
-"""First line of a transform that is used: slower is what integrators and drift make."""
+LEAST_S = 1.0
+"""Length of a run that is asked."""
 
 HIGHEST = 0.9
 """Share of the highest frequency that the record holds up to which lines are used."""
+
+HIGHEST_IN_STEPS = 0.4
+"""The same over the rate of the position cycles, of a speed set point: it changes in steps, and what a step looks like in between is no filter."""
 
 LAW_SHARE = 0.01
 """Share of what a block should give to which its law is trusted."""
@@ -41,23 +44,21 @@ LAW_SHARE = 0.01
 RESPONSE_POINTS = 40
 """Points of a measured response."""
 
-ACTS_IN = {
-    "speed controller": (Candidate("speed controller", "current", "current_setpoint"), Candidate("measurement", "current", "current")),
-    "position controller": (Candidate("position controller", "speed", "speed_setpoint"),),
+PLACES = {
+    "current": (
+        (Candidate("speed controller", "current", "current_setpoint"), ("notch", "dead time")),
+        (Candidate("measurement", "current", "current"), ("dead time",)),
+    ),
+    "received_speed": ((Candidate("position controller", "received_speed", "speed_setpoint"), ("lag", "dead time")),),
+    "speed": ((Candidate("position controller", "speed", "speed_setpoint"), ("lag", "dead time")),),
 }
-"""What a filter seen in a block may be: in the block itself, or between it and the record."""
-
-SUITS = {
-    "speed controller": ("lag", "notch", "dead time"),
-    "measurement": ("lag", "dead time"),
-    "position controller": ("lag", "dead time"),
-}
-"""Filters that are tried in each block."""
+"""Where a filter may act that shows in what a block gives or receives, and which are tried; a lag of the current set point is an effect
+of the library."""
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """Sums over the stretches of one run at each frequency: |U|^2 / S, conj(U) Y / S, |Y|^2 / S."""
+    """Sums over one run in each band: |U|^2 / S, conj(U) Y / S, |Y|^2 / S."""
 
     own: np.ndarray
     cross: np.ndarray
@@ -66,38 +67,38 @@ class _Lines:
 
 def filters_of(samples: Samples, machine: Machine) -> list[Described]:
     """The filters that explain a control block, best first; none where the block passes no signal on or the record is too short."""
-    places = ACTS_IN.get(samples.block, ())
-    if not places or not samples.passed:
-        return []
-    period = samples.passed[0].period
-    length = max(16, round(STRETCH_S / period))
-    frequency = np.fft.rfftfreq(length, period)
-    used = slice(FIRST_LINE, max(FIRST_LINE + 2, int(HIGHEST * len(frequency))))
-    runs = [lines for p in samples.passed if len(p.wanted) >= length and (lines := _lines(p, length, used)) is not None]
-    if len(runs) < 2:
-        return []
     found = []
-    for candidate in places:
-        for name in SUITS[candidate.block]:
-            law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
-            found.append(_fitted(samples, candidate, law.shape, cycle_of(law, machine), runs, frequency[used]))
+    for output in dict.fromkeys(p.output for p in samples.passed):
+        passed = [p for p in samples.passed if p.output == output]
+        highest = HIGHEST * 0.5 / passed[0].period
+        if output == "received_speed":
+            highest = min(highest, HIGHEST_IN_STEPS / machine.position_cycle)
+        bands = np.arange(1, max(int(highest / BAND_HZ), 3))
+        runs = [lines for p in passed if len(p.wanted) * p.period > LEAST_S and (lines := _lines(p, bands)) is not None]
+        if len(runs) < 2:
+            continue
+        for candidate, names in PLACES[output]:
+            for name in names:
+                law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
+                found.append(_fitted(samples, candidate, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
     return sorted((f for f in found if f is not None), key=lambda d: -d.predicts)
 
 
-def _lines(passed: Passed, length: int, used: slice) -> _Lines | None:
-    """Transforms of one run; None where nothing was asked of the block."""
-    window = np.hanning(length)
-    first = range(0, len(passed.wanted) - length + 1, length // 2)
-
-    def transformed(values: np.ndarray) -> np.ndarray:
-        cut = np.stack([values[i : i + length] for i in first])
-        return np.asarray(np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)[:, used])
-
-    u, y = transformed(passed.wanted), transformed(passed.given)
-    power = passed.noise**2 * float(window @ window) + (LAW_SHARE * np.abs(u)) ** 2
-    if not np.any(np.abs(u) ** 2 > power):
+def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
+    """Transforms of one run, summed in bands; None where nothing was asked of the block."""
+    count = len(passed.wanted)
+    u, y = (np.fft.rfft(values - passed.wanted[0]) for values in (passed.wanted, passed.given))
+    power = passed.noise**2 * count + (LAW_SHARE * np.abs(u)) ** 2
+    if not np.any(np.abs(u[1:]) ** 2 > power[1:]):
         return None
-    return _Lines((np.abs(u) ** 2 / power).sum(axis=0), (np.conj(u) * y / power).sum(axis=0), (np.abs(y) ** 2 / power).sum(axis=0))
+    of = np.floor(np.fft.rfftfreq(count, passed.period) / BAND_HZ).astype(int)
+    keep = (of >= bands[0]) & (of <= bands[-1])
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return np.bincount(of[keep] - bands[0], (values / power)[keep], len(bands))
+
+    cross = np.conj(u) * y
+    return _Lines(summed(np.abs(u) ** 2), summed(cross.real) + 1j * summed(cross.imag), summed(np.abs(y) ** 2))
 
 
 def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:

@@ -20,9 +20,9 @@ import math
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import savgol_filter
+from scipy.signal import lfilter, savgol_filter
 
-from twin.diagnose.blocks import MOTION, commanded_current, inertia_and_bias, shows_speed_controller
+from twin.diagnose.blocks import MOTION, commanded_current, inertia_and_bias, shows_speed_controller, without_drift
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
@@ -55,9 +55,13 @@ CONTROL = ("position controller", "speed controller")
 
 @dataclass(frozen=True)
 class Passed:
-    """What a control block of one run makes of its inputs (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; noise of `given`."""
+    """What a control block of one run makes of its inputs (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; noise of `given`.
+
+    `output` says what passes: that of the block, or what it receives.
+    """
 
     run: int
+    output: str
     wanted: np.ndarray
     given: np.ndarray
     noise: float
@@ -107,7 +111,7 @@ class _Piece:
     noise: np.ndarray
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]]
-    passed: Passed | None = None
+    passed: tuple[Passed, ...] = ()
 
 
 def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
@@ -138,7 +142,7 @@ def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
             other: {name: column(lambda p, o=other: p.others.get(o), name) for name in ("position", "velocity", "acceleration")}  # type: ignore[misc]
             for other in sorted(names)
         },
-        tuple(p.passed for p in pieces if p.passed is not None),
+        tuple(passed for p in pieces for passed in p.passed),
     )
 
 
@@ -174,20 +178,21 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             if len(index) < LEAST_SAMPLES:
                 continue
             motion = _motion(view, name, axis)
-            noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
-            passed = None
-            if block in CONTROL:
-                signal = motion["speed_setpoint"] if block == "position controller" else commanded_current(actual, axis, view.trace)[0]
-                every = max(1, round(view.machine.position_cycle / view.trace.period)) if block == "position controller" else 1
-                wanted, beside = signal[::every], (measured[0] - expected[0])[::every]
-                level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
-                passed = Passed(r, wanted, wanted + beside, level, every * view.trace.period)
+            beside, shaking = measured[0] - expected[0], shaken[0] - expected[0]
+            received = beside
+            if block == "speed controller":
+                # a law that is fed with a set point that the drive did not get may ask for more than the drive can give
+                received = _beyond_command(actual, axis, view.trace) - _beyond_command(actual, axis, twin.without_noise)
+                beside, shaking = without_drift(beside, view), without_drift(shaking, view)
+            noise = shaking[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
+            level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
+            passed = _passed(block, actual, axis, view.trace, r, (beside, received), level, motion) if block in CONTROL else ()
             pieces.append(
                 _Piece(
                     r,
                     name,
                     block,
-                    (measured[0] - expected[0])[index],
+                    beside[index],
                     noise,
                     {key: values[index] for key, values in motion.items()},
                     {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
@@ -195,6 +200,40 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
                 )
             )
     return pieces
+
+
+def _passed(
+    block: str,
+    view: RunView,
+    axis: Axis,
+    trace: Trace,
+    run: int,
+    apart: tuple[np.ndarray, np.ndarray],
+    noise: float,
+    motion: dict[str, np.ndarray],
+) -> tuple[Passed, ...]:
+    """What a control block gives over what it should give; of the speed controller also what it receives over what was sent.
+
+    What the speed controller gives beside its law is what its PI law makes of a set point that it receives otherwise than it was sent:
+    the law is run backwards, e = (T - I) / Kp, I += Kp T / Tn e. `apart` is how far the block is from its law, without drift and with it.
+    """
+    beside, drifting = apart
+    if block == "position controller":
+        every = max(1, round(view.machine.position_cycle / trace.period))
+        wanted = motion["speed_setpoint"][::every]
+        return (Passed(run, "speed", wanted, wanted + beside[::every], noise, every * trace.period),)
+    wanted = commanded_current(view, axis, trace)
+    sent = trace.get(axis.name, "velocity_setpoint")
+    torque = axis.commissioned_torque_constant * drifting
+    gain = axis.loops.speed_gain_nm_s_per_rad
+    rate = trace.period / axis.loops.speed_integral_time_s
+    # of e the integrator has taken rate e each sample before: e = T / Kp - rate sum(e before)
+    error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], torque / gain) * axis.ratio
+    at_speed = axis.commissioned_torque_constant * noise / gain * axis.ratio
+    return (
+        Passed(run, "current", wanted, wanted + beside, noise, trace.period),
+        Passed(run, "received_speed", sent, sent + error, at_speed, trace.period),
+    )
 
 
 def _window(view: RunView) -> int:
@@ -272,7 +311,12 @@ def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nd
     """Current beside the one that the controller would command (sample,), while the axis moves."""
     if not shows_speed_controller(view, axis):
         return None
-    return commanded_current(view, axis, trace)[1], view.reference(axis.name)[2]
+    return trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace), view.reference(axis.name)[2]
+
+
+def _beyond_command(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
+    """Recorded current minus what a controller without limits would command (sample,)."""
+    return np.asarray(trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace, limited=False))
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:

@@ -29,7 +29,7 @@ def laws_beside(
         return None
     try:
         without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
-        return laws_of([f.rigid for f in found], machine, corrected, axes, folds, without, mapper, say)
+        return laws_of([f.rigid.without_doubt() for f in found], machine, corrected, axes, folds, without, mapper, say)
     except TwinError:  # a corrected twin that cannot be simulated has no residual to look at
         return None
 
