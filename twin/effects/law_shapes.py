@@ -34,7 +34,8 @@ from twin.errors import InputError
     CLIP_BELOW,
     DEAD_BAND,
     TABLE,
-) = range(15)
+    STAGE,
+) = range(16)
 LAG, NOTCH, DEAD_TIME = 100, 101, 102
 """Filters: what they give depends on what came before."""
 
@@ -128,6 +129,7 @@ SHAPES = {
             "the pressure of an enclosed gas",
         ),
         Shape("saturation", SATURATION, "height * tanh(x / scale)", (_height(), _width("scale")), "a curve that saturates"),
+        Shape("stage", STAGE, "height * clip(x / width, -1, 1)", (_height(), _width("width")), "a line that ends at a level"),
         Shape(
             "bending",
             BENDING,
@@ -230,6 +232,8 @@ def value_of(code, x, p):  # type: ignore[no-untyped-def]
         return p[0] * max(abs(1.0 + (x - p[2]) / p[1]), 1e-3) ** -p[3]
     if code == SATURATION:
         return p[0] * math.tanh(x / p[1])
+    if code == STAGE:
+        return p[0] * min(max(x / p[1], -1.0), 1.0)
     gain = p[NUMBERS - 1]
     if code == BENDING:
         return gain * (x / math.sqrt(1.0 + (x / p[0]) ** 2) - x)

@@ -52,7 +52,7 @@ KNOWN = (
           "motor minus scale over the current, at accelerations from gentle to the limit", ("power",), 1),
     Known("soft stage in the drive train", "force", ("windup",),
           "A worn coupling, a belt or a preload that is lost gives way easily before the stiff part takes over.",
-          "motor minus scale over a slow reversal and over a hard one", ("saturation",)),
+          "motor minus scale over a slow reversal and over a hard one", ("stage", "saturation")),
     Known("loose encoder coupling", "displacement", ("slack",), "The scale follows only after a play when the motion turns round.",
           "micro-reversals of 1 to 50 um against a dial gauge or an interferometer"),
     Known("interpolation of the scale", "displacement", ("position",), "The two signals of a scale are unequal: a wave each line of its grating.",

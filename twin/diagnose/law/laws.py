@@ -9,10 +9,11 @@ import numpy as np
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
-from twin.diagnose.law.measure import Curve, excess, measured_laws
-from twin.diagnose.law.residual import Samples, residuals_of
+from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, excess, left_out_loss, measured_laws, nuisances_in, scale_of
+from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, residuals_of, transmitted_force, windup
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.view import RunView
 from twin.effects import Setting, check_setting
 from twin.errors import InputError
 from twin.machine.machine import Machine
@@ -46,6 +47,12 @@ LITTLE_LEFT = 0.02
 
 LEAST_EVIDENCE = 30.0
 """Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
+
+HARDLY_WOUND, FAR_WOUND = 0.3, 0.6
+"""Shares of the largest windup below and above which the two ends of a spring's law are measured."""
+
+SPRING_EFFECT = "transmission_compliance"
+"""The spring beside which a law over the windup acts."""
 
 MOST_PROBABLE = 0.98
 """What nobody listed cannot be ruled out."""
@@ -156,15 +163,70 @@ def _of_axis(
     if not own:
         return beside
     say(f"{axis}: a law instead of {', '.join(s.effect.name for s in own)}?")
-    alone = _from(loop, replace(state, settings=tuple(s for s in state.settings if s not in own)), axis, machine, say, own)
-    if alone.fitted is None or not alone.laws:
-        return beside
-    if beside.fitted is None:
-        return alone
-    # each effect or law must earn its place; as many of both: what was found stays unless laws alone are clearly better
-    more = len(alone.fitted.state.settings) - len(beside.fitted.state.settings)
-    margin = LEAST_EVIDENCE * _inflation(loop, alone.fitted.held_out) * (more if more < 0 else more + 1)
-    return alone if alone.fitted.held_out + margin < beside.fitted.held_out else beside
+    bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
+    starts = [bare]
+    if any(s.effect.block == "transmission" for s in own):
+        starts += [with_law(_unwound(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
+    best = beside
+    for start in starts:
+        alone = _from(loop, start, axis, machine, say, own)
+        if alone.fitted is not None and alone.laws and (best.fitted is None or _clearly_better(loop, alone.fitted, best.fitted)):
+            best = alone
+    return best
+
+
+def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
+    """Does a fit predict runs left out better by what each effect or law more must earn? As many of both: the old one stays unless the
+    other is clearly better."""
+    more = len(new.state.settings) - len(old.state.settings)
+    margin = LEAST_EVIDENCE * _inflation(loop, new.held_out) * (more if more < 0 else more + 1)
+    return new.held_out + margin < old.held_out
+
+
+def _unwound(state: State, axis: str) -> State:
+    """The state with a rigid drive train on an axis."""
+    return replace(state, settings=tuple(s for s in state.settings if s.axis != axis or s.effect.block != "transmission"))
+
+
+def _sprung(state: State, axis: str, law: Described, samples: Samples) -> State:
+    """The state with its spring as stiff as it is beside a law over the windup; as it is beside any other law."""
+    if law.candidate.variable != "windup":
+        return state
+    columns = np.column_stack([nuisances_in(samples), law.column])
+    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    more = float(loss.coefficients[WINDUP_SLOPE])
+    changed = []
+    for s in state.settings:
+        stiffness = s.parameters.get("stiffness", 0.0) + more
+        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) and stiffness > 0.0:
+            s = replace(s, parameters={**s.parameters, "stiffness": stiffness})
+        changed.append(s)
+    return replace(state, settings=tuple(changed))
+
+
+def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
+    """Springs of a drive train as soft as it is where it is hardly wound up, and as where it is far: between them lies its law."""
+    wound, force = [], []
+    for view in views:
+        own = view.machine.axis(axis)
+        d, f = (of(view, own, view.trace) if view.moves(axis) else None for of in (windup, transmitted_force))
+        if d is not None and f is not None:
+            wound.append(d)
+            force.append(f)
+    if not wound:
+        return []
+    d, f = np.concatenate(wound), np.concatenate(force)
+    reach = float(np.quantile(np.abs(d), 1.0 - RANGE))
+    found = []
+    for rows in (np.abs(d) < HARDLY_WOUND * reach, np.abs(d) > FAR_WOUND * reach):
+        if rows.sum() > LEAST_SAMPLES:
+            columns = np.column_stack([d[rows], np.sign(d[rows]), np.ones(rows.sum())])
+            stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
+            try:
+                found.append(check_setting({"name": SPRING_EFFECT, "axis": axis, "stiffness": stiffness}, machine, "a measured spring"))
+            except InputError:  # no spring at all
+                continue
+    return found
 
 
 def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = ()) -> _OfAxis:
@@ -180,7 +242,10 @@ def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say,
         if not proposals:
             break
         say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
-        tried = [(loop.fit(with_law(fitted.state, s), tolerance, like=fitted), d, x) for d, x, s in _settings(proposals, axis, machine)]
+        tried = [
+            (loop.fit(with_law(_sprung(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
+            for d, x, s in _settings(proposals, axis, machine)
+        ]
         best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
         if best is None or not _earned(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * _above(loop, first)):
             break

@@ -131,6 +131,10 @@ def in_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.
     return from_start(samples, acting) if candidate.output == "displacement" else acting
 
 
+WINDUP_SLOPE = 1
+"""Column of the nuisances of a spring that is its stiffness."""
+
+
 def nuisances_in(samples: Samples) -> np.ndarray:
     """What the machine file may be off by (sample, n): levels of force and friction, of one encoder against the other, none of a control law."""
     ones = np.ones(len(samples))

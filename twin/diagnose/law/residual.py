@@ -273,18 +273,22 @@ def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """What drives the load beyond the drive train's spring (sample,), everywhere; None where the machine has no spring there."""
-    wound = windup(view, axis, trace)
-    if wound is None or not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * _window(view):
-        return None
+    wound, force = windup(view, axis, trace), transmitted_force(view, axis, trace)
     coupling = apply_effects(view.machine).couplings.get(axis.name)
-    if coupling is None:
+    if wound is None or force is None or coupling is None:
         return None
+    stretch = np.sign(wound) * np.maximum(np.abs(wound) - coupling.clearance / 2.0, 0.0)
+    return force - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
+
+
+def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
+    """Force of the motor that does not accelerate its rotor: what goes through the drive train (sample,); None without current."""
     window = _window(view)
+    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
+        return None
     acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
     drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
-    half = coupling.clearance / 2.0
-    stretch = np.sign(wound) * np.maximum(np.abs(wound) - half, 0.0)
-    return drive - axis.reflected_inertia * acceleration - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
+    return np.asarray(drive - axis.reflected_inertia * acceleration)
 
 
 def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:

@@ -48,7 +48,7 @@ SUITS: dict[str, tuple[str, ...]] = {
     "time": ("line", "approach"),
     "direction": ("line",),
     "slack": ("line",),
-    "windup": ("power", "saturation"),
+    "windup": ("power", "stage", "saturation"),
     "acceleration": ("line", "power"),
     "acceleration_size": ("line", "power"),
     "current": ("bending", "saturation", "power"),
@@ -181,6 +181,8 @@ def _search_space(
             if candidate.variable == "speed"
             else (["width", "at"], [widths[3:], inside], [True, False], {})
         )
+    if shape.name == "stage":
+        return ["width"], [tuple(reach * np.geomspace(0.05, 0.95, 16))], [True], {}
     if shape.name == "step":
         return ["at"], [inside], [False], {}
     if shape.name == "sine":
