@@ -21,8 +21,8 @@ from twin.effects.law import NAME
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
-STEPS = 4
-"""Gauss-Newton steps."""
+STEPS = 8
+"""Gauss-Newton steps at most."""
 
 RELATIVE_STEP = 0.03
 """Step of a number over which its slope is taken, as a share of it."""
@@ -35,6 +35,9 @@ LARGEST_MOVE = 0.5
 
 PRIOR_WEIGHT_ROWS = 60.0
 """Samples that count as independent: the prior of the tuning is so much lighter than the sum over all rows."""
+
+DAMPINGS = (0.0, 0.3, 3.0)
+"""Levenberg-Marquardt dampings that are tried in turn, as multiples of the normal matrix' diagonal."""
 
 CONVERGED = 1e-3
 """Relative gain of the loss below which the fit has converged."""
@@ -192,10 +195,7 @@ class ClosedLoop:
                     columns[:, i] = known.get(u.nuisance, columns[:, i])
                     continue
                 columns[:, i] = self._slope(state, unknowns, i, left)
-            move = np.linalg.solve(columns.T @ columns + np.diag(prior), columns.T @ left - prior * offset)
-            limits = np.array([math.inf if u.nuisance is not None else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
-            move = np.clip(move, -limits, limits)
-            better = self._better(state, unknowns, move, loss, prior, offset)
+            better = self._better(state, unknowns, columns, left, prior, offset)
             if better is None:
                 break
             state, left, taken = better
@@ -217,16 +217,23 @@ class ClosedLoop:
                 return slope
         return np.zeros(len(left))
 
-    def _better(self, state: State, unknowns: Sequence[Unknown], move: np.ndarray, loss: float, prior: np.ndarray, offset: np.ndarray):  # type: ignore[no-untyped-def]
-        before = loss + 0.5 * float(prior @ offset**2)
-        for part in (1.0, 0.35, 0.1):
-            tried = state.moved(unknowns, part * move)
+    def _better(  # type: ignore[no-untyped-def]
+        self, state: State, unknowns: Sequence[Unknown], columns: np.ndarray, left: np.ndarray, prior: np.ndarray, offset: np.ndarray
+    ):
+        """The state after one step that makes the loss smaller, with what it leaves and the move (Levenberg-Marquardt); None where no step does."""
+        before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
+        normal, slope = columns.T @ columns, columns.T @ left - prior * offset
+        limits = np.array([math.inf if u.nuisance is not None else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
+        for damping in DAMPINGS:
+            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + np.diag(prior), slope)
+            move = np.clip(move, -limits, limits)
+            tried = state.moved(unknowns, move)
             try:
-                left = self.left(tried)
+                after = self.left(tried)
             except TwinError:
                 continue
-            if 0.5 * float(left @ left) + 0.5 * float(prior @ (offset + part * move) ** 2) < before:
-                return tried, left, part * move
+            if 0.5 * float(after @ after) + 0.5 * float(prior @ (offset + move) ** 2) < before:
+                return tried, after, move
         return None
 
     def _judged(self, state, unknowns, left, columns, loss, prior, offset) -> Fitted:  # type: ignore[no-untyped-def]

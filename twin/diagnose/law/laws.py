@@ -172,6 +172,8 @@ def _of_axis(
         alone = _from(loop, start, axis, machine, say, own)
         if alone.fitted is not None and alone.laws and (best.fitted is None or _clearly_better(loop, alone.fitted, best.fitted)):
             best = alone
+            if best.left < LITTLE_LEFT:
+                break
     return best
 
 
