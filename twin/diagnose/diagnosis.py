@@ -382,6 +382,10 @@ def diagnose(
         predictions=held_out.predictions,
         laws=laws.laws if laws else (),
     )
+    if verdict == "none" and any(diagnosis.axis_level("after", axis) > thresholds.left_over for axis in diagnosis.axes):
+        # re-tuning hides from the fit what runs left out still show
+        diagnosis.verdict = verdict = "unknown"
+        diagnosis.proposal = propose(machine, found, verdict)
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
     if quick and verdict == "none" and any(diagnosis.axis_level("after", axis) > UNDECIDED for axis in diagnosis.axes):
