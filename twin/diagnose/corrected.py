@@ -70,9 +70,20 @@ class HeldOut:
 
     def left(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
         """Mean square of the gap over noise after correction, over runs, axes and signals."""
-        gaps = [gap_of(machine, run, self.predictions["after"][run.name]) for run in runs]
-        squares = [(g.rms / g.noise) ** 2 for of_run in gaps for signals in of_run.values() for g in signals.values() if g.noise > 0.0]
+        squares = list(itertools.chain(*self._squares(machine, runs).values()))
         return float(np.mean(squares)) if squares else 0.0
+
+    def levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
+        """RMS of the gap over noise of each axis after correction, over runs and signals."""
+        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in self._squares(machine, runs).items()}
+
+    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, list[float]]:
+        """Squares of the gap over noise after correction: of each axis those of its runs and signals."""
+        found: dict[str, list[float]] = {}
+        for run in runs:
+            for axis, signals in gap_of(machine, run, self.predictions["after"][run.name]).items():
+                found.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in signals.values() if g.noise > 0.0)
+        return {axis: squares for axis, squares in found.items() if squares}
 
 
 def held_out_gaps(

@@ -340,8 +340,6 @@ def diagnose(
 
     settings = named(found)
     corrected = corrected_machine(machine, found)
-    with ThreadPoolExecutor(threads) as workers:
-        laws = laws_beside(found, machine_without, corrected, folds, on_threads(workers), say)
     offsets = {key: offset for f in found for key, offset in f.zeros.items()}
     runs, fitted_zeros = without_zeros(campaign.runs, machine_without, offsets)
     campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
@@ -349,6 +347,9 @@ def diagnose(
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
+    levels = held_out.levels(machine, campaign.runs)
+    with ThreadPoolExecutor(threads) as workers:
+        laws = laws_beside(found, levels, machine_without, corrected, folds, on_threads(workers), say)
     if laws and laws.laws:
         with_laws = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
         if with_laws.left(machine, campaign.runs) < held_out.left(machine, campaign.runs):

@@ -30,7 +30,7 @@ LEAST_RUNS = 0.6
 TRIED = 3
 """Candidates of a block that are described by formulas and tried in closed loop."""
 
-NEAR_BEST = 0.7
+NEAR_BEST = 0.4
 """Share of what the best candidate predicts from which another one is tried."""
 
 MOST_LAWS = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
@@ -20,11 +20,29 @@ ALL_BUT = 0.1
 """Share of the gap that may stay unexplained where the verdict is 'law'."""
 
 
+LOUD = 3.0
+"""Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
+
+MOST_EFFECTS = 5
+"""Effects of an axis that a law may be asked to stand in for: of more, each has earned its place beside the others."""
+
+
 def laws_beside(
-    found: Sequence[Found], machine: Machine, corrected: Machine, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
+    found: Sequence[Found],
+    levels: Mapping[str, float],
+    machine: Machine,
+    corrected: Machine,
+    folds: Sequence[Sequence[int]],
+    mapper: Mapper,
+    say: Say,
 ) -> Laws | None:
-    """Laws of the axes of groups that the search left unknown; None where there is none to ask. `machine` is the nominal one."""
-    axes = [axis for f in found if f.unknown for axis in f.group.axes]
+    """Laws of the axes of groups that the search left unknown, and of those that are loud still; None where there is none to ask.
+
+    `machine` is the nominal one, `levels` are gaps over noise after correction on runs left out.
+    """
+    axes = [
+        axis for f in found for axis in f.group.axes if f.unknown or (levels.get(axis, 0.0) > LOUD and _effects(f, axis) <= MOST_EFFECTS)
+    ]
     if not axes:
         return None
     try:
@@ -32,6 +50,10 @@ def laws_beside(
         return laws_of([f.rigid.without_doubt() for f in found], machine, corrected, axes, folds, without, mapper, say)
     except TwinError:  # a corrected twin that cannot be simulated has no residual to look at
         return None
+
+
+def _effects(found: Found, axis: str) -> int:
+    return sum(s.axis == axis for s in found.fit.settings)
 
 
 def predictions_with(
