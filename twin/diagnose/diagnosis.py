@@ -20,7 +20,7 @@ from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
 from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import Law
-from twin.diagnose.law.step import ALL_BUT, laws_beside, predictions_with
+from twin.diagnose.law.step import ALL_BUT, LOUD, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, on_threads
@@ -39,7 +39,7 @@ from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 
 UNDECIDED = 6.0
-"""Gap over noise, on runs left out, above which a quick look that finds no effect is no answer; a control that interpolates in its own way between
+"""Gap over noise, on runs left out, above which a diagnosis that finds no effect is no answer; a control that interpolates in its own way between
 its cycles leaves 3."""
 
 
@@ -141,6 +141,11 @@ class Diagnosis:
         """
         before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
+
+    def keeps_its_gap(self, axis: str) -> bool:
+        """Is an axis loud after correction, and with more than a tenth of its gap left?"""
+        before, after = (max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for which in ("before", "after"))
+        return self.axis_level("after", axis) > LOUD and after > ALL_BUT * before
 
     @property
     def axes(self) -> list[str]:
@@ -383,15 +388,14 @@ def diagnose(
         predictions=held_out.predictions,
         laws=laws.laws if laws else (),
     )
-    if verdict == "none" and any(diagnosis.axis_level("after", axis) > thresholds.left_over for axis in diagnosis.axes):
-        # re-tuning hides from the fit what runs left out still show
+    loud = [axis for axis in diagnosis.axes if diagnosis.axis_level("after", axis) > UNDECIDED]
+    if (verdict == "none" and loud) or (verdict == "effect" and any(diagnosis.keeps_its_gap(axis) for axis in diagnosis.axes)):
+        # the fit hides what runs left out still show; a quick look leaves axes out that are quiet where the blocks are cut
+        diagnosis.decided = not (quick and verdict == "none")
         diagnosis.verdict = verdict = "unknown"
         diagnosis.proposal = propose(machine, found, verdict)
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
-    if quick and verdict == "none" and any(diagnosis.axis_level("after", axis) > UNDECIDED for axis in diagnosis.axes):
-        # a quick look leaves axes out that are quiet where the blocks are cut: what the whole loop shows is not explained
-        diagnosis.verdict, diagnosis.decided = (verdict := "unknown"), False
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
     say("what each effect is worth")
     noise = noise_of(gaps["before"], machine)
