@@ -389,11 +389,11 @@ def diagnose(
         laws=laws.laws if laws else (),
     )
     loud = [axis for axis in diagnosis.axes if diagnosis.axis_level("after", axis) > UNDECIDED]
-    if (verdict == "none" and loud) or (verdict == "effect" and any(diagnosis.keeps_its_gap(axis) for axis in diagnosis.axes)):
+    if (verdict == "none" and loud) or (verdict == "effect" and any(diagnosis.keeps_its_gap(axis) for f in found for axis in f.group.axes)):
         # the fit hides what runs left out still show; a quick look leaves axes out that are quiet where the blocks are cut
         diagnosis.decided = not (quick and verdict == "none")
         diagnosis.verdict = verdict = "unknown"
-        diagnosis.proposal = propose(machine, found, verdict)
+        diagnosis.proposal = propose(machine, found, verdict) if found else diagnosis.proposal
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
     left = [positions_left(run.trace, after[run.name], machine) for run in runs]
