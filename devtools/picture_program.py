@@ -23,7 +23,7 @@ def main() -> None:
     for name in ("five_axis", "two_planes"):
         program = read_program(ROOT / "examples" / f"{name}.mpf", machine)
         setpoints = interpolate(program, machine)
-        plot_feed(setpoints, pictures / f"feed_{name}.png", f"{name}.mpf: programmed and reached feed")
+        plot_feed(setpoints, pictures / f"feed_{name}.png", f"{name}.mpf")
         run = simulate(machine.with_feedforward(program.feedforward), setpoints_of(setpoints, machine))
         plot_budget(error_budget(program, setpoints, run.trace, machine), pictures / f"budget_{name}.png", f"{name}.mpf")
 

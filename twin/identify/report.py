@@ -50,22 +50,60 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
             sections.append(Section(title, figures=shown))
     sections.append(_parameters(result))
     sections.append(_gap(result, pictures.get("gap")))
-    sections.append(_signals(result))
+    sections += [_caveats(result), _signals(result)]
     axes = ", ".join(a.name for a in result.before.axes)
     lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}."
     write_page(path, "Identified from its own traces", lead, sections, made_line(result.before.name, str(result.campaign)))
     return files
 
 
+SHOWN = 12
+"""Changed numbers that are named first; the table has all."""
+
+
 def _summary(result: Identification) -> Section:
-    times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
+    """What was written, which numbers changed, what is left of the gap."""
     if any(p.refined for p in result.parameters):
         route = {"refined": "the re-simulation", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
         chosen = f"{route}: of each axis what leaves the smallest gap on what was left out"
     else:
         chosen = "the regression, without re-simulation"
+    moved = _moved(result)
+    if moved:
+        found = f"{len(moved)} numbers lie outside their 95 % interval" + (f"; the {SHOWN} furthest out:" if len(moved) > SHOWN else ":")
+    else:
+        found = "No number of the machine file lies outside the 95 % interval that was identified."
+    lines = [result.refused or f"The machine file that was written holds the values of {chosen}.", *_gap_lines(result), found]
+    return Section("In short", lines, items=moved[:SHOWN])
+
+
+def _moved(result: Identification) -> list[str]:
+    """Numbers that were taken and lie outside their interval of the file's value, furthest first."""
+    moved = []
+    for p in result.parameters:
+        taken = result.taken(p)
+        if taken is not None and abs(taken.value - p.before) > taken.half:
+            text = f"{p.axis}: {p.name.replace('_', ' ')} from {p.before:.4g} to {taken.value:.4g} {p.unit} ({_half(taken)})"
+            moved.append((abs(taken.value - p.before) / max(taken.half, 1e-300), text))
+    return [text for _, text in sorted(moved, key=lambda row: -row[0])]
+
+
+def _gap_lines(result: Identification) -> list[str]:
+    """The position gap of each axis before and after, beside noise; nothing where it was not simulated."""
+    parts = []
+    for axis, signals in result.gaps.get("before", {}).items():
+        stage = result.chosen if result.stage_of is None else result.stage_of.get(axis, "")
+        after = result.gaps.get(stage, result.gaps["before"]).get(axis, {})
+        if "position" in signals and "position" in after:
+            before, now = signals["position"], after["position"]
+            parts.append(f"{axis} {before['rms']:.3g} to {now['rms']:.3g} {now['unit']} (noise {now['noise']:.3g})")
+    return [f"Gap of position on what was left out, RMS: {'; '.join(parts)}."] if parts else []
+
+
+def _caveats(result: Identification) -> Section:
+    """What limits the numbers, and what the recording lacks."""
+    times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
     lines = [
-        result.refused or f"The machine file that was written holds the values of {chosen}.",
         "Current and motion identify inertia, friction and gravity only as products with each motor's torque constant. "
         + (
             "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
@@ -76,7 +114,7 @@ def _summary(result: Identification) -> Section:
         f"Time: {times}.",
     ]
     findings = [str(f) for f in (*result.findings, *result.notes)] or ["Nothing was found wrong with the recording."]
-    return Section("In short", lines, items=findings)
+    return Section("What to keep in mind", lines, items=findings)
 
 
 BLUNT = 20.0

@@ -17,7 +17,7 @@ from twin.study.labels import label_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
-from twin.study.spec import Study
+from twin.study.spec import Factor, Study
 
 MOST_LINES = 50
 """Rows of a table in the report; all of them are in table.csv."""
@@ -25,6 +25,10 @@ MOST_BARS = 12
 MANY_POINTS = 200
 COLUMNS = 3
 """Panels side by side."""
+
+
+ROUNDING = 1e-9
+"""Share of a response below which a change of it is the rounding of a surrogate."""
 
 
 def sentences(answers: Answers) -> list[str]:
@@ -35,7 +39,7 @@ def sentences(answers: Answers) -> list[str]:
         if r.swings:
             s = r.swings[0]
             text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: "
-            text += f"least at {answers.shown_of(s.factor, s.least_at)}, largest at {answers.shown_of(s.factor, s.largest_at)}"
+            text += f"least at {_at(answers, s.factor, s.least_at)}, largest at {_at(answers, s.factor, s.largest_at)}"
         elif r.surrogate:
             text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
         said.append(text)
@@ -51,8 +55,24 @@ def sentences(answers: Answers) -> list[str]:
 
 def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
     """A line for each factor: how far it moves the response, and where that is least and largest."""
-    shown = answers.shown_of
-    return [[s.factor, valued(r.name, s.swing), shown(s.factor, s.least_at), shown(s.factor, s.largest_at)] for s in r.swings]
+    lines = []
+    for s in r.swings:
+        moves = s.swing > ROUNDING * float(np.abs(r.y).max())
+        places = [_at(answers, s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
+        lines.append([s.factor, valued(r.name, s.swing if moves else 0.0), *places])
+    return lines
+
+
+def _at(answers: Answers, name: str, value: float) -> str:
+    """A value of a factor with its unit: '850 kg', '0.7 times nominal', or the entry of a catalogue."""
+    factor = answers.definitions[answers.factors.index(name)]
+    return f"{factor.shown(value)} {_unit(factor)}".rstrip()
+
+
+def _unit(factor: Factor) -> str:
+    if factor.choices:
+        return ""
+    return "times nominal" if factor.relative else unit_at(factor.paths[0])
 
 
 def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
@@ -97,7 +117,7 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
             shown(
                 factors_figure(study, r),
                 r.name,
-                f"{titled(r.name)} of every variant that keeps the constraints, and the surrogate with the other factors at their median",
+                f"{titled(r.name)} of every variant that keeps the constraints, and the surrogate (line) with the other factors at their median",
             ),
         ]
         if r.swings:
@@ -191,13 +211,11 @@ def factors_figure(study: Study, r: Response) -> Any:
         elif r.surrogate is not None and np.ptp(r.table[:, i]) > 0:
             points = np.tile(middle, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
-            panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0, label="surrogate")
-        unit = "" if factor.choices else "times nominal" if factor.relative else unit_at(factor.paths[0])
+            panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0)
+        unit = _unit(factor)
         panel.set_xlabel(f"{factor.name} [{unit}]" if unit else factor.name)
     for row in axes:
         row[0].set_ylabel(titled(r.name))
-    if panels[0].get_legend_handles_labels()[1]:
-        panels[0].legend(frameon=False, fontsize=8.5)
     return figure
 
 
