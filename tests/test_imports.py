@@ -20,6 +20,7 @@ ORDER = (
     ("identify",),
     ("diagnose", "study"),
     ("exam", "regress"),
+    ("desk",),  # lists what the others wrote; starts commands, imports none
     ("cli",),
 )
 """A room may import from rooms above it here and from its own line."""

@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
     ),
     "look": (
         Command("replay", "replay", "open the viewer on a run, a recording, a trace or any MJCF or URDF"),
+        Command("desk", "desk", "list what lies in a folder on a local page: reports, viewer, comparisons"),
         Command("compare", "compare", "compare two runs, campaigns or machines, aligned on their set points"),
         Command("effects", "effects", "list the effects that a machine can have beyond the nominal model"),
         Command("machine", "machine", "make a machine file from a model, check it, show its data sheet"),

@@ -1,0 +1,165 @@
+"""The desk: what it lists, what it serves, what it refuses; two ticked runs are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+from contextlib import contextmanager
+import http.client
+import io
+import json
+from pathlib import Path
+import subprocess
+import threading
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from twin.cli import main
+from twin.desk.entries import entries_in
+from twin.desk.server import Desk, Started, twin_command
+from twin.files import write_json
+from twin.recordings.trace import Trace, write_trace
+
+TIME = np.arange(400) * 1e-3
+
+
+def write_run(folder: Path, error: float, name: str = "x.csv") -> None:
+    """A run as `twin run` leaves it: trace and summary."""
+    setpoint = 0.01 * np.sin(8.0 * TIME)
+    signals = {("X", "setpoint"): setpoint, ("X", "position"): setpoint - error * np.sign(np.cos(8.0 * TIME))}
+    folder.mkdir(parents=True)
+    write_trace(Trace(TIME, signals, {"X": "linear"}), folder / "trace.parquet")
+    axis = {"error_without_delay_max": error * 1e6, "following_error_unit": "um"}
+    document = {"input": name, "machine": "Mikron", "machine_file": None, "effects": [], "axes": {"X": axis}}
+    write_json(document, folder / "summary.json", "summary")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_run(tmp_path / "out" / "first", 2e-6, "<b>x.csv")
+    write_run(tmp_path / "out" / "worn & old", 5e-6)
+    (tmp_path / "out" / "first" / "run.png").write_bytes(b"\x89PNG picture")
+    found = {"verdict": "effect", "effects": [{"effect": "backlash", "axis": "X"}]}
+    (tmp_path / "out" / "diagnosis").mkdir()
+    write_json(found, tmp_path / "out" / "diagnosis" / "diagnosis.json", "diagnosis")
+    (tmp_path / "out" / "diagnosis" / "report.html").write_text("the report")
+    (tmp_path / "out" / "broken").mkdir()
+    (tmp_path / "out" / "broken" / "study.json").write_text('{"a": ')
+    (tmp_path / "out" / "gap.html").write_text("<title>Gap of a &amp; b</title>")
+    (tmp_path / "secret.html").write_text("secret")
+    return tmp_path / "out"
+
+
+@contextmanager
+def served(folder: Path, start: Started = twin_command) -> Iterator[Desk]:
+    with Desk(folder, 0, start) as desk:
+        thread = threading.Thread(target=desk.serve_forever)
+        thread.start()
+        try:
+            yield desk
+        finally:
+            desk.shutdown()
+            thread.join()
+
+
+def ask(desk: Desk, path: str, form: list[tuple[str, str]] | None = None, host: str | None = None) -> tuple[int, str, str]:
+    """Status, text, and where a redirection leads."""
+    connection = http.client.HTTPConnection("127.0.0.1", desk.server_address[1], timeout=300)
+    headers = {"Host": host} if host else {}
+    if form is None:
+        connection.request("GET", path, headers=headers)
+    else:
+        connection.request("POST", path, urlencode(form), {"Content-Type": "application/x-www-form-urlencoded", **headers})
+    answer = connection.getresponse()
+    text = answer.read().decode("utf-8", "replace")
+    connection.close()
+    return answer.status, text, answer.headers.get("Location", "")
+
+
+def test_what_lies_in_a_folder(folder: Path) -> None:
+    found = {entry.path: entry for entry in entries_in(folder)}
+    assert {path: entry.kind for path, entry in found.items()} == {
+        "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report",
+    }  # fmt: skip
+    assert found["first"].says == "<b>x.csv on Mikron, no effects: error of X 2 um"
+    assert found["diagnosis"].says == "effect: backlash on X"
+    assert found["gap.html"].says == "Gap of a & b"
+    assert found["broken"].says.startswith("cannot be read:")
+    assert (found["first"].picture, found["diagnosis"].report) == ("first/run.png", "diagnosis/report.html")
+    assert found["first"].compared
+    assert not found["diagnosis"].compared
+
+
+def test_page_and_files(folder: Path) -> None:
+    with served(folder) as desk:
+        status, page, _ = ask(desk, "/")
+        assert status == 200
+        assert "&lt;b&gt;x.csv" in page
+        assert 'value="worn &amp; old"' in page
+        assert ask(desk, "/file/diagnosis/report.html")[:2] == (200, "the report")
+        assert ask(desk, "/file/first/run.png")[0] == 200
+
+
+def test_nothing_outside_is_served(folder: Path) -> None:
+    (folder / "link.html").symlink_to(folder.parent / "secret.html")
+    with served(folder) as desk:
+        for path in ("/file/../secret.html", "/file/%2e%2e/secret.html", "/file/link.html", f"/file/{folder.parent}/secret.html"):
+            status, text, _ = ask(desk, path)
+            assert (status, "secret" in text.replace("secret.html", "")) == (404, False), path
+        assert ask(desk, "/file/first/trace.parquet")[0] == 404  # no kind that a report is made of
+        assert ask(desk, "/file/%00")[0] == 404
+        assert ask(desk, "/", host="evil.example")[0] == 403
+        assert desk.server_address[0] == "127.0.0.1"
+
+
+def test_an_action_needs_the_token_of_the_page(folder: Path) -> None:
+    started: list[list[str]] = []
+
+    def start(words: list[str]) -> subprocess.Popen[str]:
+        started.append(words)
+        return subprocess.Popen(["true"], stderr=subprocess.PIPE, text=True)
+
+    with served(folder, start) as desk:
+        ticked = [("compare", "first"), ("compare", "worn & old")]
+        assert ask(desk, "/compare", [("token", "guessed"), *ticked])[0] == 403
+        assert ask(desk, "/replay", [("path", "first")])[0] == 403
+        assert started == []
+        assert ask(desk, "/replay", [("token", desk.token), ("path", "../..")])[0] == 404
+        assert ask(desk, "/replay", [("token", desk.token), ("path", "first")])[0] == 303
+        assert started == [["replay", str(folder / "first")]]
+
+
+class InThisProcess:
+    """A command carried out at once; what it says on standard error is kept."""
+
+    def __init__(self, words: list[str]) -> None:
+        said = io.StringIO()
+        with contextlib.redirect_stderr(said):
+            self.returncode = main(words)
+        self.said = said.getvalue()
+
+    def communicate(self) -> tuple[None, str]:
+        return None, self.said
+
+
+def test_two_runs_are_compared_by_ticking_them(folder: Path) -> None:
+    with served(folder, InThisProcess) as desk:
+        token = ("token", desk.token)
+        status, page, _ = ask(desk, "/compare", [token, ("compare", "first")])
+        assert (status, "Tick two runs, or two campaigns." in page) == (400, True)
+        status, _, report = ask(desk, "/compare", [token, ("compare", "first"), ("compare", "worn & old")])
+        assert status == 303
+        status, page, _ = ask(desk, report)
+        assert status == 200
+        assert "differs from" in page
+    assert json.loads((folder / "compared" / "first-worn & old" / "compare.json").read_text())["errors"]
+
+
+def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["desk", str(tmp_path / "nowhere")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    with Desk(tmp_path, 0) as other:
+        assert main(["desk", str(tmp_path), "--port", str(other.server_address[1])]) == 2
+        assert "give another --port" in capsys.readouterr().err

@@ -1,0 +1,37 @@
+"""`twin desk FOLDER`: a local page of what lies in a folder."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.errors import InputError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("folder", metavar="FOLDER", nargs="?", default="out", help="folder that commands wrote to (default: out)")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port on this computer (default: a free one)")
+    parser.add_argument("--open", action="store_true", help="open the desk in the browser")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Serve until Ctrl-C."""
+    from twin.desk.server import Desk
+
+    folder = Path(args.folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give one that commands wrote to with --out")
+    if not 0 <= args.port < 65536:
+        raise InputError(f"--port {args.port}: give a number from 1 to 65535")
+    with Desk(folder, args.port) as desk:
+        print(f"{folder} on {desk.address} until Ctrl-C", flush=True)
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(desk.address)
+        try:
+            desk.serve_forever()
+        except KeyboardInterrupt:
+            print()
+    return 0

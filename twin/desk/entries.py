@@ -1,0 +1,139 @@
+"""What lies in a folder: runs, campaigns, diagnoses, studies and the rest, each known by the document that its command wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+import html
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+from twin.documents import read_json
+from twin.errors import InputError
+
+DEEPEST = 5
+"""Folders below the given one that are looked into."""
+MOST = 500
+"""Entries that are listed; a folder with more is better opened further down."""
+
+RUN, CAMPAIGN = "run", "campaign"
+_BY_DOCUMENT = {
+    "summary.json": RUN,
+    "diagnosis.json": "diagnosis",
+    "compare.json": "comparison",
+    "study.json": "study",
+    "cut.json": "cut",
+    "exam.json": "examination",
+    "regress.json": "regression",
+    "campaign.toml": CAMPAIGN,
+}
+"""Documents by which a folder is known; of several the last counts for what it is, a run keeps its comparison as a report."""
+REPORT = "report.html"
+_TITLE = re.compile(r"<title>(.*?)</title>", re.S)
+COMPARED = (RUN, CAMPAIGN)
+"""Kinds of which two can be compared."""
+PICTURES = ("run.png", "x_200mm.png", "plots/*.png", "pictures/*.png", "*.png")
+"""Where a thumbnail is looked for, in turn."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A folder that a command wrote: `path` relative to the desk's folder, what it is, what it says in a line, when it was written."""
+
+    path: str
+    kind: str
+    says: str
+    written: datetime
+    report: str | None  # relative to the desk's folder, as is the picture
+    picture: str | None
+    replayed: bool  # can the viewer show it?
+    machine_file: str | None = None
+
+    @property
+    def compared(self) -> bool:
+        """Can it be compared with another of its kind?"""
+        return self.kind in COMPARED
+
+
+def entries_in(folder: Path) -> list[Entry]:
+    """All entries below a folder, newest first."""
+    found = []
+    for place, names in _folders(folder):
+        entry = _entry(folder, place, names)
+        found += [entry] if entry is not None else []
+        found += [_page(folder, place / name) for name in sorted(names) if name.endswith(".html") and (entry is None or name != REPORT)]
+        if len(found) >= MOST:
+            break
+    return sorted(found[:MOST], key=lambda entry: entry.written, reverse=True)
+
+
+def _folders(folder: Path) -> Iterator[tuple[Path, set[str]]]:
+    """The folder and those below it, with the names of their files; hidden ones and links are left out."""
+    for place, below, files in os.walk(folder, followlinks=False):
+        here = Path(place)
+        if len(here.relative_to(folder).parts) >= DEEPEST:
+            below.clear()
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        yield here, set(files)
+
+
+def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
+    recordings = sorted(n for n in names if n.endswith(".rrd"))
+    name = next((name for name in _BY_DOCUMENT if name in names), recordings[0] if recordings else None)
+    if name is None:
+        return None
+    kind = _BY_DOCUMENT.get(name, "recording")
+    document: Mapping[str, Any] = {}
+    if name.endswith(".json"):
+        try:
+            document = read_json(place / name)
+        except InputError as error:
+            document = {"verdict": f"cannot be read: {error}"}
+    report = place / REPORT if REPORT in names else None
+    picture = next((file for pattern in PICTURES for file in sorted(place.glob(pattern))), None)
+
+    def relative(file: Path | None) -> str | None:
+        return None if file is None else file.relative_to(folder).as_posix()
+
+    machine_file = document.get("machine_file")
+    return Entry(
+        path=place.relative_to(folder).as_posix(),
+        kind=kind,
+        says=_says(kind, document),
+        written=datetime.fromtimestamp((place / name).stat().st_mtime),
+        report=relative(report),
+        picture=relative(picture),
+        replayed=bool(recordings) or "trace.parquet" in names,
+        machine_file=machine_file if isinstance(machine_file, str) else None,
+    )
+
+
+def _page(folder: Path, file: Path) -> Entry:
+    """A report that lies by itself, such as that of `twin gap --html`."""
+    with file.open(encoding="utf-8", errors="replace") as page:
+        title = _TITLE.search(page.read(2000))
+    name = file.relative_to(folder).as_posix()
+    written = datetime.fromtimestamp(file.stat().st_mtime)
+    return Entry(name, "report", html.unescape(title[1]).strip() if title else "", written, name, None, False)
+
+
+def _says(kind: str, document: Mapping[str, Any]) -> str:
+    """One line of what a document says; what it lacks is left out, it may be of another version."""
+    try:
+        if kind == RUN and "axes" in document:
+            errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}
+            worst = max(errors, key=lambda axis: errors[axis][0])
+            effects = ", ".join(f"{e['name'].replace('_', ' ')} {e['axis']}" for e in document["effects"]) or "no effects"
+            return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {errors[worst][0]:.3g} {errors[worst][1]}"
+        if kind == "diagnosis" and "effects" in document:
+            named = ", ".join(f"{e['effect'].replace('_', ' ')} on {e['axis']}" for e in document["effects"][:3])
+            more = len(document["effects"]) - 3
+            listed = named + (f" and {more} more" if more > 0 else "")
+            return f"{document['verdict']}{f': {listed}' if listed else ''}"
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+        return ""
+    verdict = document.get("verdict", "")
+    return verdict if isinstance(verdict, str) else ""
