@@ -19,7 +19,7 @@ from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imp
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
 from twin.diagnose.fit import Sizes
-from twin.diagnose.law.laws import Law
+from twin.diagnose.law.laws import Law, Laws
 from twin.diagnose.law.step import ALL_BUT, LOUD, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
@@ -353,15 +353,20 @@ def diagnose(
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     levels = held_out.levels(machine, campaign.runs)
+    laws: Laws | None = None
+    best = without_laws = held_out.left(machine, campaign.runs)
     with ThreadPoolExecutor(threads) as workers:
-        laws = laws_beside(found, levels, machine_without, corrected, folds, on_threads(workers), say)
-    if laws and laws.laws:
-        with_laws = predictions_with(laws, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
-        if with_laws.left(machine, campaign.runs) < held_out.left(machine, campaign.runs):
-            corrected, held_out = laws.corrected, with_laws
-            settings = kept_in(corrected, settings)
-        else:
-            laws = None  # what does not shrink the gap on runs left out is no law of this machine
+        for tried in laws_beside(found, levels, machine_without, corrected, folds, on_threads(workers), say):
+            if tried.laws:
+                with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
+                # what does not shrink the gap on runs left out is no law of this machine
+                if (now := with_laws.left(machine, campaign.runs)) < best:
+                    laws, predicted, best = tried, with_laws, now
+            if best - 1.0 < ALL_BUT * (without_laws - 1.0):
+                break
+    if laws is not None:
+        corrected, held_out = laws.corrected, predicted
+        settings = kept_in(corrected, settings)
     after = {name: p.trace for name, p in held_out.predictions["after"].items()}
     runs = at_rest_without_zeros(runs, machine_without, after, {axis for axis, _ in offsets})
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}

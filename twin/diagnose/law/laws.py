@@ -158,8 +158,8 @@ def _of_axis(
     """
     loop = ClosedLoop(group, (axis,), folds, mapper)
     state = state_of(machine, corrected, (axis,), group.thresholds)
-    beside = _from(loop, state, axis, machine, say)
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
+    beside = _from(loop, state, axis, machine, say, idle=own)
     if not own:
         return beside
     say(f"{axis}: a law instead of {', '.join(s.effect.name for s in own)}?")
@@ -231,8 +231,11 @@ def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Se
     return found
 
 
-def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = ()) -> _OfAxis:
-    """Laws of one axis from a state on, one after another while each earns its place; then effects that may come `back`."""
+def _from(
+    loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = (), idle: Sequence[Setting] = ()
+) -> _OfAxis:
+    """Laws of one axis from a state on, one after another while each earns its place; then effects come `back` that earn theirs, and those
+    go that are `idle` beside the laws."""
     tolerance = machine.parameter_tolerance
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
@@ -267,6 +270,7 @@ def _from(loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say,
         fitted = new
     if laws:
         fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
+        fitted = _without_idle(loop, fitted, idle, tolerance)
     # sizes of all laws are those of the last fit
     settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
     at = [settings[law.setting.key] for law in laws]
@@ -282,6 +286,22 @@ def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setti
         tried = [(loop.fit(with_law(fitted.state, s), tolerance, steps=2, like=fitted), s) for s in waiting]
         best = min(((f, s) for f, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
         if best is None or not _earned(loop, fitted.held_out, best[0].held_out, least):
+            break
+        fitted = best[0]
+        waiting.remove(best[1])
+    return fitted
+
+
+def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float) -> Fitted:
+    """The fit without those of the effects that no longer earn their place, the least needed first."""
+    waiting = {s.key for s in idle}
+    while waiting:
+        tried = []
+        for key in waiting:
+            state = replace(fitted.state, settings=tuple(s for s in fitted.state.settings if s.key != key))
+            tried.append((loop.fit(state, tolerance, steps=2, like=fitted), key))
+        best = min(((f, key) for f, key in tried if f is not None), key=lambda t: t[0].held_out, default=None)
+        if best is None or best[0].held_out > fitted.held_out + LEAST_EVIDENCE * _inflation(loop, fitted.held_out):
             break
         fitted = best[0]
         waiting.remove(best[1])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
@@ -35,8 +36,8 @@ def laws_beside(
     folds: Sequence[Sequence[int]],
     mapper: Mapper,
     say: Say,
-) -> Laws | None:
-    """Laws of the axes of groups that the search left unknown, and of those that are loud still; None where there is none to ask.
+) -> Iterator[Laws]:
+    """Laws of the axes of groups that the search left unknown, and of those that are loud still: an answer, and one by other weights.
 
     `machine` is the nominal one, `levels` are gaps over noise after correction on runs left out.
     """
@@ -44,12 +45,12 @@ def laws_beside(
         axis for f in found for axis in f.group.axes if f.unknown or (levels.get(axis, 0.0) > LOUD and _effects(f, axis) <= MOST_EFFECTS)
     ]
     if not axes:
-        return None
-    try:
-        without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
-        return laws_of([f.rigid.without_doubt() for f in found], machine, corrected, axes, folds, without, mapper, say)
-    except TwinError:  # a corrected twin that cannot be simulated has no residual to look at
-        return None
+        return
+    without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
+    # the search trusts the twin less where it is far off; a law may be just there, or beside what chance makes of it
+    for groups in ([f.rigid.without_doubt() for f in found], [f.rigid for f in found]):
+        with contextlib.suppress(TwinError):  # a corrected twin that cannot be simulated has no residual to look at
+            yield laws_of(groups, machine, corrected, axes, folds, without, mapper, say)
 
 
 def _effects(found: Found, axis: str) -> int:
