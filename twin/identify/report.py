@@ -70,7 +70,8 @@ def _summary(result: Identification) -> Section:
         chosen = "the regression, without re-simulation"
     moved = _moved(result)
     if moved:
-        found = f"{len(moved)} numbers lie outside their 95 % interval" + (f"; the {SHOWN} furthest out:" if len(moved) > SHOWN else ":")
+        count = "1 number of the machine file lies" if len(moved) == 1 else f"{len(moved)} numbers of the machine file lie"
+        found = f"{count} outside the 95 % interval that was identified" + (f"; the {SHOWN} furthest out:" if len(moved) > SHOWN else ":")
     else:
         found = "No number of the machine file lies outside the 95 % interval that was identified."
     lines = [result.refused or f"The machine file that was written holds the values of {chosen}.", *_gap_lines(result), found]

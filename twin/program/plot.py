@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from twin.recordings.trace import PROGRAM, Trace
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure, save_png
 
 MM_PER_MIN = 60e3
-BESIDE = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "frameon": False, "fontsize": 8.5}
 """A legend beside its panel, never on the curves."""
 
 
@@ -23,7 +24,8 @@ def plot_feed(setpoints: Trace, path: str | Path, title: str = "") -> None:
     axes = grid[0, 0]
     axes.plot(length, np.where(feed > 0.0, feed, np.nan), color=SOFT, linewidth=2.4, label="programmed")
     axes.plot(length, reached, color=BLUE, linewidth=1.2, label="reached")
-    axes.set(xlabel="path length in mm", ylabel="feed in mm/min", title=f"{title}: programmed and reached feed" if title else "")
+    axes.set(xlabel="path length in mm", ylabel="feed in mm/min")
+    axes.set_title(f"{title}: programmed and reached feed" if title else "", loc="left", weight="bold")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.legend(**BESIDE)
@@ -39,7 +41,8 @@ def plot_budget(budget: ErrorBudget, path: str | Path, title: str = "") -> None:
         for quantity, colour in zip(quantities, (BLUE, AMBER)):
             words = QUANTITIES[quantity][1].replace(", ", ",\n")
             axes.plot(length, getattr(budget, quantity) * 1e6, color=colour, linewidth=1.1, label=f"{quantity}:\n{words}")
-        axes.set(ylabel="error in um", title=name)
+        axes.set_ylabel("error in um")
+        axes.set_title(name, loc="left", weight="bold")
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.01)
         axes.legend(**BESIDE)

@@ -1,0 +1,38 @@
+"""The first words of the report of an identification: what changed and what is left of the gap, no caveats."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from twin.identify.report import _summary
+from twin.identify.result import Range
+
+
+def identified(before: float) -> Any:
+    """An identification that took one friction of 1.9 +- 0.05 Nm where the file had `before`."""
+    taken = Range(1.9, 1.85, 1.95)
+    parameter = SimpleNamespace(axis="X", name="coulomb_friction", before=before, unit="Nm", refined=None)
+    gap = {"X": {"position": {"rms": 3.0, "noise": 0.07, "unit": "um"}}}
+    after = {"X": {"position": {"rms": 0.08, "noise": 0.07, "unit": "um"}}}
+    return SimpleNamespace(
+        parameters=(parameter,),
+        taken=lambda p: taken,
+        refused="",
+        chosen="regression",
+        stage_of=None,
+        gaps={"before": gap, "regression": after},
+    )
+
+
+def test_what_changed_comes_first() -> None:
+    section = _summary(identified(before=1.4))
+    assert "Gap of position on what was left out, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
+    assert section.paragraphs[-1] == "1 number of the machine file lies outside the 95 % interval that was identified:"
+    assert section.items == ["X: coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
+
+
+def test_nothing_changed() -> None:
+    section = _summary(identified(before=1.92))
+    assert section.items == []
+    assert section.paragraphs[-1] == "No number of the machine file lies outside the 95 % interval that was identified."
