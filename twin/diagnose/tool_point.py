@@ -23,7 +23,8 @@ class ToolPoint:
     def __init__(self, machine: Machine):
         self.machine = machine
         try:
-            self.kinematics: Kinematics | None = kinematics_of(machine)
+            kinematics = kinematics_of(machine)
+            self.kinematics: Kinematics | None = kinematics if kinematics.names == AXIS_ORDER else None
         except InputError:
             self.kinematics = None
         self._places: dict[int, tuple[Trace, np.ndarray, np.ndarray]] = {}

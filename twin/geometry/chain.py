@@ -32,8 +32,8 @@ class Joint(NamedTuple):
     on_table: bool
 
 
-def frames_at_rest(machine: Machine) -> Mapping[str, Any]:
-    """The fields of `Kinematics` but its travel, from the model with all axes at zero.
+def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, Any]:
+    """The fields of `Kinematics` but its travel, from the model with all axes at zero; slides alone may do without sites.
 
     Raises:
         InputError: the joints between workpiece and tool are not three slides with up to two hinges behind them.
@@ -49,7 +49,7 @@ def frames_at_rest(machine: Machine) -> Mapping[str, Any]:
     mujoco.mj_kinematics(model, data)
     sites = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in ("tool", "workpiece")}
     if min(sites.values()) < 0:
-        if any(axis.kind == "rotary" for axis in machine.axes):
+        if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
             missing = next(name for name, number in sites.items() if number < 0)
             raise InputError(f"{model_path}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
         joints = _all_joints(model, data, machine)
@@ -109,7 +109,8 @@ def _chain(model: mujoco.MjModel, data: mujoco.MjData, site: int, machine: Machi
         numbers += list(range(first + count - 1, first - 1, -1))
         body = model.body_parentid[body]
     found = [_joint(model, data, j, on_table) for j in numbers]
-    return [j for j in found if j.name in machine.axis_names or not machine.axis_names]
+    own = [j for j in found if j.name in machine.document["axis"]]
+    return own or found  # a spindle or a door of the model is no axis of programs
 
 
 def _all_joints(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> list[Joint]:

@@ -195,10 +195,13 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
     return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
 
 
-def kinematics_of(machine: Machine) -> Kinematics:
-    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file; equal machines share one."""
-    told = repr((machine.geometry, machine.document.get("program"), machine.axis_names))
-    return _known(_Key(machine, state_of_model(machine.model_path), told), tuple(axis.travel for axis in machine.axes))
+def kinematics_of(machine: Machine, *, sites_needed: bool = True) -> Kinematics:
+    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file; equal machines share one.
+
+    A machine of slides alone may do without the sites tool and workpiece where `sites_needed` is False.
+    """
+    told = repr((machine.geometry, machine.document.get("program"), machine.axis_names, list(machine.document["axis"])))
+    return _known(_Key(machine, state_of_model(machine.model_path), told), tuple(axis.travel for axis in machine.axes), sites_needed)
 
 
 class _Key:
@@ -215,8 +218,8 @@ class _Key:
 
 
 @functools.lru_cache(maxsize=16)
-def _known(key: _Key, _travel: tuple) -> Kinematics:
-    frames = frames_at_rest(key.machine)
+def _known(key: _Key, _travel: tuple, sites_needed: bool) -> Kinematics:
+    frames = frames_at_rest(key.machine, sites_needed)
     known = {axis.name: axis.travel for axis in key.machine.axes}
     travel = np.array([known.get(name, (0.0, 0.0)) for name in frames["names"]])
     return Kinematics(**frames, travel=travel)

@@ -93,7 +93,7 @@ def path_of_axes(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray) -> 
 def axes_of_trace(trace: Trace, signal: str, machine: Machine) -> np.ndarray:
     """Axis positions (sample, 5) of a trace; an axis that the trace lacks stands at 0 or at the nearest end of its travel."""
     columns = []
-    for name in AXIS_ORDER if set(machine.axis_names) <= set(AXIS_ORDER) else kinematics_of(machine).names:
+    for name in kinematics_of(machine).names:
         if trace.has(name, signal):
             columns.append(trace.get(name, signal))
         elif name in trace.axes:

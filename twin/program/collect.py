@@ -59,7 +59,7 @@ class Collector:
     def __init__(self, path: Path, machine: Machine) -> None:
         self.path = path
         self.machine = machine
-        self.kinematics = kinematics_of(machine)
+        self.kinematics = kinematics_of(machine, sites_needed=False)
         home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
         self.position = [float(v) for v in home]
         self.modes = Modes(tool_length=self.kinematics.tool_length, spindle_tool_length=self.kinematics.tool_length)

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from twin.errors import InputError
-from twin.geometry.kinematics import kinematics_of
+from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
 from twin.program import blend, lookahead, sampling, timelaw
 from twin.program.axis_path import frames_of
@@ -36,9 +36,10 @@ NO_LIMIT = 1e9
 Progress = Callable[[float], None]
 
 
-def limits_of(machine: Machine, brisk: bool = False) -> lookahead.Limits:
+def limits_of(machine: Machine, brisk: bool = False, kinematics: Kinematics | None = None) -> lookahead.Limits:
     """Limits of X Y Z, tilting and turning axis; under BRISK the acceleration is reached within one interpolation cycle, not by the jerk."""
-    axes = [machine.axis(name) if name else None for name in kinematics_of(machine).names]
+    names = (kinematics or kinematics_of(machine, sites_needed=False)).names
+    axes = [machine.axis(name) if name in machine.axis_names else None for name in names]
     acceleration = np.array([axis.max_acceleration if axis else NO_LIMIT for axis in axes])
     jerk = acceleration / machine.interpolation_cycle if brisk else np.array([axis.max_jerk if axis else NO_LIMIT for axis in axes])
     return lookahead.Limits(np.array([axis.max_velocity if axis else NO_LIMIT for axis in axes]), acceleration, jerk)
@@ -98,7 +99,7 @@ def spline_of(stretch: Stretch) -> blend.Spline:
 def _interpolate_stretch(
     program: Program, machine: Machine, stretch: Stretch, start: np.ndarray, period: float, every: int, gap: float, report: Progress
 ) -> _Piece:
-    limits = limits_of(machine, stretch.brisk)
+    limits = limits_of(machine, stretch.brisk, program.kinematics)
     frames = frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
     feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
     spline = spline_of(stretch)
