@@ -9,11 +9,12 @@ import numpy as np
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
-from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, excess, left_out_loss, measured_laws, nuisances_in, scale_of
-from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, residuals_of, transmitted_force, windup
+from twin.diagnose.law.measure import Curve, excess, measured_laws
+from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
+from twin.diagnose.law.springs import springs_of, sprung, unwound
 from twin.diagnose.observe import Group, Mapper
-from twin.diagnose.view import RunView
+from twin.diagnose.plausible import is_plausible
 from twin.effects import Setting, check_setting
 from twin.errors import InputError
 from twin.machine.machine import Machine
@@ -47,12 +48,6 @@ LITTLE_LEFT = 0.02
 
 LEAST_EVIDENCE = 30.0
 """Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
-
-HARDLY_WOUND, FAR_WOUND = 0.3, 0.6
-"""Shares of the largest windup below and above which the two ends of a spring's law are measured."""
-
-SPRING_EFFECT = "transmission_compliance"
-"""The spring beside which a law over the windup acts."""
 
 MOST_PROBABLE = 0.98
 """What nobody listed cannot be ruled out."""
@@ -166,7 +161,7 @@ def _of_axis(
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [bare]
     if any(s.effect.block == "transmission" for s in own):
-        starts += [with_law(_unwound(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
+        starts += [with_law(unwound(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
     for start in starts:
         alone = _from(loop, start, axis, machine, say, own)
@@ -183,52 +178,6 @@ def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
     more = len(new.state.settings) - len(old.state.settings)
     margin = LEAST_EVIDENCE * _inflation(loop, new.held_out) * (more if more < 0 else more + 1)
     return new.held_out + margin < old.held_out
-
-
-def _unwound(state: State, axis: str) -> State:
-    """The state with a rigid drive train on an axis."""
-    return replace(state, settings=tuple(s for s in state.settings if s.axis != axis or s.effect.block != "transmission"))
-
-
-def _sprung(state: State, axis: str, law: Described, samples: Samples) -> State:
-    """The state with its spring as stiff as it is beside a law over the windup; as it is beside any other law."""
-    if law.candidate.variable != "windup":
-        return state
-    columns = np.column_stack([nuisances_in(samples), law.column])
-    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
-    more = float(loss.coefficients[WINDUP_SLOPE])
-    changed = []
-    for s in state.settings:
-        stiffness = s.parameters.get("stiffness", 0.0) + more
-        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) and stiffness > 0.0:
-            s = replace(s, parameters={**s.parameters, "stiffness": stiffness})
-        changed.append(s)
-    return replace(state, settings=tuple(changed))
-
-
-def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
-    """Springs of a drive train as soft as it is where it is hardly wound up, and as where it is far: between them lies its law."""
-    wound, force = [], []
-    for view in views:
-        own = view.machine.axis(axis)
-        d, f = (of(view, own, view.trace) if view.moves(axis) else None for of in (windup, transmitted_force))
-        if d is not None and f is not None:
-            wound.append(d)
-            force.append(f)
-    if not wound:
-        return []
-    d, f = np.concatenate(wound), np.concatenate(force)
-    reach = float(np.quantile(np.abs(d), 1.0 - RANGE))
-    found = []
-    for rows in (np.abs(d) < HARDLY_WOUND * reach, np.abs(d) > FAR_WOUND * reach):
-        if rows.sum() > LEAST_SAMPLES:
-            columns = np.column_stack([d[rows], np.sign(d[rows]), np.ones(rows.sum())])
-            stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
-            try:
-                found.append(check_setting({"name": SPRING_EFFECT, "axis": axis, "stiffness": stiffness}, machine, "a measured spring"))
-            except InputError:  # no spring at all
-                continue
-    return found
 
 
 def _from(
@@ -248,7 +197,7 @@ def _from(
             break
         say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
         tried = [
-            (loop.fit(with_law(_sprung(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
+            (loop.fit(with_law(sprung(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
             for d, x, s in _settings(proposals, axis, machine)
         ]
         best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
@@ -287,21 +236,25 @@ def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setti
         best = min(((f, s) for f, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
         if best is None or not _earned(loop, fitted.held_out, best[0].held_out, least):
             break
-        fitted = best[0]
         waiting.remove(best[1])
+        if is_plausible(best[0].state.settings[-1], fitted.state.machine):
+            fitted = best[0]
     return fitted
 
 
 def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float) -> Fitted:
-    """The fit without those of the effects that no longer earn their place, the least needed first."""
+    """The fit without those of the effects that no longer earn their place, or have a size that no machine has, the least needed first."""
     waiting = {s.key for s in idle}
+    small = {s.key for s in fitted.state.settings if s.key in waiting and not is_plausible(s, fitted.state.machine)}
     while waiting:
         tried = []
         for key in waiting:
             state = replace(fitted.state, settings=tuple(s for s in fitted.state.settings if s.key != key))
             tried.append((loop.fit(state, tolerance, steps=2, like=fitted), key))
-        best = min(((f, key) for f, key in tried if f is not None), key=lambda t: t[0].held_out, default=None)
-        if best is None or best[0].held_out > fitted.held_out + LEAST_EVIDENCE * _inflation(loop, fitted.held_out):
+        best = min(((f, key) for f, key in tried if f is not None), key=lambda t: (t[1] not in small, t[0].held_out), default=None)
+        if best is None or (
+            best[1] not in small and best[0].held_out > fitted.held_out + LEAST_EVIDENCE * _inflation(loop, fitted.held_out)
+        ):
             break
         fitted = best[0]
         waiting.remove(best[1])

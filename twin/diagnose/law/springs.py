@@ -1,0 +1,72 @@
+"""The spring beside which a law of the drive train acts: as stiff as the record shows it, at either end of its windup.
+
+What goes through a drive train is the motor's force that does not accelerate its rotor; over motor minus scale it draws the spring's law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.law.keep import State
+from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, left_out_loss, nuisances_in, scale_of
+from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, transmitted_force, windup
+from twin.diagnose.law.shapes import Described
+from twin.diagnose.view import RunView
+from twin.effects import Setting, check_setting
+from twin.errors import InputError
+from twin.machine.machine import Machine
+
+HARDLY_WOUND, FAR_WOUND = 0.3, 0.6
+"""Shares of the largest windup below and above which the two ends of a spring's law are measured."""
+
+SPRING_EFFECT = "transmission_compliance"
+"""The spring beside which a law over the windup acts."""
+
+
+def unwound(state: State, axis: str) -> State:
+    """The state with a rigid drive train on an axis."""
+    return replace(state, settings=tuple(s for s in state.settings if s.axis != axis or s.effect.block != "transmission"))
+
+
+def sprung(state: State, axis: str, law: Described, samples: Samples) -> State:
+    """The state with its spring as stiff as it is beside a law over the windup; as it is beside any other law."""
+    if law.candidate.variable != "windup":
+        return state
+    columns = np.column_stack([nuisances_in(samples), law.column])
+    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    more = float(loss.coefficients[WINDUP_SLOPE])
+    changed = []
+    for s in state.settings:
+        stiffness = s.parameters.get("stiffness", 0.0) + more
+        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) and stiffness > 0.0:
+            s = replace(s, parameters={**s.parameters, "stiffness": stiffness})
+        changed.append(s)
+    return replace(state, settings=tuple(changed))
+
+
+def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
+    """Springs of a drive train as soft as it is where it is hardly wound up, and as where it is far: between them lies its law."""
+    wound, force = [], []
+    for view in views:
+        own = view.machine.axis(axis)
+        d, f = (of(view, own, view.trace) if view.moves(axis) else None for of in (windup, transmitted_force))
+        if d is not None and f is not None:
+            wound.append(d)
+            force.append(f)
+    if not wound:
+        return []
+    d, f = np.concatenate(wound), np.concatenate(force)
+    reach = float(np.quantile(np.abs(d), 1.0 - RANGE))
+    found = []
+    for rows in (np.abs(d) < HARDLY_WOUND * reach, np.abs(d) > FAR_WOUND * reach):
+        if rows.sum() > LEAST_SAMPLES:
+            columns = np.column_stack([d[rows], np.sign(d[rows]), np.ones(rows.sum())])
+            stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
+            try:
+                found.append(check_setting({"name": SPRING_EFFECT, "axis": axis, "stiffness": stiffness}, machine, "a measured spring"))
+            except InputError:  # no spring at all
+                continue
+    return found
