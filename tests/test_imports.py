@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "twin"
 
-TOP = {"__init__", "__main__", "compiled_functions", "documents", "errors", "files", "limits", "progress", "tables", "units"}
+TOP = {"__init__", "__main__", "compiled_functions", "documents", "errors", "files", "limits", "progress", "stopping", "tables", "units"}
 """The small modules that every room stands on."""
 
 ORDER = (

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+import contextlib
 import json
 import math
 import os
 from pathlib import Path
+import tempfile
 import threading
-from typing import Any
+from typing import IO, Any
 
 import twin
 from twin.errors import InputError
@@ -17,14 +19,37 @@ FORMATS = 1
 """Number of the formats of all JSON files."""
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file beside its place and move it there, so that a process that is stopped leaves nothing half written.
+@contextlib.contextmanager
+def beside(path: str | Path) -> Iterator[Path]:
+    """A file beside `path`, to write to: moved into place when all is written, removed when that fails or is stopped.
 
-    Others may do the same at the same time.
+    A disk that is full, or a command that is stopped, so leaves the old file or none, never half of one. Others may do the same at the
+    same time. Makes the folder.
+
+    Raises:
+        InputError: the place cannot be written to; the message names `path` and the reason.
     """
-    partial = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    path = Path(path)
+    partial = path.with_name(f".{path.stem[:100]}.{os.getpid()}-{threading.get_ident()}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        with partial.open("rb") as file:  # what the disk could not take is said here at the latest
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); free the disk or give another place") from None
+    except BaseException:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    with beside(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:
@@ -50,11 +75,7 @@ def write_text(text: str, path: Path) -> None:
     Raises:
         InputError: the place cannot be written to.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    write_whole(path, text)
 
 
 def shipped_example(path: str | Path) -> Path:
@@ -79,7 +100,81 @@ def output_folder(path: str | Path) -> Path:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
+    if _held is not None:
+        _hold(out, _held)
     return out
+
+
+def output_file(path: str | Path) -> Path:
+    """The file of a command's output, tried before the work is done: its folder is made, and can be written to.
+
+    Raises:
+        InputError: it cannot.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: a folder; give the name of a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    return path
+
+
+LOCK = ".twin-lock"
+"""File that a command holds in its folder while it writes there."""
+_held: dict[Path, IO[str]] | None = None
+"""Folders that the command of this process holds; None outside of a command."""
+
+
+def hold_folders() -> None:
+    """From here on a folder of `output_folder` belongs to this command: another one is refused there."""
+    global _held
+    _held = {} if _held is None else _held
+
+
+def release_folders() -> None:
+    """The command is done: its folders are free."""
+    global _held
+    for folder, file in (_held or {}).items():
+        with contextlib.suppress(OSError):
+            (folder / LOCK).unlink(missing_ok=True)
+        file.close()
+    _held = None
+
+
+def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
+    """Hold a folder until the command is done; the system lets go of it where the process is killed."""
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        return
+    place = folder.resolve()
+    if place in held:
+        return
+    try:
+        file = (place / LOCK).open("a+", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to ({error.strerror}); give another --out") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        who = file.read(40).strip()
+        file.close()
+        raise InputError(
+            f"{folder}: another command of twin writes here{f' (process {who})' if who else ''}; wait for it, or give another --out"
+        ) from None
+    except OSError:  # a file system without locks
+        file.close()
+        return
+    with contextlib.suppress(OSError):
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+    held[place] = file
 
 
 def _finite(content: Any) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 import twin
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.files import stamped
+from twin.files import output_folder, stamped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,8 +79,7 @@ def carry_out(args: argparse.Namespace) -> int:
     table = read_toml(Path(machine_file))
     if (lack := what_lacks(table)) is not None:
         raise InputError(f"{machine_file}: the examination's plant cannot be made of it: {lack}; it needs what the Mikron's file has")
-    out = Path(args.out).resolve()
-    out.mkdir(parents=True, exist_ok=True)
+    out = output_folder(Path(args.out).resolve())
     questions = questions_of(args.seed, args.cases, args.short, args.only)
     asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
     model = (Path(machine_file).read_bytes(), machine.model_path.read_bytes())

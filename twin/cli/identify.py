@@ -8,7 +8,7 @@ import sys
 
 from twin.cli.arguments import add_campaign, add_machine, add_open, machine_of, open_report
 from twin.errors import InputError
-from twin.files import write_json
+from twin.files import output_file, write_json
 from twin.progress import Steps
 
 STEPS = 14
@@ -48,6 +48,7 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"--torque-constant-within {within:g}: a fraction between 0 and 1, e.g. 0.001 for 0.1 %")
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
+    output_file(out)  # an impossible place is said before the work
     with Steps("identifying", STEPS) as step:
         result = identify_campaign(machine, campaign, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
     try:

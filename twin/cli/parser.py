@@ -11,6 +11,7 @@ import contextlib
 import importlib
 import importlib.metadata
 import os
+import signal
 import sys
 import time
 from types import ModuleType
@@ -18,7 +19,9 @@ from typing import Any, NamedTuple
 
 import twin
 from twin.errors import TwinError, nearest, one_line
+from twin.files import hold_folders, release_folders
 from twin.limits import RAISED_BY
+from twin.stopping import say
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
 
@@ -87,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 done, 1 a verdict that fails, 2 bad input or usage (one line on standard error)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     args = build_parser(_command_in(arguments)).parse_args(arguments)
+    hold_folders()
     try:
         with _effects_of(args):
             return _carried_out(args)
@@ -98,9 +102,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # a place that cannot be written, a disk that is full
         print(f"twin: {error.filename or 'a file'}: {error.strerror or error}; give another place or free this one", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("twin: stopped by the user", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        say(getattr(stop, "number", signal.SIGINT))
+        return int(getattr(stop, "code", 130))
+    finally:
+        release_folders()
 
 
 def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:

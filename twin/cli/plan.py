@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from twin.cli.arguments import add_machine, machine_of
 from twin.errors import InputError
+from twin.files import output_folder
 from twin.progress import Steps
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if not 0.0 < args.minutes < 24.0 * 60.0:
         raise InputError(f"--minutes {args.minutes:g}: give minutes above 0, e.g. 15")
     machine = machine_of(args)
+    output_folder(args.out)  # an impossible place is said before the work
     with Steps("planning", 3 * len(machine.axes)) as step:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, step)
     try:

@@ -17,6 +17,7 @@ from twin.errors import TwinError
 from twin.files import stamped, write_whole
 from twin.machine.machine import load_machine, write_machine
 from twin.recordings.campaign import read_campaign
+from twin.stopping import end_with_parent
 
 from .baselines import baselines_of
 
@@ -28,6 +29,7 @@ def main() -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--quick", action="store_true")
     given = parser.parse_args()
+    end_with_parent()
     try:
         machine = load_machine(given.machine)
         diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick, threads=1)  # one candidate for each core

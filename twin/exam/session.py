@@ -24,6 +24,7 @@ from typing import Any
 from twin.documents import read_json_table
 from twin.errors import InputError
 from twin.files import write_whole
+from twin.stopping import end_with_parent
 
 from .budget import with_budget
 from .draw import Case, draw_case, truth_of, write_campaign
@@ -140,7 +141,7 @@ def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
             yield cluster.executor
     else:
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers or os.cpu_count() or 1, mp_context=spawn) as pool:
+        with ProcessPoolExecutor(workers or os.cpu_count() or 1, mp_context=spawn, initializer=end_with_parent) as pool:
             try:
                 yield pool
             except BaseException:

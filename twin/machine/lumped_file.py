@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 import re
 
+from twin.files import write_whole
 from twin.machine.check import ASSUMED
 from twin.machine.lumps import AxisLumps, Mechanics
 
@@ -47,8 +48,8 @@ def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping
         lines += _axis(one, tunings[one.name], vertical)
         bodies.append(_body(one, i, vertical))
     lines += _measurement(lumps)
-    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    model.write_text(_MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)), encoding="utf-8")
+    write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)))
+    write_whole(out, "\n".join(lines) + "\n")
 
 
 _MODEL = """<mujoco model="{name}">

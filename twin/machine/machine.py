@@ -16,6 +16,7 @@ from typing import Any
 
 from twin.documents import named_file, read_toml
 from twin.errors import InputError, nearest
+from twin.files import write_whole
 from twin.machine import keys
 from twin.machine.axis import Axis
 from twin.machine.document import axis_in, changed, check_cycles, check_document, cycles_of, place
@@ -294,8 +295,8 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
         for name in tables:
             table = table[name]
         table[key].comment(comment)
-    path.write_text(tomlkit.dumps(written), encoding="utf-8")
-    copy_model(machine.model_path, path.parent)
+    copy_model(machine.model_path, path.parent)  # the model first: a machine file that is there can be loaded
+    write_whole(path, tomlkit.dumps(written))
 
 
 def _update(target: Any, source: Mapping[str, Any]) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from twin.documents import named_file
 from twin.errors import InputError
+from twin.files import beside
 from twin.machine.model_limits import check_depth, check_size
 
 if TYPE_CHECKING:
@@ -174,7 +175,8 @@ def copy_model(path: Path, folder: Path) -> None:
         target = folder / file
         if target.resolve() != (path.parent / file).resolve():
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path.parent / file, target)
+            with beside(target) as partial:
+                shutil.copyfile(path.parent / file, partial)
 
 
 def _include(element: Element, path: Path, seen: list[Path], keep: bool = False) -> None:

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import write_whole
 from twin.machine.check import ASSUMED
 from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
@@ -63,7 +64,7 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
         spec, limits = spec_of_urdf(model)
         facts = joint_facts(spec, limits, model)
         out.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(f"<!-- from {model.name} by: twin machine new -->\n{spec.to_xml()}", encoding="utf-8")
+        write_whole(beside, f"<!-- from {model.name} by: twin machine new -->\n{spec.to_xml()}")
     else:
         check_mjcf(model)
         facts = joint_facts(load_spec(model), limits, model)
@@ -77,7 +78,7 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
         lines += _axis(fact, structure, known, machine_data.name if machine_data else "")
         left += [f"{d.label} of {fact.name}" for d in DATA[kinds[fact.name]] if d.key in known]
     lines += _measurement(facts)
-    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(out, "\n".join(lines) + "\n")
     load_machine(out)
     return [f.name for f in facts], left
 

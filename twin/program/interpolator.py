@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
+from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.program import blend, lookahead, sampling, timelaw
 from twin.program.axis_path import frames_of
@@ -24,6 +25,8 @@ from twin.program.moves import Program
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
 from twin.recordings.trace import PROGRAM, Trace
 
+MOST_SETPOINTS = 10_000_000
+"""Set points of one program: 2.8 hours at 1 kHz, 1.5 GB on the way."""
 REST = 0.1
 """Time [s] at rest after the last move."""
 LIMIT_TOLERANCE = 1.5e-4
@@ -60,7 +63,7 @@ def interpolate(
     circles = great_circle_rows(program, starts)
     parts = stretches(program)
     pieces: list[_Piece] = []
-    at = program.start
+    at, total = program.start, 0.0
     for first, last in parts:
         stretch = stretch_of(program, starts, first, last, circles)
 
@@ -73,8 +76,11 @@ def interpolate(
             piece = _interpolate_stretch(program, machine, stretch, at, period, every, gap, report)
             pieces.append(piece)
             at = piece.axes[-1]
+            total += len(piece.axes)
         if pause > 0.0 or last == len(program) - 1:
             rest = pause + (REST if last == len(program) - 1 else 0.0)
+            total += rest / period
+            _check_length(total * period, period, program, last)
             pieces.append(_standing(at, last, max(1, math.ceil(rest / (period * every) - 1e-9)) * every))
         report(1.0)
     return _trace(program, machine, pieces, period, every if cycle == "interpolation" else 1)
@@ -108,6 +114,7 @@ def _interpolate_stretch(
     slower, attempt = 1.0, 0
     while True:
         times = sampling.node_times(law.nodes, law.a, law.slope)
+        _check_length(times[-1] * slower, period, program, stretch.row[0])
         count = math.ceil(times[-1] * slower / (period * every) - 1e-9) * every
         axes, u, tip, turn = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
         # the start itself is the last sample of what came before
@@ -126,6 +133,17 @@ def _interpolate_stretch(
     row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, u, side="right") - 1, len(stretch.row) - 1)]
     _check_travel(program, axes, row)
     return _Piece(axes, row, np.where(program.moves.rotary[row], turn, tip), tip)
+
+
+def _check_length(seconds: float, period: float, program: Program, row: int) -> None:
+    """Refuse a motion that takes for ever, before its set points take the memory."""
+    refuse_above(
+        seconds / period,
+        MOST_SETPOINTS,
+        f"set points ({seconds / 3600.0:.3g} h)",
+        program.place(int(row)),
+        "raise the feed, or split the program",
+    )
 
 
 def _excess(start: np.ndarray, axes: np.ndarray, period: float, limits: lookahead.Limits) -> float:

@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from twin.limits import refuse_above
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import Stretch, Timing
 
+MOST_ROWS = 50_000_000
+"""Samples of one run: 14 hours at 1 kHz. They are written in blocks, and take 400 MB a signal on the disk."""
 ON_GRID = 1e-3
 """A sample within this fraction of an interval of a grid time lies on it."""
 MARGIN = 16
@@ -66,6 +69,9 @@ def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: f
     for begin, end in spans:
         first = np.ceil((begin - lead) / period - ON_GRID)
         last = np.floor((end - lead) / period + ON_GRID)
+        refuse_above(
+            last - first, MOST_ROWS, "samples on the grid", "period_ms of the map, or the times of the file", "give a longer period"
+        )
         if last > first:
             out.append(Piece(float(lead + first * period), period, int(last - first) + 1, bridged))
     return out

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.files import beside
 from twin.limits import refuse_above
 from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
 
@@ -255,13 +256,13 @@ def write_trace(trace: Trace, path: str | Path) -> None:
 
     path = Path(path)
     table = trace.to_table()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".csv":
-        pyarrow.csv.write_csv(table, path)
-    elif path.suffix == ".parquet":
-        pyarrow.parquet.write_table(table, path)
-    else:
+    if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"{path}: a trace is written as .parquet or .csv; give the file one of these endings")
+    with beside(path) as partial:
+        if path.suffix == ".csv":
+            pyarrow.csv.write_csv(table, partial)
+        else:
+            pyarrow.parquet.write_table(table, partial)
 
 
 def _read_table(path: Path) -> dict[str, np.ndarray]:

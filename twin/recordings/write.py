@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import stamped
+from twin.files import beside, stamped, write_whole
 from twin.recordings.campaign import EVENTS
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
@@ -68,7 +68,7 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
     schema = pa.schema([("time [s]", pa.float64()), *((h, pa.float64()) for h in headings.values())])
     result = Written(name, started_at_s, known.run.feedforward, piece, units)
     part = max(1, int(np.ceil(piece.count / (POINTS / 2))))
-    with pyarrow.parquet.ParquetWriter(out / f"{name}.parquet", schema) as writer:
+    with beside(out / f"{name}.parquet") as partial, pyarrow.parquet.ParquetWriter(partial, schema) as writer:
         # blocks of whole parts, so that the picture's parts do not straddle them
         step = max(BLOCK // part, 1) * part
         for first in range(0, piece.count, step):
@@ -112,8 +112,8 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
     content = {"runs": {trace.name: _record(known, trace) for known, traces in runs for trace in traces}}
     try:
         _write_events(out / EVENTS, runs)
-        (out / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (out / "import.json").write_text(json.dumps(stamped(content, "import"), indent=2) + "\n", encoding="utf-8")
+        write_whole(out / "campaign.toml", "\n".join(lines) + "\n")
+        write_whole(out / "import.json", json.dumps(stamped(content, "import"), indent=2) + "\n")
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
 

@@ -21,6 +21,7 @@ from twin.regress.golden import Golden, golden_of, read_golden, versions
 from twin.regress.runners import Skip, run_case
 from twin.regress.suite import Case
 from twin.regress.where import Place, place_of
+from twin.stopping import end_with_parent
 
 PASSED, FAILED, SKIPPED, BROKEN = "passed", "failed", "skipped", "error"
 HEAVY = {"diagnose": 0, "study": 1, "identify": 2, "cut": 3, "campaign": 4, "run": 5}
@@ -79,7 +80,7 @@ def _verdicts(order: Sequence[Case], count: int, out: Path | None, update: bool)
         yield from (judge(case, out, update) for case in order)
         return
     # fresh processes: no state of this one, and the compiled loops come from the cache on disk
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
         try:
             with _deaf_children():
                 running = {pool.submit(judge, case, out, update): case for case in order}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 
 from twin.errors import InputError
+from twin.files import beside
 from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -132,21 +133,28 @@ def write_motion(
 @contextmanager
 def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
     """A recording that goes to a file, complete when the block ends; an unwritable place is an InputError."""
-    path = Path(path)
+    with beside(path) as partial:
+        recording = rr.RecordingStream(APPLICATION)
+        recording.set_log_time_enabled(False)
+        recording.save(partial)
+        recording.send_recording_name(name)
+        try:
+            yield recording
+        finally:
+            with suppress(RuntimeError):  # the disk is full: said below
+                recording.flush()
+            recording.disconnect()
+        _check_whole(partial, Path(path))
+
+
+def _check_whole(written: Path, path: Path) -> None:
+    """The writer of the viewer says nothing where the disk is full: the table that closes a whole file is looked for."""
+    from twin.replay.viewer import check_recording
+
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("wb").close()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another file or folder") from None
-    recording = rr.RecordingStream(APPLICATION)
-    recording.set_log_time_enabled(False)
-    recording.save(path)
-    recording.send_recording_name(name)
-    try:
-        yield recording
-    finally:
-        recording.flush()
-        recording.disconnect()
+        check_recording(written)
+    except InputError:
+        raise InputError(f"{path}: cannot be written whole (is the disk full?); free the disk or give another place") from None
 
 
 def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:

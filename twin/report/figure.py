@@ -6,6 +6,8 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twin.files import beside
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
@@ -82,6 +84,5 @@ def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> N
     from matplotlib import rc_context
 
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with rc_context(STYLE):
-        plain_text(figure).savefig(path, dpi=dots_per_inch)
+    with rc_context(STYLE), beside(path) as partial:
+        plain_text(figure).savefig(partial, dpi=dots_per_inch)

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from twin.files import write_whole
 from twin.report.stamp import made_line
 
 
@@ -61,6 +62,4 @@ def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> 
 
 def write_page(path: str | Path, title: str, lead: str, sections: Sequence[Section], made: str = "") -> None:
     """Write the page; makes its folder."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page(title, lead, sections, made), encoding="utf-8")
+    write_whole(Path(path), page(title, lead, sections, made))

@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.effects import Change, apply_effects
 from twin.errors import InputError, SimulationError
+from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import cascade, loop
@@ -25,6 +26,10 @@ from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.result import Run
 from twin.simulation.setpoints import Setpoints, check_travel, command_of, setpoints_of
 
+MOST_RECORDED = 15_000_000
+"""Samples of all axes of a record: 50 minutes of five axes at 1 kHz, 2 GB."""
+MOST_TICKS = 1_000_000_000
+"""35 hours of a machine with a tick of 125 us; hours of simulation."""
 STRETCH_TICKS = 16_000
 """Ticks advanced in one call of the loop. It bounds the memory that a run needs beside its trace, and the time between two progress reports."""
 
@@ -77,6 +82,7 @@ def simulate(
     actual = apply_effects(machine, started_at)
     actual.lead_ticks = round(setpoints.lead / machine.base_tick)
     schedule = _schedule(machine, sample_period)
+    _check_length(machine, setpoints, schedule)
     plant = (plant_of or MujocoPlant)(actual)  # owns the memory behind the addresses of its engine: it must live as long as the loop runs
     simulation = _at_rest(machine, actual, plant, setpoints, schedule)
     rng = None if noise_seed is None else np.random.default_rng(noise_seed)
@@ -118,6 +124,15 @@ def simulate(
         machine,
         {axis.name: drive_load(axis, counted, a) for a, axis in enumerate(machine.axes)} if count_load else {},
     )
+
+
+def _check_length(machine: Machine, setpoints: Setpoints, schedule: loop.Schedule) -> None:
+    """Refuse a run whose record would take more than 2 GB, or whose ticks would take days."""
+    ticks = (setpoints.duration + setpoints.lead) / schedule.tick
+    said = f"a run of {setpoints.duration:.3g} s"
+    remedy = "cut the run into parts, or record with a longer period"
+    refuse_above(ticks / schedule.record_ticks * len(machine.axes), MOST_RECORDED, "samples to record", said, remedy)
+    refuse_above(ticks, MOST_TICKS, "ticks to simulate", said, "cut the run into parts")
 
 
 def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from twin.errors import InputError
+from twin.limits import refuse_above
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Machine
 from twin.simulation.plant_spec import home_inertia_at_motor
@@ -26,16 +27,16 @@ def variants_of(study: Study) -> np.ndarray:
     """Values (variant, factor) of the study's design; the nominal machine is no variant unless the design holds it."""
     design, factors = study.design, study.factors
     levels = factors if design.kind in ("grid", "one_at_a_time") else ()
-    grids = [np.array(f.values) if f.values else np.linspace(f.low, f.high, design.levels) for f in levels]
+    counts = [len(f.values) if f.values else design.levels for f in levels]
     number = {
-        "grid": math.prod(len(values) for values in grids),
-        "one_at_a_time": 1 + sum(len(values) for values in grids),
+        "grid": math.prod(counts),
+        "one_at_a_time": 1 + sum(counts),
         "latin_hypercube": design.count,
         "sobol": design.count * (len(factors) + 2),
         "list": len(design.rows),
     }[design.kind]
-    if number > MOST:
-        raise InputError(f"{study.path}: [design]: {number} variants; lower levels or count, or use a latin_hypercube")
+    refuse_above(number, MOST, "variants", f"{study.path}: [design]", "lower levels or count, or use a latin_hypercube")
+    grids = [np.array(f.values) if f.values else np.linspace(f.low, f.high, design.levels) for f in levels]
     if design.kind == "grid":
         return np.array(list(itertools.product(*grids)))
     if design.kind == "one_at_a_time":

@@ -14,8 +14,11 @@ import zipfile
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.limits import refuse_above
 from twin.surface.sur_file import read_sur
 
+MOST_BYTES = 500_000_000
+"""Of a height map when it is unpacked."""
 ENDINGS = (".npz", ".csv", ".sur", ".x3p")
 LEAST_OVERLAP = 0.25
 """A measured map must cover so much of the simulated one."""
@@ -125,6 +128,8 @@ def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
 
 
 def _npz(path: Path) -> HeightMap:
+    with zipfile.ZipFile(path) as archive:
+        _check_unpacked(archive, path)
     with np.load(path) as stored:
         for name in ("u", "v", "height"):
             if name not in stored:
@@ -158,6 +163,7 @@ def _x3p(path: Path) -> HeightMap:
     from defusedxml import ElementTree
 
     with zipfile.ZipFile(path) as archive:
+        _check_unpacked(archive, path)
         root = ElementTree.fromstring(archive.read("main.xml"))
         axes = {name: root.find(f".//{name}") for name in ("CX", "CY", "CZ")}
         size = [int(_text(root.find(".//MatrixDimension"), name)) for name in ("SizeX", "SizeY")]
@@ -168,6 +174,11 @@ def _x3p(path: Path) -> HeightMap:
         height = height * float(_text(axes["CZ"], "Increment"))
     du, dv = (float(_text(axes[name], "Increment")) for name in ("CX", "CY"))
     return HeightMap(du * np.arange(size[0]), dv * np.arange(size[1]), height)
+
+
+def _check_unpacked(archive: zipfile.ZipFile, path: Path) -> None:
+    """Refuse an archive that is small on the disk and fills the memory."""
+    refuse_above(sum(file.file_size for file in archive.infolist()), MOST_BYTES, "bytes unpacked", str(path), "measure a smaller area")
 
 
 def _text(node: Any, name: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
+from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays
 from twin.units import UNITS
 
@@ -29,6 +30,8 @@ SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
 """A part is taken to be between these in its longest side [m]."""
 SHARP_EDGE = np.radians(20.0)
 """Faces that meet at more than this have an edge between them, not a curve [rad]."""
+MOST_MESH_RAYS = 2_000_000
+"""Vertices to which a mesh is divided."""
 GUESSES = ("mm", "m", "um")
 
 
@@ -66,6 +69,8 @@ def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowan
 
     mesh, said = read_mesh(file.path, file.unit, closed=False)
     print(f"note: {said}", file=sys.stderr)
+    rays = float(mesh.area) / spacing**2
+    refuse_above(rays, MOST_MESH_RAYS, f"rays at {spacing * 1e6:g} um", str(file.path), "enlarge spacing_mm")
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
     _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
     fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)

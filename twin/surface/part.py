@@ -20,6 +20,7 @@ import numpy as np
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
+from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
 from twin.surface.tools import Tool, tool_from_table
@@ -63,12 +64,16 @@ class Surface:
 
             return mesh_rays(self.name, self.shape, spacing, part.placed, part.allowance, self.depth)
         whole_u, whole_v = self.shape.extent
-        u, v = _samples(along or whole_u, spacing), _samples(across or whole_v, spacing)
-        if len(u) * len(v) > MOST_RAYS:
-            raise InputError(
-                f"surface '{self.name}': {len(u) * len(v)} rays at {spacing * 1e6:g} um; "
-                "enlarge spacing_mm or zone_um, or make the zone smaller"
-            )
+        ranges = (along or whole_u, across or whole_v)
+        rays = math.prod(max(2.0, (high - low) / spacing + 1.0) for low, high in ranges)
+        refuse_above(
+            rays,
+            MOST_RAYS,
+            f"rays at {spacing * 1e6:g} um",
+            f"surface '{self.name}'",
+            "enlarge spacing_mm or zone_um, or make the zone smaller",
+        )
+        u, v = (_samples(ends, spacing) for ends in ranges)
         point, direction = self.shape.rays(u, v)
         grid = point.shape
         point, direction = part.placed(point.reshape(-1, 3), direction.reshape(-1, 3))

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
+from twin.limits import refuse_above
 from twin.recordings.signals import How, Recording, share_time, split_heading, starts_with
+from twin.recordings.trace import MOST_VALUES
 
 
 def read(path: Path, how: How) -> Recording:
@@ -18,7 +20,10 @@ def read(path: Path, how: How) -> Recording:
     if not starts_with(path, b"PAR1"):
         raise InputError(f"{path}: not a Parquet file; give it the ending of its true format")
     try:
-        table = pyarrow.parquet.ParquetFile(path).read()
+        file = pyarrow.parquet.ParquetFile(path)
+        size = file.metadata.num_rows * file.metadata.num_columns
+        refuse_above(size, MOST_VALUES, "values", str(path), "export the recording in parts")
+        table = file.read()
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path}: a damaged Parquet file ({str(error).splitlines()[0]}); export it again") from None
     columns: dict[str, tuple[np.ndarray, str]] = {}
@@ -26,5 +31,5 @@ def read(path: Path, how: How) -> Recording:
         column = table.column(name)
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)
-            columns[plain] = (column.cast(pa.float64()).to_numpy(), unit)
+            columns[plain] = (column.cast(pa.float64(), safe=False).to_numpy(), unit)
     return Recording(path, "Parquet", share_time(columns, how.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))

@@ -24,6 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
+from twin.limits import refuse_above
+from twin.recordings.grid import MOST_ROWS
 from twin.recordings.signals import How, Recording, Signal, date_of, starts_with
 
 NO_NUMBER = 9.2e18
@@ -139,6 +141,7 @@ def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], p
     if held and one.count is not None and one.count < span:
         # fewer samples than the span has: what is missing was lost
         return Signal(one.name, values, times, "", one.description), f"'{one.name}' lost {span - one.count} samples"
+    refuse_above(span, MOST_ROWS, "samples from its first to its last", f"{path}: signal '{one.name}'", "export a shorter recording")
     filled = values[np.searchsorted(number, np.arange(span), side="right") - 1]
     key = (float(times[0]), one.interval, span)
     grid = clocks.setdefault(key, times[0] + one.interval * np.arange(span))

@@ -1,0 +1,179 @@
+"""What the world does to a command: a disk that is full, a signal, a second command in the same folder, a killed parent."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+from tests.builders.refused import refused
+from twin.errors import InputError
+from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_text
+from twin.recordings.trace import Trace, write_trace
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
+ENDS_IN_S = 3.0
+
+
+@contextlib.contextmanager
+def full_disk(size: int = 4096):
+    """Files of this process cannot grow beyond a size: what a full disk is, without one."""
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+
+
+def long_trace() -> Trace:
+    rng = np.random.default_rng(0)
+    return Trace(np.arange(20_000) * 1e-3, {("X", "setpoint"): rng.standard_normal(20_000)}, {"X": "linear"})
+
+
+WRITERS = {
+    "a.json": lambda path: write_text("x" * 100_000, path),
+    "a.parquet": lambda path: write_trace(long_trace(), path),
+    "a.csv": lambda path: write_trace(long_trace(), path),
+}
+
+
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_leaves_the_old_file_or_none(name: str, old: bool, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if old:
+        path.write_text("old")
+    with full_disk(), pytest.raises(InputError, match=f"{name}: cannot be written"):
+        WRITERS[name](path)
+    assert [p.name for p in tmp_path.iterdir()] == ([name] if old else [])
+    assert not old or path.read_text() == "old"
+    WRITERS[name](path)
+    assert path.stat().st_size > 4096
+
+
+def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+    def stopped() -> None:
+        with beside(tmp_path / "a.txt") as partial:
+            partial.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_impossible_place_is_said_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("x")
+    for place in (tmp_path / "file" / "out.toml", tmp_path):
+        with pytest.raises(InputError, match=r"cannot be written|a folder"):
+            output_file(place)
+    begun = time.monotonic()
+    assert "file" in refused(capsys, "plan", "--out", str(tmp_path / "file" / "plan"))
+    assert time.monotonic() - begun < 5.0
+
+
+def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:
+    other = "import sys; from twin.files import *; hold_folders(); output_folder(sys.argv[1])"
+    command = [sys.executable, "-c", other, str(tmp_path)]
+    hold_folders()
+    try:
+        output_folder(tmp_path)
+        output_folder(tmp_path)  # the same command may ask again
+        second = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert "another command of twin writes here" in second.stderr
+        assert str(os.getpid()) in second.stderr
+    finally:
+        release_folders()
+    assert not (tmp_path / LOCK).exists()
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def ended(script: str, number: int, after: float) -> tuple[int, str, float]:
+    """(exit code, standard error, seconds from the signal to the end) of a script that is armed and gets a signal."""
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(after)
+    begun = time.monotonic()
+    process.send_signal(number)
+    _, error = process.communicate(timeout=30)
+    return process.returncode, error, time.monotonic() - begun
+
+
+IN_C = """
+    from twin.stopping import stoppable
+    stoppable()
+    import ctypes
+    print("ready", flush=True)
+    ctypes.CDLL(None).poll(None, 0, 20000)  # as compiled code: Python's own handlers have no turn
+"""
+IN_THREADS = """
+    from twin.__main__ import run
+    import twin.cli.effects, time
+    from concurrent.futures import ThreadPoolExecutor
+    def carry_out(args):
+        with ThreadPoolExecutor(2) as pool:
+            work = pool.submit(time.sleep, 20)
+            print("ready", flush=True)
+            work.result()
+    twin.cli.effects.carry_out = carry_out
+    import sys
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize("script", [IN_C, IN_THREADS])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_command_within_three_seconds(script: str, number: int) -> None:
+    code, error, seconds = ended(script, number, 0.2)
+    assert code == 128 + number
+    assert error.count("\n") == 1
+    assert error.startswith("twin: stopped by")
+    assert seconds < ENDS_IN_S
+
+
+def test_a_signal_in_the_first_moment_is_one_line(tmp_path: Path) -> None:
+    for after in (0.15, 0.4):
+        process = subprocess.Popen([sys.executable, "-m", "twin", "run", str(tmp_path / "none.csv")], stderr=subprocess.PIPE, text=True)
+        time.sleep(after)
+        process.send_signal(signal.SIGTERM)
+        _, error = process.communicate(timeout=30)
+        assert "Traceback" not in error
+        assert error.count("\n") <= 1
+
+
+def test_a_worker_ends_with_its_parent() -> None:
+    worker = "from twin.stopping import end_with_parent; end_with_parent(); import time; print('ready', flush=True); time.sleep(60)"
+    parent = f"import subprocess, sys; p = subprocess.Popen([sys.executable, '-c', {worker!r}]); print(p.pid, flush=True); p.wait()"
+    process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    child = int(process.stdout.readline())
+    assert process.stdout.readline() == "ready\n"
+    process.kill()
+    process.wait()
+    for _ in range(60):
+        if not _runs(child):
+            break
+        time.sleep(0.1)
+    assert not _runs(child)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] != "Z"
+    except OSError:
+        return False
