@@ -41,6 +41,9 @@ HIGHEST_IN_STEPS = 0.4
 LAW_SHARE = 0.01
 """Share of what a block should give to which its law is trusted."""
 
+STANDS_OUT = 30.0
+"""Power over noise in a band from which the response is shown there: noise that the record holds in part only passes otherwise."""
+
 RESPONSE_POINTS = 40
 """Points of a measured response."""
 
@@ -164,15 +167,19 @@ def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.
 
 
 def _curve(candidate: Candidate, runs: Sequence[_Lines], frequency: np.ndarray, predicts: float, better: float) -> Curve:
-    """The measured response: its size over the frequency [Hz], in bands as wide as they are high, with its standard deviation."""
+    """The measured response where what passes stands out of noise: its size over the frequency [Hz], with its standard deviation, which is
+    that of noise and of the runs among each other."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, RESPONSE_POINTS + 1)
-    own, cross = np.sum([r.own for r in runs], axis=0), np.sum([r.cross for r in runs], axis=0)
     x, y, band = [], [], []
     for low, high in itertools.pairwise(edges):
         rows = (frequency >= low) & (frequency < high)
-        weight = float(np.sum(own[rows])) if rows.any() else 0.0
-        if weight > 1.0:
-            x.append(float(np.average(frequency[rows], weights=own[rows])))
-            y.append(float(np.abs(np.sum(cross[rows])) / weight))
-            band.append(1.0 / math.sqrt(weight))
+        own = np.array([r.own[rows].sum() for r in runs])
+        if not rows.any() or own.sum() < STANDS_OUT * rows.sum() * len(runs):
+            continue
+        of_run = np.array([r.cross[rows].sum() for r in runs]) / np.maximum(own, 1e-300)
+        share = own / own.sum()
+        mean = complex(share @ of_run)
+        x.append(float(np.mean(frequency[rows])))
+        y.append(abs(mean))
+        band.append(math.sqrt(1.0 / own.sum() + float(share**2 @ np.abs(of_run - mean) ** 2)))
     return Curve(candidate, predicts, better, np.array(x), np.array(y), np.array(band))

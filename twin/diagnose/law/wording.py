@@ -16,7 +16,7 @@ from twin.machine.machine import Machine
 from twin.simulation.effect_picture import readable
 from twin.simulation.law_picture import shown_in, small_length
 
-PASSED = {"time_constant_s": "of", "time_s": "of", "width": "as wide as", "frequency_hz": "at"}
+PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Words before the numbers of a filter."""
 
 BAND = 1.96
@@ -39,7 +39,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis) -> str:
     if not deviation:
         return readable(value, unit) if factor == 1.0 else f"{factor * value:.3g} {quantity}"
     digits = max(0, -math.floor(math.log10(max(BAND * factor * deviation, 1e-12))))
-    return f"({factor * abs(value):.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".rstrip()
+    return f"({factor * abs(value):.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
 
 
 def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
