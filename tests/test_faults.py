@@ -114,11 +114,14 @@ def ended(script: str, number: int, after: float) -> tuple[int, str, float]:
 
 
 IN_C = """
-    from twin.stopping import stoppable
-    stoppable()
-    import ctypes
-    print("ready", flush=True)
-    ctypes.CDLL(None).poll(None, 0, 20000)  # as compiled code: Python's own handlers have no turn
+    from twin.__main__ import run
+    import twin.cli.effects, hashlib, sys
+    def carry_out(args):
+        print("ready", flush=True)
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # as compiled code: Python's own handlers have no turn
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
 """
 IN_THREADS = """
     from twin.__main__ import run
