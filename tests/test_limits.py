@@ -44,7 +44,6 @@ def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machin
 OTHER_PROGRAMS = {
     "turn.mpf": ("G17 G0 X10 Y0\nG2 X10 Y0 I-10 J0 TURN=999999999 F1000\nM30\n", "give 0 to 10000"),
     "dwell.mpf": ("G4 F1000000000\nM30\n", "give 0 to 3600 s"),
-    "delay.apt": ("FEDRAT/100\nGOTO/0,0,100\nDELAY/1E9\nGOTO/1,0,100\nFINI\n", "3600"),
 }
 
 
