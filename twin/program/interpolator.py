@@ -108,6 +108,10 @@ def _interpolate_stretch(
     limits = limits_of(machine, stretch.brisk, program.kinematics)
     frames = frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
     feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
+    with np.errstate(over="ignore"):
+        at_feed = np.diff(stretch.elements.u) / feeds.speed  # s, an estimate
+    slowest = int(stretch.row[int(np.argmax(at_feed))])
+    _check_length(float(at_feed.sum()), period, program, slowest)
     spline = spline_of(stretch)
     law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report)
     ease = np.ones(len(law.piece))
