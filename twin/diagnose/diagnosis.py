@@ -360,7 +360,7 @@ def diagnose(
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
                 # what does not shrink the gap on runs left out is no law of this machine
-                if (now := with_laws.left(machine, campaign.runs)) < best:
+                if with_laws is not None and (now := with_laws.left(machine, campaign.runs)) < best:
                     laws, predicted, best = tried, with_laws, now
             if best - 1.0 < ALL_BUT * (without_laws - 1.0):
                 break

@@ -49,6 +49,9 @@ LITTLE_LEFT = 0.02
 LEAST_EVIDENCE = 30.0
 """Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
 
+MOST_EFFECTS = 5
+"""Effects of an axis that a law may be asked to stand in for: of more, each has earned its place beside the others."""
+
 MOST_PROBABLE = 0.98
 """What nobody listed cannot be ruled out."""
 
@@ -154,9 +157,9 @@ def _of_axis(
     loop = ClosedLoop(group, (axis,), folds, mapper)
     state = state_of(machine, corrected, (axis,), group.thresholds)
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
+    if not own or len(own) > MOST_EFFECTS:
+        return _from(loop, state, axis, machine, say)
     beside = _from(loop, state, axis, machine, say, idle=own)
-    if not own:
-        return beside
     say(f"{axis}: a law instead of {', '.join(s.effect.name for s in own)}?")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [bare]

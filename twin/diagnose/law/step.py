@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
 from twin.diagnose.law.keep import Say
-from twin.diagnose.law.laws import Laws, laws_of
+from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.observe import Mapper
 from twin.diagnose.state import Found
 from twin.errors import TwinError
@@ -24,9 +24,6 @@ ALL_BUT = 0.1
 LOUD = 3.0
 """Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
 
-MOST_EFFECTS = 5
-"""Effects of an axis that a law may be asked to stand in for: of more, each has earned its place beside the others."""
-
 
 def laws_beside(
     found: Sequence[Found],
@@ -41,16 +38,16 @@ def laws_beside(
 
     `machine` is the nominal one, `levels` are gaps over noise after correction on runs left out.
     """
-    axes = [
-        axis for f in found for axis in f.group.axes if f.unknown or (levels.get(axis, 0.0) > LOUD and _effects(f, axis) <= MOST_EFFECTS)
-    ]
+    few = [axis for f in found for axis in f.group.axes if _effects(f, axis) <= MOST_EFFECTS]
+    axes = [axis for f in found for axis in f.group.axes if f.unknown or (levels.get(axis, 0.0) > LOUD and axis in few)]
     if not axes:
         return
     without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
     # the search trusts the twin less where it is far off; a law may be just there, or beside what chance makes of it
-    for groups in ([f.rigid.without_doubt() for f in found], [f.rigid for f in found]):
-        with contextlib.suppress(TwinError):  # a corrected twin that cannot be simulated has no residual to look at
-            yield laws_of(groups, machine, corrected, axes, folds, without, mapper, say)
+    for groups, asked in (([f.rigid.without_doubt() for f in found], [a for a in axes if a in few]), ([f.rigid for f in found], axes)):
+        if asked:
+            with contextlib.suppress(TwinError):  # a corrected twin that cannot be simulated has no residual to look at
+                yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
 
 
 def _effects(found: Found, axis: str) -> int:
@@ -65,11 +62,14 @@ def predictions_with(
     folds: Sequence[Sequence[int]],
     engine: bool,
     threads: int,
-) -> HeldOut:
-    """What is predicted after correction with the laws, each run by the machine fitted without it."""
+) -> HeldOut | None:
+    """What is predicted after correction with the laws, each run by the machine fitted without it; None where that one cannot run."""
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     jobs = [
         Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold
     ]
-    predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
+    try:
+        predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
+    except TwinError:
+        return None
     return replace(held_out, predictions={**held_out.predictions, "after": predictions})
