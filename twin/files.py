@@ -38,7 +38,8 @@ def beside(path: str | Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); free the disk or give another place") from None
     except BaseException:
         with contextlib.suppress(OSError):

@@ -5,6 +5,7 @@ from pathlib import Path
 import re
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -70,13 +71,15 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "cascade + plant" in out
 
 
-def test_stopped_by_the_user(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stopped_by_the_user(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("twin.stopping._said", threading.Lock())  # it is said once a process
+
     def stopped(_: object) -> int:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("twin.cli.effects.carry_out", stopped)
     assert main(["effects"]) == 130
-    assert capsys.readouterr().err == "twin: stopped by the user\n"
+    assert capfd.readouterr().err == "twin: stopped by the user\n"
 
 
 def test_disk_that_is_full(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -128,7 +128,7 @@ def test_great_circle_keeps_the_tool_axis_in_its_plane(mikron: Machine, tmp_path
     off = {}
     for mode in ("ORIWKS", "ORIMKS"):
         program = read_program(write(tmp_path, text.format(mode)), mikron)
-        axes = interpolate(program, mikron).matrix("setpoint", interpolator.AXES)
+        axes = interpolate(program, mikron).matrix("setpoint", mikron.axis_names)
         direction = program.kinematics.forward(axes)[1]
         normal = np.cross(direction[0], direction[-1])
         off[mode] = np.abs(direction @ normal).max() / np.linalg.norm(normal)
@@ -141,13 +141,13 @@ def test_budget_names_the_level(mikron: Machine, tmp_path: Path) -> None:
     """A perfect follower leaves level 1 only; a machine that runs 50 um aside is level 2, measured across the path."""
     program = read_program(write(tmp_path, "G642 CTOL=0.01\nG1 X20 F3000\nY20\n"), mikron)
     setpoints = interpolate(program, mikron)
-    perfect = Trace(setpoints.time, {(a, "position"): setpoints.get(a, "setpoint") for a in interpolator.AXES}, mikron.kinds)
+    perfect = Trace(setpoints.time, {(a, "position"): setpoints.get(a, "setpoint") for a in mikron.axis_names}, mikron.kinds)
     budget = error_budget(program, setpoints, perfect, mikron)
     assert 5e-6 < budget.rounding.max() <= 10e-6
     assert np.allclose(budget.contour, budget.rounding, atol=1e-9)
     assert budget.drives.max() < 1e-9
     # late by 10 ms: a following error along the path, hardly a contour error on the straight
-    late = {(a, "position"): np.interp(setpoints.time - 0.01, setpoints.time, setpoints.get(a, "setpoint")) for a in interpolator.AXES}
+    late = {(a, "position"): np.interp(setpoints.time - 0.01, setpoints.time, setpoints.get(a, "setpoint")) for a in mikron.axis_names}
     budget = error_budget(program, setpoints, Trace(setpoints.time, late, mikron.kinds), mikron)
     straight = (budget.path_length > 5e-3) & (budget.path_length < 15e-3)
     assert budget.following[straight].max() > 3e-4

@@ -152,7 +152,7 @@ def test_what_a_catalogue_cannot_do(folder: Path, old: str, new: str, words: str
         ("inertia_kg_m2 = 4.2e-3", "inertia_kg_m2 = 4.2e-2", "more than the 0.0068 kg m2"),
         ('name = "M100"', 'name = "M80"', "two of"),
         ("rated_torque_nm = 18.0", "rated_torque = 18.0", "unknown key 'rated_torque'"),
-        ("[[motor]]", "[[motor", "cannot be read"),
+        ("[[motor]]", "[[motor", "not a valid TOML file"),
     ],
 )
 def test_what_is_wrong_in_a_catalogue(folder: Path, old: str, new: str, words: str) -> None:

@@ -262,7 +262,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
         ("row 1 needs 2 numbers",),
     ),
     "Sobol count": (lambda t: t.replace('"grid"\nlevels = 3', '"sobol"\ncount = 60'), ("count = 60", "power of two")),
-    "huge design": (lambda t: t.replace("levels = 3", "levels = 2000000"), ("2000000 variants", "latin_hypercube")),
+    "huge design": (lambda t: t.replace("levels = 3", "levels = 2000000"), ("2e+06 variants", "latin_hypercube")),
     "part": (lambda t: 'part = "part.toml"\n' + t, ("part: 'part.toml'", "no such file beside")),
     "machine": (lambda t: 'machine = "m.toml"\n' + t, ("machine: 'm.toml'", "no such file beside")),
     "unknown answer": (lambda t: 'answer = ["cycle_tim_s"]\n' + t, ("no response 'cycle_tim_s'", "did you mean 'cycle_time_s'")),

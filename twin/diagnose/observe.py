@@ -193,7 +193,8 @@ def simulate_group(
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
     # what is clamped on the table moves every rotary axis, whichever of them the run moves
     clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in axes)
-    driven = [name for name in machine.axis_names if name in axes or name in also or (clamped and name in rotary)]
+    pushing = {s.from_axis for s in hidden if s.axis in axes and s.from_axis}
+    driven = [name for name in machine.axis_names if name in {*axes, *also, *pushing} or (clamped and name in rotary)]
     index = [machine.axis_names.index(name) for name in driven]
     part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
     # gravity and inertia of a rotary axis depend on where the others are, simulated or not
