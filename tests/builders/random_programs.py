@@ -91,7 +91,7 @@ def check(text: str, folder: Path, machine: Machine) -> Finding:
     path.write_text(text)
     program = read_program(path, machine)
     trace = interpolate(program, machine)
-    axes, period = trace.matrix("setpoint", interpolator.AXES), trace.period
+    axes, period = trace.matrix("setpoint", program.kinematics.names), trace.period
     limits = interpolator.limits_of(machine)
     over = max(float((np.abs(np.diff(axes, k, axis=0)).max(axis=0) / period**k / limit).max()) for k, limit in enumerate(limits, 1))
     feed, speed = trace.get("program", "feed"), trace.get("program", "path_speed")
