@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twin.cli.arguments import add_open
 from twin.errors import InputError
 
 
@@ -12,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("folder", metavar="FOLDER", nargs="?", default="out", help="folder that commands wrote to (default: out)")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="port on this computer (default: a free one)")
-    parser.add_argument("--open", action="store_true", help="open the desk in the browser")
+    add_open(parser, "open the desk in the browser")
 
 
 def carry_out(args: argparse.Namespace) -> int:

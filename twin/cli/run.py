@@ -130,11 +130,11 @@ def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, fo
     from twin.simulation.run import simulate
     from twin.simulation.summary import effects_line
 
-    own = settings_of(machine)
-    without = with_effects(machine, own[: len(own) - len(args.effect)])
+    settings = settings_of(machine)
+    own = len(settings) - len(args.effect)
+    without, added = with_effects(machine, settings[:own]), settings[own:]
     with Progress("simulating without the effects") as bar:
         nominal = simulate(without, setpoints, sample_period=followed.period, noise_seed=args.noise_seed, progress=bar).trace
-    added = settings_of(machine)[len(own) - len(args.effect) :]
     name = f"with {added[0].effect.name.replace('_', ' ')} {added[0].axis}" if len(added) == 1 else f"with {len(added)} effects"
     comparison = compare(nominal, followed, machine, names=("without", name))
     print(f"\n{comparison.verdict}\n{comparison.table()}")

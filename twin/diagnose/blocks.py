@@ -108,10 +108,9 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
 
 
 def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Recorded current minus the current that the controller would command for the recorded speeds, without drift; and where it moves."""
-    error = without_drift(trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace), view)
+    """`current_error` where the axis moves, and where that is."""
     moving = np.flatnonzero(view.reference(axis.name)[2])
-    return error[moving], moving
+    return current_error(view, axis, trace)[moving], moving
 
 
 def shows_speed_controller(view: RunView, axis: Axis) -> bool:
@@ -119,9 +118,11 @@ def shows_speed_controller(view: RunView, axis: Axis) -> bool:
     return view.on_each_cycle and all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
 
 
-def without_drift(current: np.ndarray, view: RunView) -> np.ndarray:
-    """A current error (sample,) without what the integrator drifts by: it sums up all that lies between the samples of the speed."""
-    return current - _moving_mean(current, round(view.thresholds.drift_s / view.trace.period))
+def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
+    """Recorded current minus the one that the controller would command for the recorded speeds (sample,) [A], without what its integrator
+    drifts by: it sums up all that lies between the samples of the speed."""
+    error = trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace)
+    return error - _moving_mean(error, round(view.thresholds.drift_s / view.trace.period))
 
 
 def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:

@@ -177,10 +177,9 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
 def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
     """True motion and signals of axes in a run, without noise; None where the machine cannot run. Axes that stand are among them:
     their screws grow, and they are the lever of a rotary axis."""
-    sources = [s.from_axis for s in settings_of(machine) if s.from_axis and s.axis in axes]
     own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
     try:
-        return simulate_group(view, axes, lambda _: own, also=sources).without_noise
+        return simulate_group(view, axes, lambda _: own).without_noise
     except TwinError:
         return None
 

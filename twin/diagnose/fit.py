@@ -258,9 +258,8 @@ def _lower(
 
 def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
     """Simulated change of the group's channels by these effects (row,); `mapper` maps over runs."""
-    also = [s.from_axis for s in settings if s.from_axis]
     own = _moved_by(settings, group)
-    return group.response(None, settings, [a for a in group.axes if a in own], also, mapper=mapper)
+    return group.response(None, settings, [a for a in group.axes if a in own], mapper=mapper)
 
 
 def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
@@ -277,7 +276,6 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
         return fit.about
     t = group.thresholds
     tuning, own = fit.about, _moved_by(fit.settings, group)
-    also = [s.from_axis for s in fit.settings if s.from_axis]
 
     def column(i: int) -> np.ndarray:
         nuisance = tuning.nuisances[i]
@@ -289,7 +287,7 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
         elif nuisance.quantity in NORMAL:  # a mode is as wide as its damping, and what is smaller than the least stays out of a machine
             step = max(t.within_mode * abs(float(tuning.base[i])), 1.05 * t.least_imperfection * machine.parameter_tolerance)
         axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
-        changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes, also)
+        changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes)
         return (changed - fit.response) * (tuning.spread / step)
 
     return replace(

@@ -105,15 +105,14 @@ class Group:
         machine_of: Variant | None,
         settings: Sequence[Setting] = (),
         axes: Sequence[str] = (),
-        also: Sequence[str] = (),
         *,
         shaken: bool = False,
         mapper: Mapper = in_turn,
     ) -> np.ndarray:
         """Weighted change of all channels against the nominal twin (row,): the variant's simulation minus the nominal's.
 
-        `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group); `also` names
-        axes that must move along. `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
+        `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group).
+        `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
         `mapper` maps over the runs.
         """
         axes = tuple(axes) or self.axes
@@ -125,7 +124,7 @@ class Group:
             view = self.views[run]
             moving = tuple(a for a in axes if view.moves(a))
             noise = noise_seed(self.seed, run) if shaken else None
-            trace = simulate_group(view, moving, machine_of, settings, also, noise_seed=noise).without_noise
+            trace = simulate_group(view, moving, machine_of, settings, noise_seed=noise).without_noise
             return channels_of(trace, view, moving, gains)
 
         runs = sorted({channel.run for channel in mine})
@@ -182,19 +181,20 @@ def simulate_group(
     axes: Sequence[str],
     machine_of: Variant | None = None,
     settings: Sequence[Setting] = (),
-    also: Sequence[str] = (),
     *,
     noise_seed: int | None = None,
 ) -> Run:
-    """Simulate some axes of a run by themselves in the decoupled plant; at the times of the run's record."""
+    """Simulate some axes of a run, and those that effects push them with, in the decoupled plant; at the times of the run's record."""
     machine = view.machine if machine_of is None else machine_of(view.machine)
     changed = with_added(machine, settings)
     hidden = settings_of(changed)
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
     # what is clamped on the table moves every rotary axis, whichever of them the run moves
     clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in axes)
-    pushing = {s.from_axis for s in hidden if s.axis in axes and s.from_axis}
-    driven = [name for name in machine.axis_names if name in {*axes, *also, *pushing} or (clamped and name in rotary)]
+    needed = {*axes, *(rotary if clamped else ())}
+    while pushing := {s.from_axis for s in hidden if s.from_axis and s.axis in needed} - needed:
+        needed |= pushing
+    driven = [name for name in machine.axis_names if name in needed]
     index = [machine.axis_names.index(name) for name in driven]
     part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
     # gravity and inertia of a rotary axis depend on where the others are, simulated or not

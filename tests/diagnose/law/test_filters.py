@@ -26,7 +26,7 @@ def passed_by(block: str, name: str | None, numbers: dict[str, float], gain: flo
     period = max(PERIOD, cycle)
     steps, every = round(period / MACHINE.base_tick), round(cycle / MACHINE.base_tick)
     runs = []
-    for run in range(3):
+    for _ in range(3):
         wanted = rng.normal(size=COUNT * steps)
         for _ in range(2):
             wanted = np.convolve(wanted, np.ones(2 * steps) / np.sqrt(2 * steps), "same")
@@ -35,7 +35,7 @@ def passed_by(block: str, name: str | None, numbers: dict[str, float], gain: flo
             shape = SHAPES[name]
             row, state = np.array(filter_row(shape, numbers, cycle)), np.zeros(RING + 1)
             given = np.repeat([filtered(shape.code, u, row, state, i == 0) for i, u in enumerate(wanted[::every])], every)
-        runs.append(Passed(run, variable[0], wanted[::steps], gain * given[::steps] + rng.normal(0.0, NOISE, COUNT), NOISE, period))
+        runs.append(Passed(variable[0], wanted[::steps], gain * given[::steps] + rng.normal(0.0, NOISE, COUNT), NOISE, period))
     nothing = np.zeros(3)
     return Samples("X", block, nothing, NOISE, nothing, nothing, nothing.astype(int), {}, {}, tuple(runs))
 

@@ -84,7 +84,7 @@ def filters_of(samples: Samples, machine: Machine) -> list[Described]:
             for name in names:
                 law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
                 found.append(_fitted(samples, candidate, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
-    return sorted((f for f in found if f is not None), key=lambda d: -d.predicts)
+    return sorted(found, key=lambda d: -d.predicts)
 
 
 def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
@@ -117,9 +117,7 @@ def _left(run: _Lines, f: np.ndarray, gain: float) -> float:
     return float(np.sum(run.given - 2.0 * gain * (np.conj(f) * run.cross).real + gain**2 * np.abs(f) ** 2 * run.own))
 
 
-def _fitted(
-    samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_Lines], frequency: np.ndarray
-) -> Described | None:
+def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_Lines], frequency: np.ndarray) -> Described:
     """One filter, fitted to all runs and judged on each by the fit of the others."""
     names = [n.name for n in shape.numbers]
     starts, low, high = _starts(shape, cycle, frequency)
@@ -136,20 +134,16 @@ def _fitted(
     best = fit(runs, min(starts, key=lambda logs: _loss(runs, of(logs))[0]))
     through = np.ones(len(frequency), complex)
     of_run, base = np.zeros(len(runs)), np.zeros(len(runs))
-    moved = []
     for i, run in enumerate(runs):
         others = [*runs[:i], *runs[i + 1 :]]
         logs = fit(others, best)
-        moved.append(logs)
         of_run[i] = _left(run, of(logs), _loss(others, of(logs))[1])
         base[i] = _left(run, through, _loss(others, through)[1])
     predicts = 1.0 - of_run.sum() / max(base.sum(), 1e-300)
     better = float(base[of_run < base].sum() / max(base.sum(), 1e-300))
-    spread = np.std(moved, axis=0) * math.sqrt(max(len(runs) - 1, 1))
     numbers = {n: float(math.exp(v)) for n, v in zip(names, best)}
-    deviations = {n: numbers[n] * float(d) for n, d in zip(names, spread)}
     curve = _curve(candidate, runs, frequency, predicts, better)
-    return Described(candidate, shape.name, numbers, deviations, predicts, curve, np.zeros(len(samples)))
+    return Described(candidate, shape.name, numbers, predicts, curve, np.zeros(len(samples)))
 
 
 def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import lfilter, savgol_filter
 
-from twin.diagnose.blocks import MOTION, commanded_current, inertia_and_bias, shows_speed_controller, without_drift
+from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
@@ -49,9 +49,6 @@ MECHANICS = "mechanics"
 SPRING = "spring"
 """The part of the transmission that a spring makes."""
 
-CONTROL = ("position controller", "speed controller")
-"""Blocks that pass a signal on."""
-
 
 @dataclass(frozen=True)
 class Passed:
@@ -60,7 +57,6 @@ class Passed:
     `output` says what passes: that of the block, or what it receives.
     """
 
-    run: int
     output: str
     wanted: np.ndarray
     given: np.ndarray
@@ -72,8 +68,8 @@ class Passed:
 class Samples:
     """Residual `y` (sample,) of one block of one axis over all its runs, with what it may depend on.
 
-    `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has the
-    columns of `COLUMNS`; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
+    `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has what
+    `_motion` finds; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
     is the index of the sample at which the run of each sample begins. `passed` is what a control block makes of its inputs, run by run.
     """
 
@@ -157,6 +153,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
         noisy = simulate_group(view, [name], machine_of, noise_seed=NOISE_SEED + r).trace
         actual = replace(view, machine=machine_of(view.machine), references=view.references)
         axis = actual.machine.axis(name)
+        motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
         for block, law, period in (
             (MECHANICS, _forces, FORCE_PERIOD_S),
@@ -177,16 +174,14 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             index = index[:: max(1, len(index) // MOST_SAMPLES)]
             if len(index) < LEAST_SAMPLES:
                 continue
-            motion = _motion(view, name, axis)
-            beside, shaking = measured[0] - expected[0], shaken[0] - expected[0]
-            received = beside
-            if block == "speed controller":
-                # a law that is fed with a set point that the drive did not get may ask for more than the drive can give
-                received = _beyond_command(actual, axis, view.trace) - _beyond_command(actual, axis, twin.without_noise)
-                beside, shaking = without_drift(beside, view), without_drift(shaking, view)
-            noise = shaking[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
+            beside = measured[0] - expected[0]
+            noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
             level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
-            passed = _passed(block, actual, axis, view.trace, r, (beside, received), level, motion) if block in CONTROL else ()
+            passed: tuple[Passed, ...] = ()
+            if block == "position controller":
+                passed = (_passed_by_position_controller(view, motion, beside, level),)
+            elif block == "speed controller":
+                passed = _passed_by_speed_controller(actual, axis, twin.without_noise, beside, level)
             pieces.append(
                 _Piece(
                     r,
@@ -202,37 +197,31 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
     return pieces
 
 
-def _passed(
-    block: str,
-    view: RunView,
-    axis: Axis,
-    trace: Trace,
-    run: int,
-    apart: tuple[np.ndarray, np.ndarray],
-    noise: float,
-    motion: dict[str, np.ndarray],
-) -> tuple[Passed, ...]:
-    """What a control block gives over what it should give; of the speed controller also what it receives over what was sent.
+def _passed_by_position_controller(view: RunView, motion: dict[str, np.ndarray], beside: np.ndarray, noise: float) -> Passed:
+    """The speed set points that a position controller should give and gives, at its cycles; `beside` (sample,) is their difference."""
+    every = max(1, round(view.machine.position_cycle / view.trace.period))
+    wanted = motion["speed_setpoint"][::every]
+    return Passed("speed", wanted, wanted + beside[::every], noise, every * view.trace.period)
 
-    What the speed controller gives beside its law is what its PI law makes of a set point that it receives otherwise than it was sent:
-    the law is run backwards, e = (T - I) / Kp, I += Kp T / Tn e. `apart` is how far the block is from its law, without drift and with it.
+
+def _passed_by_speed_controller(view: RunView, axis: Axis, twin: Trace, beside: np.ndarray, noise: float) -> tuple[Passed, ...]:
+    """The current that a speed controller should give and gives, which differ by `beside` (sample,); and the set point that it was sent and receives.
+
+    What it gives beside its law is what its PI law makes of a set point that it receives otherwise than it was sent: the law is run
+    backwards, e = (T - I) / Kp, I += Kp T / Tn e. Fed with a set point that the drive did not get, the law may ask for more than the drive
+    can give: here it has no limits.
     """
-    beside, drifting = apart
-    if block == "position controller":
-        every = max(1, round(view.machine.position_cycle / trace.period))
-        wanted = motion["speed_setpoint"][::every]
-        return (Passed(run, "speed", wanted, wanted + beside[::every], noise, every * trace.period),)
+    trace = view.trace
     wanted = commanded_current(view, axis, trace)
-    sent = trace.get(axis.name, "velocity_setpoint")
-    torque = axis.commissioned_torque_constant * drifting
-    gain = axis.loops.speed_gain_nm_s_per_rad
+    apart, of_twin = (t.get(axis.name, axis.effort) - commanded_current(view, axis, t, limited=False) for t in (trace, twin))
+    to_speed = axis.commissioned_torque_constant / axis.loops.speed_gain_nm_s_per_rad * axis.ratio
     rate = trace.period / axis.loops.speed_integral_time_s
     # of e the integrator has taken rate e each sample before: e = T / Kp - rate sum(e before)
-    error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], torque / gain) * axis.ratio
-    at_speed = axis.commissioned_torque_constant * noise / gain * axis.ratio
+    error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], to_speed * (apart - of_twin))
+    sent = trace.get(axis.name, "velocity_setpoint")
     return (
-        Passed(run, "current", wanted, wanted + beside, noise, trace.period),
-        Passed(run, "received_speed", sent, sent + error, at_speed, trace.period),
+        Passed("current", wanted, wanted + beside, noise, trace.period),
+        Passed("received_speed", sent, sent + error, to_speed * noise, trace.period),
     )
 
 
@@ -250,18 +239,26 @@ def _speed(trace: Trace, axis: Axis) -> np.ndarray:
 
 def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Force on the load beyond the model's, towards +q (sample,), and where the axis slides."""
-    window = _window(view)
-    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
+    driven = _driven(view, axis, trace)
+    if driven is None:
         return None
-    speed = _speed(trace, axis)
-    v = savgol_filter(speed, window, 2)
-    acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
-    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
+    window = _window(view)
+    drive, acceleration = driven
+    v = savgol_filter(_speed(trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
     friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
     least = view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
     sliding = minimum_filter1d(np.abs(v), 2 * window) > least
     return inertia * acceleration + friction + bias - drive, sliding
+
+
+def _driven(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """Force of the motor at the axis and acceleration (sample,), smoothed alike; None without current, or of a run that is too short."""
+    window = _window(view)
+    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
+        return None
+    acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
+    return savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
 def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
@@ -283,20 +280,16 @@ def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     """Force of the motor that does not accelerate its rotor: what goes through the drive train (sample,); None without current."""
-    window = _window(view)
-    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
-        return None
-    acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
-    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
-    return np.asarray(drive - axis.reflected_inertia * acceleration)
+    driven = _driven(view, axis, trace)
+    return None if driven is None else np.asarray(driven[0] - axis.reflected_inertia * driven[1])
 
 
 def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     """Motor position minus scale from the start of the run (sample,), smoothed; None where one of them was not recorded."""
-    if not (view.trace.has(axis.name, "position") and view.trace.has(axis.name, "motor_position")) or len(trace.time) < 2 * _window(view):
+    displaced = _displacement(view, axis, trace)
+    if displaced is None or len(trace.time) < 2 * _window(view):
         return None
-    apart = trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")
-    return np.asarray(savgol_filter(apart, _window(view), 2)) - apart[0]
+    return np.asarray(savgol_filter(displaced[0], _window(view), 2)) - displaced[0][0]
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
@@ -313,14 +306,7 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
 
 def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Current beside the one that the controller would command (sample,), while the axis moves."""
-    if not shows_speed_controller(view, axis):
-        return None
-    return trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace), view.reference(axis.name)[2]
-
-
-def _beyond_command(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
-    """Recorded current minus what a controller without limits would command (sample,)."""
-    return np.asarray(trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace, limited=False))
+    return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:

@@ -63,12 +63,11 @@ HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 
 @dataclass(frozen=True)
 class Described:
-    """A law as a formula, or as a table where `shape` is None: numbers in SI, their standard deviations, and what it predicts."""
+    """A law as a formula, or as a table where `shape` is None: numbers in SI, and what it predicts."""
 
     candidate: Candidate
     shape: str | None
     numbers: Mapping[str, float]
-    deviations: Mapping[str, float]
     predicts: float
     curve: Curve
     column: np.ndarray = field(repr=False)  # (sample,) what it makes of the residual
@@ -113,7 +112,7 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
     level = curve.y[-1] if curve.candidate.variable == "speed" else float(np.mean(y))
     column = in_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]
     points = tuple((float(curve.x[i]), float(curve.y[i] - level)) for i in places)
-    return Described(curve.candidate, None, {"scale": 1.0}, {}, curve.predicts, curve, column, points)
+    return Described(curve.candidate, None, {"scale": 1.0}, curve.predicts, curve, column, points)
 
 
 class _Problem:
@@ -233,24 +232,19 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
         moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
         judged = left_out_loss(moved, fixed, scale)
         heights, column = np.ones(1), columns[:, 0]
-        spread = np.zeros(1)
     else:
         judged = left_out_loss(samples, np.column_stack([fixed, columns]), scale)
         heights = judged.coefficients[fixed.shape[1] :]
-        spread = np.sqrt(np.diag(judged.covariance)[fixed.shape[1] :])
         column = columns @ heights
     numbers = {**problem.given, **{n: float(v) for n, v in zip(problem.free, values)}}
-    deviations: dict[str, float] = {}
     if shape.name == "sine":
         numbers["amplitude"] = float(np.hypot(*heights))
         numbers["phase_rad"] = float(np.arctan2(heights[1], heights[0]))
-        deviations["amplitude"] = float(spread.mean())
     elif problem.height:
         numbers[problem.height] = float(heights[0])
-        deviations[problem.height] = float(spread[0])
     order = [n.name for n in shape.numbers]
     numbers = {n: numbers[n] for n in sorted(numbers, key=lambda n: order.index(n) if n in order else len(order))}
-    return Described(curve.candidate, shape.name, numbers, deviations, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
+    return Described(curve.candidate, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
 
 
 def _polished(loss, values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
