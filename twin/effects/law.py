@@ -25,66 +25,17 @@ from typing import Any
 
 import numpy as np
 
-from twin.compiled_functions import compiled
+from twin.effects import law_terms
 from twin.effects.change import Change
 from twin.effects.effect import FROM_TABLE, Effect, Parameter
-from twin.effects.law_filters import FIRST_FREE, filter_row, filtered
-from twin.effects.law_shapes import CURVE, LAG, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, value_of, values_of
+from twin.effects.law_filters import filter_row
+from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, values_of
 from twin.effects.picture import Picture
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
-from twin.simulation.loop_terms import (
-    CURRENT,
-    DRIVE,
-    FORCE,
-    MEASURE,
-    RECORD,
-    SETPOINT,
-    SPEED,
-    X_CURRENT,
-    X_CURRENT_SETPOINT,
-    X_FOLLOWING_ERROR,
-    X_FRICTION_LEVEL,
-    X_LOAD_ACCELERATION,
-    X_LOAD_FORCE,
-    X_LOAD_MIDDLE,
-    X_LOAD_POSITION,
-    X_LOAD_SPEED,
-    X_MOTOR_POSITION,
-    X_MOTOR_SPEED,
-    X_MOTOR_TORQUE,
-    X_RECORDED_CURRENT,
-    X_ROTOR_FORCE,
-    X_ROTOR_MIDDLE,
-    X_ROTOR_POSITION,
-    X_SCALE,
-    X_SETPOINT,
-    X_SPEED_SETPOINT,
-    X_STEP,
-    X_TIME,
-    X_TRANSMISSION_ERROR,
-    arrays,
-    term,
-)
+from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED
 
 NAME = "law"
-
-(
-    V_POSITION,
-    V_TURN,
-    V_VELOCITY,
-    V_SPEED,
-    V_ACCELERATION,
-    V_ACCELERATION_SIZE,
-    V_CURRENT,
-    V_TIME,
-    V_DIRECTION,
-    V_SLACK,
-    V_FOLLOWING_ERROR,
-    V_SPEED_SETPOINT,
-    V_CURRENT_SETPOINT,
-    V_WINDUP,
-) = range(14)
 
 
 @dataclass(frozen=True)
@@ -98,20 +49,22 @@ class Variable:
 
 
 VARIABLES = {
-    "position": Variable(V_POSITION, "length", "position of the load"),
-    "turn": Variable(V_TURN, "angle", "angle of the motor"),
-    "velocity": Variable(V_VELOCITY, "speed", "signed speed"),
-    "speed": Variable(V_SPEED, "speed", "speed without sign"),
-    "acceleration": Variable(V_ACCELERATION, "acceleration", "acceleration"),
-    "acceleration_size": Variable(V_ACCELERATION_SIZE, "acceleration", "acceleration without sign"),
-    "current": Variable(V_CURRENT, "current", "motor current"),
-    "time": Variable(V_TIME, "time", "time since the start of the campaign"),
-    "direction": Variable(V_DIRECTION, "number", "direction of motion z remembered over `length`: dz/dt = (v - |v| z) / length"),
-    "slack": Variable(V_SLACK, "number", "place inside a play of `length` to either side: dz/dt = v / length, between -1 and 1"),
-    "following_error": Variable(V_FOLLOWING_ERROR, "length", "delayed set point minus measured position", ("position controller",)),
-    "speed_setpoint": Variable(V_SPEED_SETPOINT, "speed", "speed set point", ("position controller",)),
-    "windup": Variable(V_WINDUP, "length", "rotor minus load position of a drive train with a spring", ("transmission",)),
-    "current_setpoint": Variable(V_CURRENT_SETPOINT, "current", "current set point", ("speed controller",)),
+    "position": Variable(law_terms.V_POSITION, "length", "position of the load"),
+    "turn": Variable(law_terms.V_TURN, "angle", "angle of the motor"),
+    "velocity": Variable(law_terms.V_VELOCITY, "speed", "signed speed"),
+    "speed": Variable(law_terms.V_SPEED, "speed", "speed without sign"),
+    "acceleration": Variable(law_terms.V_ACCELERATION, "acceleration", "acceleration"),
+    "acceleration_size": Variable(law_terms.V_ACCELERATION_SIZE, "acceleration", "acceleration without sign"),
+    "current": Variable(law_terms.V_CURRENT, "current", "motor current"),
+    "time": Variable(law_terms.V_TIME, "time", "time since the start of the campaign"),
+    "direction": Variable(law_terms.V_DIRECTION, "number", "direction of motion z remembered over `length`: dz/dt = (v - |v| z) / length"),
+    "slack": Variable(law_terms.V_SLACK, "number", "place inside a play of `length` to either side: dz/dt = v / length, between -1 and 1"),
+    "following_error": Variable(
+        law_terms.V_FOLLOWING_ERROR, "length", "delayed set point minus measured position", ("position controller",)
+    ),
+    "speed_setpoint": Variable(law_terms.V_SPEED_SETPOINT, "speed", "speed set point", ("position controller",)),
+    "windup": Variable(law_terms.V_WINDUP, "length", "rotor minus load position of a drive train with a spring", ("transmission",)),
+    "current_setpoint": Variable(law_terms.V_CURRENT_SETPOINT, "current", "current set point", ("speed controller",)),
 }
 """What a law may depend on, by its name in a machine file."""
 
@@ -319,23 +272,17 @@ def _parameter(number: Number, law: Law) -> Parameter:
     )
 
 
-# the compiled row of a law: this head, then the shape's numbers
-P_VARIABLE, P_SHAPE, P_AXIS, P_FACTOR, P_OFFSET, P_LENGTH, P_MEMORY, P_CYCLE, P_PERIOD = range(9)
-HEAD = 9
-S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST = range(5)
-
-
 def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
     machine = change.machine
     stage, kernel = {
-        "force": (FORCE, spring_law if law.block == "transmission" else force_law),
-        "friction": (FORCE, friction_law),
-        "torque": (FORCE, torque_law),
-        "current": (RECORD, record_law) if law.block == "measurement" else (CURRENT, current_law),
-        "speed": (SPEED, speed_law),
-        "received_speed": (DRIVE, speed_law),
-        "set_point": (SETPOINT, set_point_law),
-        "displacement": (MEASURE, motor_law if law.block == "transmission" else scale_law),
+        "force": (FORCE, law_terms.spring_law if law.block == "transmission" else law_terms.force_law),
+        "friction": (FORCE, law_terms.friction_law),
+        "torque": (FORCE, law_terms.torque_law),
+        "current": (RECORD, law_terms.record_law) if law.block == "measurement" else (CURRENT, law_terms.current_law),
+        "speed": (SPEED, law_terms.speed_law),
+        "received_speed": (DRIVE, law_terms.speed_law),
+        "set_point": (SETPOINT, law_terms.set_point_law),
+        "displacement": (MEASURE, law_terms.motor_law if law.block == "transmission" else law_terms.scale_law),
     }[law.output]
     source = from_axis or axis
     if law.variable == "windup" and axis.name not in change.couplings:
@@ -343,12 +290,12 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
             f"law on axis {axis.name}: a law over the windup needs a spring; give the axis a transmission_compliance or backlash, too"
         )
     cycle = cycle_of(law, machine)
-    head = [0.0] * HEAD
-    head[P_VARIABLE], head[P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
-    head[P_AXIS], head[P_FACTOR] = float(change.index(source)), 1.0 / source.ratio if law.variable == "turn" else 1.0
-    head[P_OFFSET] = change.started_at if law.variable == "time" else 0.0
-    head[P_LENGTH], head[P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
-    head[P_CYCLE], head[P_PERIOD] = cycle, law.period
+    head = [0.0] * law_terms.HEAD
+    head[law_terms.P_VARIABLE], head[law_terms.P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
+    head[law_terms.P_AXIS], head[law_terms.P_FACTOR] = float(change.index(source)), 1.0 / source.ratio if law.variable == "turn" else 1.0
+    head[law_terms.P_OFFSET] = change.started_at if law.variable == "time" else 0.0
+    head[law_terms.P_LENGTH], head[law_terms.P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
+    head[law_terms.P_CYCLE], head[law_terms.P_PERIOD] = cycle, law.period
     row = (
         filter_row(law.shape, numbers, cycle)
         if law.shape.is_filter
@@ -372,131 +319,3 @@ def _at_rest(law: Law, numbers: Mapping[str, float], source: Axis, position: flo
     """Force of a law before anything moves."""
     x = {"position": position, "turn": position / source.ratio, "time": started_at}.get(law.variable, 0.0)
     return float(law.values(np.array([x]), numbers, source)[0])
-
-
-@compiled
-def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
-    """y of the law now; its memories advance by one call."""
-    variable, row = int(p[P_VARIABLE]), x[int(p[P_AXIS])]
-    h = row[X_STEP]
-    speed = row[X_LOAD_SPEED] + (0.5 * h * row[X_LOAD_ACCELERATION] if in_the_middle else 0.0)
-    if variable == V_POSITION:
-        u = row[X_LOAD_MIDDLE] if in_the_middle else row[X_LOAD_POSITION]
-    elif variable == V_TURN:
-        u = row[X_ROTOR_MIDDLE] if in_the_middle else row[X_ROTOR_POSITION]
-    elif variable == V_VELOCITY:
-        u = speed
-    elif variable == V_SPEED:
-        u = abs(speed)
-    elif variable == V_ACCELERATION:
-        u = row[X_LOAD_ACCELERATION]
-    elif variable == V_ACCELERATION_SIZE:
-        u = abs(row[X_LOAD_ACCELERATION])
-    elif variable == V_CURRENT:
-        u = row[X_CURRENT]
-    elif variable == V_TIME:
-        u = row[X_TIME]
-    elif variable == V_DIRECTION:  # exact for a speed that holds through the cycle
-        moved = abs(speed) * p[P_CYCLE] / p[P_LENGTH]
-        if moved > 0.0:
-            s[S_MEMORY] += (math.copysign(1.0, speed) - s[S_MEMORY]) * -math.expm1(-moved)
-        u = s[S_MEMORY]
-    elif variable == V_SLACK:
-        s[S_MEMORY] = min(max(s[S_MEMORY] + speed * p[P_CYCLE] / p[P_LENGTH], -1.0), 1.0)
-        u = s[S_MEMORY]
-    elif variable == V_WINDUP:
-        u = row[X_ROTOR_MIDDLE] + row[X_TRANSMISSION_ERROR] - row[X_LOAD_MIDDLE]
-    elif variable == V_FOLLOWING_ERROR:
-        u = row[X_FOLLOWING_ERROR]
-    elif variable == V_SPEED_SETPOINT:
-        u = row[X_SPEED_SETPOINT]
-    else:
-        u = row[X_CURRENT_SETPOINT]
-    u = u * p[P_FACTOR] + p[P_OFFSET]
-    if p[P_PERIOD] > 0.0:
-        u -= p[P_PERIOD] * math.floor(u / p[P_PERIOD])
-    shape = int(p[P_SHAPE])
-    y = filtered(shape, u, p[HEAD:], s[FIRST_FREE:], s[S_STARTED] == 0.0) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
-    if p[P_MEMORY] > 0.0:
-        if s[S_STARTED] == 0.0:
-            s[S_LAGGED] = y
-        s[S_LAGGED] += (y - s[S_LAGGED]) * -math.expm1(-p[P_CYCLE] / p[P_MEMORY])
-        y = s[S_LAGGED]
-    if s[S_STARTED] == 0.0:
-        s[S_STARTED], s[S_FIRST], s[S_BEFORE] = 1.0, y, y
-    return y
-
-
-@term
-def force_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_LOAD_FORCE] += law_value(p, s, x, axis, True)
-
-
-@term
-def spring_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F += y on the load, -y on the rotor."""
-    p, s, x = arrays(parameters, state, signals)
-    y = law_value(p, s, x, axis, True)
-    x[axis, X_LOAD_FORCE] += y
-    x[axis, X_ROTOR_FORCE] -= y
-
-
-@term
-def friction_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Coulomb level += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_FRICTION_LEVEL] += law_value(p, s, x, axis, True)
-
-
-@term
-def torque_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """T += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_MOTOR_TORQUE] += law_value(p, s, x, axis, True)
-
-
-@term
-def current_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """i* += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_CURRENT_SETPOINT] += law_value(p, s, x, axis, False)
-
-
-@term
-def speed_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """w* += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_SPEED_SETPOINT] += law_value(p, s, x, axis, False)
-
-
-@term
-def set_point_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """s += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_SETPOINT] += law_value(p, s, x, axis, False)
-
-
-@term
-def record_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Recorded current += y."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_RECORDED_CURRENT] += law_value(p, s, x, axis, False)
-
-
-@term
-def motor_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Motor encoder: q + y - y at the start; its speed is the derivative."""
-    p, s, x = arrays(parameters, state, signals)
-    y = law_value(p, s, x, axis, False)
-    x[axis, X_MOTOR_POSITION] += y - s[S_FIRST]
-    x[axis, X_MOTOR_SPEED] += (y - s[S_BEFORE]) / x[axis, X_STEP]
-    s[S_BEFORE] = y
-
-
-@term
-def scale_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Scale: q + y - y at the start."""
-    p, s, x = arrays(parameters, state, signals)
-    x[axis, X_SCALE] += law_value(p, s, x, axis, False) - s[S_FIRST]
