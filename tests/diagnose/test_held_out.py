@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import corrected
+from twin.diagnose.tolerance import nuisances_of
+from twin.diagnose.tuning import tuning_from
+from twin.effects import with_effects
 from twin.errors import InputError, SimulationError
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.gap import SignalGap
 
 RUNS = [MeasuredRun(name, Trace(np.arange(3.0), {}), None, 0.0) for name in ("first", "second", "third")]
 FOLDS = [[0], [1], [2]]
@@ -49,3 +54,26 @@ def test_a_corrected_machine_that_diverges_is_said(machines):
     machines.update({"without [1]", "fitted to all"})
     with pytest.raises(SimulationError):
         after()
+
+
+@pytest.mark.parametrize(("after", "worse"), [(0.5, False), (1.2, False), (1.6, True), (40.0, True)])
+def test_a_correction_that_makes_the_gap_larger_is_seen(monkeypatch, after, worse):
+    level = {"before": 1.1, "after": after}
+    monkeypatch.setattr(
+        corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(level[which], level[which], 1.0, "um")}}
+    )
+    held_out = corrected.HeldOut({which: {run.name: which for run in RUNS} for which in level}, [])
+    assert held_out.worse("X", "nominal", RUNS) is worse
+    assert not held_out.worse("Y", "nominal", RUNS)
+
+
+def test_axes_that_correction_makes_worse_stay_as_the_file_says(mikron):
+    group = group_of([np.full(50, 3.0), np.full(50, -2.0)])
+    nuisances = nuisances_of(mikron, ("X",), group.thresholds)
+    found = found_of(group, tuning_from(nuisances, np.eye(group.size)[:, : len(nuisances)], 0.01))
+    nominal = with_effects(mikron, []).document
+    stays = corrected.as_filed(found)
+    assert stays.unknown
+    for machine_of in (lambda f: corrected.corrected_machine(mikron, [f]), lambda f: corrected.fitted_without(mikron, [f], [0])):
+        assert machine_of(found).document != nominal
+        assert machine_of(stays).document == nominal

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
+from twin.diagnose.fit import no_effect
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
+from twin.diagnose.tuning import tuning_from
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -21,6 +23,18 @@ from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_e
 
 FEWER_REALISATIONS = 2
 """Realisations of noise where the decoupled plant alone is simulated."""
+
+
+CHANCE = 0.3
+"""Gap over noise by which a machine without faults may look worse once it is re-tuned."""
+
+
+def as_filed(found: Found) -> Found:
+    """The state of a group whose axes stay as the machine file says: what was found predicts other runs worse than that."""
+    group = found.rigid
+    nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight)
+    fit = no_effect(group, nothing)
+    return replace(found, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
 
 
 def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
@@ -73,15 +87,23 @@ class HeldOut:
         squares = list(itertools.chain(*self._squares(machine, runs).values()))
         return float(np.mean(squares)) if squares else 0.0
 
-    def levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-        """RMS of the gap over noise of each axis after correction, over runs and signals."""
-        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in self._squares(machine, runs).items()}
+    def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
+        """RMS of the gap over noise of each axis before or after correction, over runs and signals."""
+        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in self._squares(machine, runs, which).items()}
 
-    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, list[float]]:
-        """Squares of the gap over noise after correction: of each axis those of its runs and signals."""
+    def worse(self, axes: Sequence[str], machine: Machine, runs: Sequence[MeasuredRun]) -> bool:
+        """Has correction made the gap of these axes larger, by more than chance?"""
+        before, after = (
+            float(np.hypot.reduce([level for axis, level in self.levels(machine, runs, which).items() if axis in axes] or [0.0]))
+            for which in ("before", "after")
+        )
+        return after > before + CHANCE
+
+    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, list[float]]:
+        """Squares of the gap over noise before or after correction: of each axis those of its runs and signals."""
         found: dict[str, list[float]] = {}
         for run in runs:
-            for axis, signals in gap_of(machine, run, self.predictions["after"][run.name]).items():
+            for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
                 found.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in signals.values() if g.noise > 0.0)
         return {axis: squares for axis, squares in found.items() if squares}
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
 from twin.diagnose.fit import Sizes
@@ -343,8 +343,6 @@ def diagnose(
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
     found = [result for axes in groups if (result := results[axes])]
 
-    settings = named(found)
-    corrected = corrected_machine(machine, found)
     offsets = {key: offset for f in found for key, offset in f.zeros.items()}
     runs, fitted_zeros = without_zeros(campaign.runs, machine_without, offsets)
     campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
@@ -352,6 +350,11 @@ def diagnose(
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
+    if any(harmed := [held_out.worse(f.group.axes, machine, campaign.runs) for f in found]):
+        found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
+        held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
+    settings = named(found)
+    corrected = corrected_machine(machine, found)
     levels = held_out.levels(machine, campaign.runs)
     laws: Laws | None = None
     best = without_laws = held_out.left(machine, campaign.runs)
@@ -414,7 +417,8 @@ def diagnose(
     if verdict != "none":
         weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
         say("where the gap lies")
-        diagnosis.where = places(found, [s for s, _, _ in settings], machine, weights, threads)
+        leading = [*(law.setting for law in diagnosis.laws), *(s for s, _, _ in settings)]
+        diagnosis.where = places(found, leading, machine, weights, threads)
     return diagnosis
 
 

@@ -149,7 +149,7 @@ def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:
 
 
 def _at_rest(machine: Machine, actual: Change, plant: PlantFace, setpoints: Setpoints, schedule: loop.Schedule) -> loop.Simulation:
-    """The simulation at rest on the first set point, integrators carrying gravity and constant forces."""
+    """The simulation at rest on the first set point, integrators carrying gravity and constant forces; drive trains wound up as recorded."""
     drives = cascade.drives_of(actual.machine)
     start = setpoints.start - actual.scale_offset
     constant = actual.constant_force_at(start) + setpoints.outside_at_start
@@ -157,6 +157,10 @@ def _at_rest(machine: Machine, actual: Change, plant: PlantFace, setpoints: Setp
     sag = _sag(actual.machine, held_force)
     if sag.any():
         held_force = plant.place_at_rest(start - sag, constant, actual)
+    if setpoints.wound is not None:
+        engine = plant.engine
+        apart = engine.rotor_position != engine.load_position  # a rotor that does not turn by itself cannot be wound up
+        engine.qpos[engine.rotor_position[apart]] += setpoints.wound[apart]
     state = cascade.drives_at_rest(drives, held_force * drives.ratio)
     _check_held(machine, state, drives)
     signals = np.zeros((len(machine.axes), SIGNAL_COUNT))

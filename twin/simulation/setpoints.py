@@ -28,6 +28,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import known_forces
 from twin.simulation.fed_speed import beside_slope
+from twin.simulation.record_start import windup_at_start
 from twin.units import AXIS_UNITS, deg_from_rad
 
 _OVERLAP = 40
@@ -65,7 +66,8 @@ class Setpoints:
     `before` (sample, axis) holds samples ahead of the first one, at negative times: a lead-in. `injected` (sample, axis) is what a test rig
     adds to the drive's command, as torque at the motor [Nm]; `fed` (sample, axis) is what the control adds to its velocity feedforward
     [m/s, rad/s]. Nothing of these is added outside the samples. `outside` (sample, axis, 2) are known forces on load and motor from outside,
-    towards +q, counted at the axis [N, Nm]; before the first sample and after the last one they stay as they are there.
+    towards +q, counted at the axis [N, Nm]; before the first sample and after the last one they stay as they are there. `wound` (axis,) is
+    how far the drive trains are wound up beyond their balance at the first sample, motor minus load [m, rad].
     """
 
     def __init__(
@@ -76,8 +78,9 @@ class Setpoints:
         injected: np.ndarray | None = None,
         fed: np.ndarray | None = None,
         outside: np.ndarray | None = None,
+        wound: np.ndarray | None = None,
     ) -> None:
-        self.injected, self.fed, self.outside = injected, fed, outside
+        self.injected, self.fed, self.outside, self.wound = injected, fed, outside, wound
         self.position = np.ascontiguousarray(position, float)
         self.period = period
         self.before = self.position[:0] if before is None else before
@@ -112,6 +115,7 @@ class Setpoints:
                 None if self.injected is None else self.injected[:, index],
                 None if self.fed is None else self.fed[:, index],
                 None if self.outside is None else self.outside[:, index],
+                None if self.wound is None else self.wound[index],
             )
         return self._parts[axes]
 
@@ -306,7 +310,8 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
 
 
 def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
-    """Set points of a recording, with a lead-in where it begins in motion and what a recorded feedforward holds beside their slope."""
+    """Set points of a recording: with a lead-in where it begins in motion, else with the windup of its first sample, and with what a recorded
+    feedforward holds beside their slope."""
     setpoints = setpoints_of(trace, machine)
     setpoints.fed = beside_slope(trace, machine, setpoints.at)
     position, period = setpoints.position, setpoints.period
@@ -317,6 +322,7 @@ def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
     whole = samples[np.abs(samples * period / cycle - np.rint(samples * period / cycle)) < 1e-6]
     whole = whole[whole * period >= LEAD_S - 1e-12]
     if np.all(np.abs(speed) <= least) or not whole.size:
+        setpoints.wound = windup_at_start(trace, machine)
         return setpoints
     n = int(whole[0])
     t = np.arange(n) / n

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -313,10 +314,12 @@ def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tu
 
 
 def _settings(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
+    """Proposals as settings. Play turns over within its own width: samples that are milliseconds apart show that less well than its height."""
     out = []
     for d, s in proposals:
-        try:
-            out.append((d, s, check_setting(d.table(axis), machine, "a measured law")))
-        except InputError:  # a number outside what its shape allows
-            continue
+        table = d.table(axis)
+        play = [{**table, "length": abs(table["height"])}] if d.candidate.variable == "slack" and "height" in table else []
+        for start in (table, *play):
+            with contextlib.suppress(InputError):  # a number outside what its shape allows
+                out.append((d, s, check_setting(start, machine, "a measured law")))
     return out

@@ -38,8 +38,8 @@ def laws_beside(
 
     `machine` is the nominal one, `levels` are gaps over noise after correction on runs left out.
     """
-    few = [axis for f in found for axis in f.group.axes if _effects(f, axis) <= MOST_EFFECTS]
-    axes = [axis for f in found for axis in f.group.axes if f.unknown or (levels.get(axis, 0.0) > LOUD and axis in few)]
+    few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
+    axes = [axis for f in found for axis in _recorded(f) if f.unknown or (levels.get(axis, 0.0) > LOUD and axis in few)]
     if not axes:
         return
     without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
@@ -48,6 +48,11 @@ def laws_beside(
         if asked:
             with contextlib.suppress(TwinError):  # a corrected twin that cannot be simulated has no residual to look at
                 yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
+
+
+def _recorded(found: Found) -> list[str]:
+    """Axes of a group of which more was recorded than set points."""
+    return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
 
 
 def _effects(found: Found, axis: str) -> int:

@@ -1,0 +1,27 @@
+"""Which axes are asked for a law, and from where the search for one starts."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from tests.builders.diagnosis_state import found_of, group_of
+from twin.diagnose.law import step
+from twin.diagnose.law.laws import _settings
+
+
+def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, monkeypatch):
+    group = replace(group_of([np.full(50, 3.0)], "X"), axes=("X", "Y"))
+    asked = []
+    monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
+    monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
+    list(step.laws_beside([replace(found_of(group), unknown=True)], {"X": 9.0, "Y": 9.0}, mikron, mikron, [[0]], map, print))
+    assert asked == [["X"], ["X"]]
+
+
+def test_play_is_also_fitted_from_the_travel_that_its_height_says(mikron):
+    law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
+    law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
+    proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
+    starts = [s.parameters["length"] for _, _, s in _settings([(proposal, None)], "X", mikron)]
+    assert starts == [2e-6, 8e-6]
