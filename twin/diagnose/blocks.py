@@ -88,7 +88,7 @@ def _level_of(channel: Channel) -> float:
 def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
     """Speed controller and mechanics of all axes of a group that move in a run."""
     view, found = group.views[r], []
-    moving = [a for a in group.axes if view.moves(a)]
+    moving = [a for a in group.axes if view.trace.moves(a)]
     if not moving:
         return []
     view = replace(view, machine=machine_of(view.machine))

@@ -18,6 +18,7 @@ from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
 
@@ -81,6 +82,11 @@ class HeldOut:
 
     predictions: dict[str, dict[str, Prediction]]
     runs: list[str]
+
+    @property
+    def traces(self) -> dict[str, Trace]:
+        """What is expected of each run after correction."""
+        return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
     def left(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
         """Mean square of the gap over noise after correction, over runs, axes and signals."""

@@ -17,7 +17,7 @@ from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, posit
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
-from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros
+from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import Law, Laws
 from twin.diagnose.law.step import ALL_BUT, LOUD, laws_beside, predictions_with
@@ -337,7 +337,7 @@ def diagnose(
                 return None
             return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
 
-        views = mapper(lambda run: replace(view_of(machine_without, run, thresholds), own_zeros=frozenset(zeros)), campaign.runs)
+        views = mapper(lambda run: view_of(machine_without, run, thresholds), campaign.runs)
         groups = axis_groups(machine_without, measured)
         longest_first = sorted(groups, key=len, reverse=True)
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
@@ -362,15 +362,19 @@ def diagnose(
         for tried in laws_beside(found, levels, machine_without, corrected, folds, on_threads(workers), say):
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
+                if with_laws is None:
+                    continue
+                beside = zeros_left(campaign.runs, machine_without, with_laws.traces, {law.axis for law in tried.laws})
+                rezeroed, _ = without_zeros(campaign.runs, machine_without, beside)
                 # what does not shrink the gap on runs left out is no law of this machine
-                if with_laws is not None and (now := with_laws.left(machine, campaign.runs)) < best:
-                    laws, predicted, best = tried, with_laws, now
+                if (now := with_laws.left(machine, rezeroed)) < best:
+                    laws, predicted, best, runs = tried, with_laws, now, rezeroed
             if best - 1.0 < ALL_BUT * (without_laws - 1.0):
                 break
     if laws is not None:
         corrected, held_out = laws.corrected, predicted
         settings = kept_in(corrected, settings)
-    after = {name: p.trace for name, p in held_out.predictions["after"].items()}
+    after = held_out.traces
     runs = at_rest_without_zeros(runs, machine_without, after, {axis for axis, _ in offsets})
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
     campaign = replace(campaign, runs=runs)

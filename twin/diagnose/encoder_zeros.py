@@ -18,12 +18,11 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, sensor_noise
+from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, shifted
 from twin.units import ARCSEC
 
 FEWEST_RUNS = 5
 """Runs from which a trend over time and place, three numbers, says something."""
-
-BOTH = ("motor_position", "position")
 
 
 def with_common_zeros(
@@ -32,11 +31,14 @@ def with_common_zeros(
     """The runs with differences of zeros taken out, and the largest difference of each axis that has one [m or rad]."""
     found: dict[str, float] = {}
     for axis in machine.axes:
-        mine = [k for k, run in enumerate(runs) if all(run.trace.has(axis.name, signal) for signal in BOTH)]
+        mine = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
         offsets = {k: _difference(runs[k].trace, axis.name) for k in mine}
         if offsets and _is_of_zeros([runs[k] for k in mine], list(offsets.values()), axis, machine, thresholds):
             found[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
-            runs = [_shifted(run, axis, offsets[k][0]) if k in offsets else run for k, run in enumerate(runs)]
+            runs = [
+                replace(_shifted(run, axis, offsets[k][0]), own_zeros=run.own_zeros | {axis.name}) if k in offsets else run
+                for k, run in enumerate(runs)
+            ]
     return tuple(runs), found
 
 
@@ -54,20 +56,36 @@ def without_zeros(
     return tuple(runs), clear
 
 
+def zeros_left(
+    runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
+) -> dict[tuple[str, int], float]:
+    """The constants (axis, run) [m or rad] that predictions leave between two encoders of these axes: what is no trend of a screw that grows."""
+    found: dict[tuple[str, int], float] = {}
+    for name in sorted(axes):
+        mine = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
+        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in mine])
+        when = np.array([runs[k].started_at for k in mine])
+        when = when - when.mean() if mine else when
+        if machine.axis(name).kind == "linear" and when.any():
+            means = means - when * float(when @ means) / float(when @ when)
+        found |= {(name, k): float(mean) for k, mean in zip(mine, means)}
+    return found
+
+
 def at_rest_without_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> tuple[MeasuredRun, ...]:
     """The runs where one of these axes stands still, with the constant that a prediction leaves between its two encoders taken out."""
 
-    def shifted(run: MeasuredRun) -> MeasuredRun:
+    def aligned(run: MeasuredRun) -> MeasuredRun:
         for name in axes:
-            if not run.trace.moves(name) and all(run.trace.has(name, signal) for signal in BOTH):
+            if not run.trace.moves(name) and has_both(run.trace, name):
                 of_twin = predicted[run.name]
                 offset = _difference(run.trace, name)[0] - _difference(of_twin, name)[0]
                 run = _shifted(run, machine.axis(name), offset)
         return run
 
-    return tuple(shifted(run) for run in runs)
+    return tuple(aligned(run) for run in runs)
 
 
 def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
@@ -84,8 +102,8 @@ def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
 
 def _difference(trace: Trace, name: str) -> tuple[float, float]:
     """Mean and standard deviation of motor encoder minus scale."""
-    motor, scale = (trace.get(name, signal) for signal in BOTH)
-    return float(np.mean(motor - scale)), float(np.std(motor - scale))
+    apart = motor_minus_scale(trace, name)
+    return float(np.mean(apart)), float(np.std(apart))
 
 
 def _is_of_zeros(
@@ -108,6 +126,4 @@ def _is_of_zeros(
 
 def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:
     """The run with the encoder that does not close the position loop brought to the zero of the other one."""
-    signal, sign = ("motor_position", -1.0) if axis.encoder != "motor" else ("position", 1.0)
-    signals = {**run.trace.signals, (axis.name, signal): run.trace.get(axis.name, signal) + sign * offset}
-    return replace(run, trace=replace(run.trace, signals=signals))
+    return replace(run, trace=shifted(run.trace, axis, offset))

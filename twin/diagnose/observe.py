@@ -221,13 +221,15 @@ def channels_of(
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace
-        error = law_error(trace, view, axis, (gains or {}).get(name, 1.0))
+        moving = view.reference(name)[2]
+        error = None if name in view.pushed else law_error(trace, view, axis, (gains or {}).get(name, 1.0))
         if error is not None:
             out[name, "controller"] = error
-        moving = view.reference(name)[2]
         if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > view.thresholds.enough_samples:
             motor_minus_scale = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
             out[name, "motor_minus_scale"] = motor_minus_scale - motor_minus_scale.mean() if name in view.own_zeros else motor_minus_scale
+        if name in view.pushed:
+            continue  # at rest the other signals show how it was stuck
         for signal in ("position", "motor_position"):
             if measured.has(name, signal):
                 out[name, "position"] = trace.get(name, signal)

@@ -117,11 +117,16 @@ def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
 
 
 def _with_zeros(tuning: Tuning, group: Group) -> Tuning:
-    """The tuning with a constant of each run between motor encoder and scale as a further column: encoders have no common zero.
+    """The tuning with the zeros of encoders as further columns."""
+    return tuning.with_free(zeros_of(group), 1.0)
+
+
+def zeros_of(group: Group) -> np.ndarray:
+    """What a constant of each run between motor encoder and scale changes (row, constant), weighted: encoders have no common zero.
 
     An effect whose law starts at zero in each run and one that carries its phase on differ by that constant alone.
     """
-    blocks = []
+    blocks = [np.zeros((group.size, 0))]
     for axis in group.axes:
         channels = [c for c in group.channels if (c.axis, c.name) == (axis, "motor_minus_scale")]
         if not channels:
@@ -134,7 +139,7 @@ def _with_zeros(tuning: Tuning, group: Group) -> Tuning:
         when = np.array([[0.0 if rotary else group.views[c.run].started_at for c in channels]])
         when -= when.mean()
         blocks.append(each @ (null_space(when) if when.any() else np.eye(len(channels))))
-    return tuning.with_free(beside(*blocks), 1.0) if blocks else tuning
+    return beside(*blocks)
 
 
 class Trial(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import functools
+import math
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.gap import SAME_PERIOD, at_times, is_moving, simulated_period
+from twin.simulation.gap import LEAST_NOISE, SAME_PERIOD, at_times, is_moving, sensor_noise, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
+from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,21 @@ class RunView:
     started_at: float
     feedforward: str | None = None  # of this run
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
-    own_zeros: frozenset[str] = frozenset()  # axes whose two encoders have no common zero (`encoder_zeros`)
+    own_zeros: frozenset[str] = frozenset()  # those of the run
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Velocity feedforward, delayed set point, and whether the set point moves, each (sample,); cached."""
+        """Velocity feedforward, delayed set point, and whether the axis moves or is pushed, each (sample,); cached."""
         if name not in self.references:
             axis = self.machine.axis(name)
-            self.references[name] = _command(self, axis), _delayed(self, axis), is_moving(self.trace, axis)
+            moving = np.ones(len(self.trace.time), bool) if name in self.pushed else is_moving(self.trace, axis)
+            self.references[name] = _command(self, axis), _delayed(self, axis), moving
         return self.references[name]
+
+    @functools.cached_property
+    def pushed(self) -> frozenset[str]:
+        """Axes whose set point stands still while motor minus scale follows the motion of another axis."""
+        return frozenset(name for name in self.trace.axes if _follows_another(self, name))
 
     @functools.cached_property
     def on_cycles(self) -> bool:
@@ -53,8 +61,8 @@ class RunView:
         return self.on_cycles and self.trace.period < self.machine.position_cycle * (1.0 + SAME_PERIOD)
 
     def moves(self, name: str) -> bool:
-        """Does the axis' set point move in this run?"""
-        return self.trace.moves(name)
+        """Does the axis move in this run: by its set point, or because another axis pushes it?"""
+        return self.trace.moves(name) or name in self.pushed
 
 
 def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
@@ -83,12 +91,35 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
         )
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = _motion(position, setpoints.period)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds, run.own_zeros)
 
 
 def _motion(position: np.ndarray, period: float) -> Motion:
     speed = np.gradient(position, period, axis=0)
     return Motion(position, speed, np.gradient(speed, period, axis=0), period)
+
+
+FOLLOWED = 0.8
+"""Share of the squares of motor minus scale that the motion of other axes must explain where an axis is pushed by one."""
+
+PUSHED = 5.0
+"""Multiple of the noise of both encoders that motor minus scale must move by."""
+
+
+def _follows_another(view: RunView, name: str) -> bool:
+    trace = view.trace
+    if trace.moves(name) or not has_both(trace, name):
+        return False
+    moving = [other for other in trace.axes if trace.moves(other)]
+    apart = motor_minus_scale(trace, name)
+    apart = apart - apart.mean()
+    axis = view.machine.axis(name)
+    noise = math.hypot(*(max(sensor_noise(view.machine, axis, signal), LEAST_NOISE[signal]) for signal in BOTH))
+    if not moving or float(np.std(apart)) < PUSHED * noise:
+        return False
+    columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
+    left = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
+    return float(left @ left) < (1.0 - FOLLOWED) * float(apart @ apart)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:

@@ -79,6 +79,7 @@ class MeasuredRun:
     """One run of a campaign: its name (file name without ending), trace, feedforward that was on, start time [s].
 
     `facts` are what the import found of channels, by (axis, signal); `labels` what a column said of the whole run; `events` in order of time.
+    `own_zeros` are axes whose two encoders have no common zero: the mean of their difference is taken out of the trace, and of what is compared with it.
     """
 
     name: str
@@ -88,6 +89,7 @@ class MeasuredRun:
     facts: Mapping[tuple[str, str], ChannelFact] = field(default_factory=dict)
     labels: Mapping[str, float] = field(default_factory=dict)
     events: tuple[BlockEvent, ...] = ()
+    own_zeros: frozenset[str] = frozenset()
 
     def fact(self, axis: str, signal: str) -> ChannelFact:
         """What is known of a channel; the default where nothing was found."""

@@ -24,6 +24,7 @@ from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.run import PlantFace, simulate
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
+from twin.simulation.two_encoders import with_equal_means
 from twin.units import ARCSEC, AXIS_UNITS
 
 COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
@@ -98,7 +99,7 @@ def predict(
         # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1))
         spread = stack.std(axis=0, ddof=1) if realisations > 1 else np.zeros_like(signals[key])
         scatter[key] = spread * np.sqrt(1.0 + 1.0 / max(realisations - 1, 1))
-    return Prediction(Trace(run.trace.time, signals, machine.kinds), scatter)
+    return Prediction(with_equal_means(Trace(run.trace.time, signals, machine.kinds), machine, run.own_zeros), scatter)
 
 
 class Job(NamedTuple):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.law.keep import ClosedLoop, state_of
 from twin.diagnose.law.laws import laws_of
 from twin.diagnose.observe import in_turn, observe
 from twin.diagnose.view import view_of
@@ -15,6 +18,7 @@ from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
+from twin.simulation.two_encoders import shifted
 
 X = load_machine().with_axes(["X"])
 BELL = {
@@ -78,3 +82,16 @@ def test_a_machine_without_a_law_gets_none():
     laws = found([])
     assert laws.laws == ()
     assert np.array_equal(laws.corrected.effects, X.effects)
+
+
+def test_zeros_of_encoders_are_beside_every_law():
+    runs = runs_of([{"name": "transmission_compliance", "axis": "X", "stiffness": 1e8}])
+    apart = [replace(run, trace=shifted(run.trace, X.axes[0], (k - 1) * 3e-6)) for k, run in enumerate(runs)]
+    states = [state_of(X, X, ("X",), observe_once(of).thresholds) for of in (runs, apart)]
+    folds = folds_of(len(runs))
+    left = [ClosedLoop(observe_once(of), ("X",), folds, in_turn).left(state) for of, state in zip((runs, apart), states)]
+    np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.abs(left[0]).max())
+
+
+def observe_once(runs):
+    return observe([view_of(X, run) for run in runs], ("X",))

@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tuning import zeros_of
 from twin.effects import Setting, settings_of, with_effects
 from twin.effects.law import NAME
 from twin.errors import TwinError
@@ -118,10 +119,11 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
 def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
     """Numbers of effects and laws on these axes, then their toleranced parameters.
 
-    What every machine has a little of stays as it was found, but for the spring beside which a law of the drive train acts.
+    What every machine has a little of stays as it was found, but for the spring of an axis with a law between its two encoders: without that
+    law the search found it from a windup that was something else.
     """
     found = []
-    wound = {s.axis for s in state.settings if s.effect.definition.get("variables") == ["windup"]}
+    wound = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
     for i, setting in enumerate(state.settings):
         beside = setting.axis in wound and setting.effect.block == "transmission"
         if setting.axis not in axes or (setting.effect.normal and not beside):
@@ -138,6 +140,11 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
     for nuisance in state.nuisances:
         found.append(Unknown(None, nuisance.quantity, tolerance * float(UNIFORM), False, nuisance))
     return found
+
+
+def _is_between_encoders(law: Setting) -> bool:
+    """Does a law change motor minus scale: by a displacement, or as a force over the windup?"""
+    return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
 
 
 @dataclass(frozen=True)
@@ -167,12 +174,14 @@ class ClosedLoop:
         self.root = np.sqrt(group.credit[self.rows])
         self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
         self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
+        zeros = zeros_of(group)[self.rows] * self.root[:, None]
+        self.zeros = np.linalg.qr(zeros[:, np.any(zeros != 0.0, axis=0)])[0]  # orthonormal
 
     def left(self, state: State) -> np.ndarray:
-        """What a state leaves of the measured runs (row,), weighted."""
+        """What a state leaves of the measured runs (row,), weighted, beside the constants of each run that are zeros of encoders."""
         change = self.group.response(state.machine_of, axes=self.axes, mapper=self.mapper)
         rest: np.ndarray = (self.group.residual - change)[self.rows] * self.root
-        return rest
+        return rest - self.zeros @ (self.zeros.T @ rest)
 
     def fit(self, state: State, tolerance: float, steps: int = STEPS, like: Fitted | None = None) -> Fitted | None:
         """Gauss-Newton from a state; None where it cannot be simulated. Toleranced parameters answer as in the fit `like`."""

@@ -162,7 +162,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
         ):
-            measured = law(actual, axis, view.trace)
+            measured = None if name in view.pushed and block != "transmission" else law(actual, axis, view.trace)
             if measured is None:
                 continue
             expected, shaken = law(actual, axis, twin.without_noise), law(actual, axis, noisy)

@@ -57,6 +57,9 @@ SUITS: dict[str, tuple[str, ...]] = {
 }
 """Shapes that are tried for each variable."""
 
+LONGEST_WAVE = 3.0
+"""Longest wave over the range driven."""
+
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 """Waves of a motor turn that are tried."""
 
@@ -225,8 +228,11 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
     if problem.free:
         values = _polished(loss, values, problem.logarithmic)
     numbers = dict(zip(problem.free, values))
-    if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > float(np.ptp(problem.x)):
+    driven = float(np.ptp(problem.x))
+    if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
         return None  # a bell that is wider than what was driven is a parabola
+    if numbers.get("period", 0.0) > LONGEST_WAVE * driven:
+        return None  # and a wave that is so much longer a line
     columns = problem.columns(values)
     if problem.is_characteristic:
         moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})

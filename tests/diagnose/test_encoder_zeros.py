@@ -1,0 +1,78 @@
+"""Two encoders without a common zero: a constant of each run that is fitted, also after correction; and axes that another one pushes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.diagnose.encoder_zeros import with_common_zeros, without_zeros, zeros_left
+from twin.diagnose.observe import observe
+from twin.diagnose.view import view_of
+from twin.effects import with_effects
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.gap import gap_of, predict
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+from twin.simulation.two_encoders import motor_minus_scale, shifted
+
+YZ = load_machine().with_axes(["Y", "Z"])
+SPRING = {"name": "transmission_compliance", "axis": "Z", "stiffness": 1e9}
+"""The weight of Z winds it up by 3.5 um."""
+TILT = {
+    "name": "law", "axis": "Z", "from_axis": "Y", "block": "measurement", "output": "displacement", "variables": ["position"],
+    "formula": "line", "height": 1e-5, "reach": 0.1,
+}  # fmt: skip
+
+
+def recorded(machine: Machine, moving: str, name: str, offset: float = 0.0) -> MeasuredRun:
+    """A run in which one axis goes to and fro; the motor encoder of Z has another zero."""
+    way = moves_in_turn(0.0, [0.03, -0.03], 0.1, 1.0, 20.0, 0.1, 1e-3)[1]
+    position = np.column_stack([way if axis == moving else np.zeros_like(way) for axis in YZ.axis_names])
+    trace = simulate(machine, Setpoints(position, 1e-3), sample_period=1e-3, noise_seed=len(name)).trace
+    return MeasuredRun(name, shifted(trace, YZ.axis("Z"), offset), None, 0.0)
+
+
+@pytest.fixture(scope="module")
+def elastic() -> Machine:
+    return with_effects(YZ, [SPRING])
+
+
+def test_weight_on_a_spring_is_no_gap_where_encoders_have_no_common_zero(elastic: Machine) -> None:
+    runs, zeros = with_common_zeros([recorded(elastic, "Z", "first", 80e-6), recorded(elastic, "Z", "second", 80e-6)], YZ)
+    assert set(zeros) == {"Z"}
+    assert all(run.own_zeros == {"Z"} for run in runs)
+    gap = gap_of(YZ, runs[0], predict(elastic, runs[0]))["Z"]["motor_position"]
+    assert gap.rms < 2.0 * gap.noise
+
+
+def test_constants_that_a_correction_leaves_are_zeros_but_no_trend(elastic: Machine) -> None:
+    run = recorded(elastic, "Z", "run")
+    times = (0.0, 60.0, 120.0)
+    offsets = np.array([2e-6, -4e-6, 2e-6])
+    runs = [
+        MeasuredRun(f"{k}", shifted(run.trace, YZ.axis("Z"), 1e-6 * k + offset), None, t)
+        for k, (offset, t) in enumerate(zip(offsets, times))
+    ]
+    left = zeros_left(runs, YZ, {r.name: run.trace for r in runs}, {"Z"})
+    drift = 1e-6 * np.arange(3)
+    np.testing.assert_allclose([left["Z", k] for k in range(3)], -offsets - drift.mean(), atol=1e-9)
+    cleared, _ = without_zeros(runs, YZ, left)
+    means = [float(np.mean(motor_minus_scale(r.trace, "Z") - motor_minus_scale(run.trace, "Z"))) for r in cleared]
+    np.testing.assert_allclose(means, drift.mean() - drift, atol=1e-9)
+
+
+def test_an_axis_that_another_one_pushes_at_rest_is_looked_at() -> None:
+    pushed = view_of(YZ, recorded(with_effects(YZ, [TILT]), "Y", "pushed"))
+    assert pushed.pushed == {"Z"}
+    assert [c.name for c in observe([pushed], ("Z",)).channels] == ["motor_minus_scale"]
+    assert not view_of(YZ, recorded(YZ, "Y", "still")).pushed
+
+
+def test_what_follows_no_motion_is_not_pushed() -> None:
+    run = recorded(YZ, "Y", "hunting")
+    swing = 5e-6 * np.sin(2.0 * np.pi * 7.0 * run.trace.time)
+    signals = {**run.trace.signals, ("Z", "motor_position"): run.trace.get("Z", "motor_position") + swing}
+    assert not view_of(YZ, MeasuredRun("run", Trace(run.trace.time, signals, run.trace.kinds), None, 0.0)).pushed
