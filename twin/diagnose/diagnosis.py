@@ -42,6 +42,9 @@ UNDECIDED = 6.0
 """Gap over noise, on runs left out, above which a diagnosis that finds no effect is no answer; a control that interpolates in its own way between
 its cycles leaves 3."""
 
+HARDLY_LOUD = 2.0
+"""Gap over noise, on runs left out, above which effects that leave most of an axis' gap are no answer."""
+
 
 @dataclass
 class Diagnosis:
@@ -143,9 +146,10 @@ class Diagnosis:
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def keeps_its_gap(self, axis: str) -> bool:
-        """Is an axis loud after correction, and with more than a tenth of its gap left?"""
+        """Is an axis loud after correction, and with more than a tenth of its gap left? Or hardly loud, with most of it?"""
         before, after = (max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for which in ("before", "after"))
-        return self.axis_level("after", axis) > LOUD and after > ALL_BUT * before
+        level = self.axis_level("after", axis)
+        return (level > LOUD and after > ALL_BUT * before) or (level > HARDLY_LOUD and after > 0.5 * before)
 
     @property
     def axes(self) -> list[str]:
