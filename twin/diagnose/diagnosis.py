@@ -19,7 +19,7 @@ from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, 
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
-from twin.diagnose.law.laws import Law, Laws
+from twin.diagnose.law.laws import LEAST_CLOSED, Law, Laws
 from twin.diagnose.law.step import ALL_BUT, LOUD, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
@@ -371,7 +371,7 @@ def diagnose(
                 beside = zeros_left(campaign.runs, machine_without, with_laws.traces, {law.axis for law in tried.laws})
                 rezeroed, _ = without_zeros(campaign.runs, machine_without, beside)
                 # what does not shrink the gap on runs left out is no law of this machine
-                if (now := with_laws.left(machine, rezeroed)) < best:
+                if (now := with_laws.left(machine, rezeroed)) - 1.0 < (1.0 - LEAST_CLOSED) * (best - 1.0):
                     laws, predicted, best, runs = tried, with_laws, now, rezeroed
             if best - 1.0 < ALL_BUT * (without_laws - 1.0):
                 break
