@@ -2,6 +2,7 @@
 
     python devtools/measure_study.py throughput [--seconds 20]    two threads over one; steps a second over bare mj_step on all cores
     python devtools/measure_study.py thousand [--variants 1000]   a whole `twin study` of that many 2 s moves, and its memory
+    python devtools/measure_study.py against TREE [--variants 200] [--turns 4]   the same beside another checkout, in turn
     python devtools/measure_study.py kills [--kills 20]           kill -9 at random moments, resume, compare with the undisturbed table
     python devtools/measure_study.py closed_forms                 error against inertia, matching optimum, time of a rapid move
 
@@ -167,6 +168,34 @@ def thousand(variants: int) -> None:
     print(
         f"resident memory while variants run: {min(running):.0f} to {max(running):.0f} MB; {running[-1] - running[0]:+.1f} MB from first to last"
     )
+
+
+def against(tree: Path, variants: int, turns: int) -> None:
+    """The same study by this code and by another checkout, in turn: processor time of all their processes, and the clock."""
+    trees = {"this code": EXAMPLES.parent.parent, f"that of {tree}": tree.resolve()}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        spec, few = write_example(folder, variants), folder / "few.toml"
+        few.write_text(SPEC.format(count=2), encoding="utf-8")
+
+        def took(place: Path, study: Path, out: str) -> Rates:
+            """Seconds by the clock and of processor time of one whole command."""
+            begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            command = [sys.executable, "-m", "twin", "study", str(study), "--out", str(folder / out), "--no-replay"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=folder, env={**os.environ, "PYTHONPATH": str(place)})
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            return perf_counter() - begin, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+        for i, place in enumerate(trees.values()):
+            took(place, few, f"compiled{i}")  # compile first
+        found = np.array(
+            [[took(place, spec, f"out{turn}_{i}") for i, place in enumerate(trees.values())] for turn in range(turns)]
+        )  # (turn, tree, clock)
+    print(f"{variants} variants of a {MOVE_S:g} s move, {turns} turns, load average {os.getloadavg()[0]:.1f}")
+    for clock, words in enumerate(("by the clock", "processor time of all processes")):
+        for i, label in enumerate(trees):
+            print(f"{words}, {label}: {', '.join(f'{t:.1f}' for t in found[:, i, clock])} s")
+        print(f"  this code over the other: {ratio_text(found[:, 0, clock] / found[:, 1, clock])}")
 
 
 def kills(count: int, variants: int = 400) -> None:
@@ -345,6 +374,10 @@ def main() -> None:
     commands = parser.add_subparsers(required=True, dest="what")
     commands.add_parser("throughput").add_argument("--seconds", type=float, default=20.0)
     commands.add_parser("thousand").add_argument("--variants", type=int, default=1000)
+    other = commands.add_parser("against")
+    other.add_argument("tree", type=Path)
+    other.add_argument("--variants", type=int, default=200)
+    other.add_argument("--turns", type=int, default=4)
     commands.add_parser("kills").add_argument("--kills", type=int, default=20)
     commands.add_parser("closed_forms")
     args = parser.parse_args()
@@ -352,6 +385,8 @@ def main() -> None:
         throughput(args.seconds)
     elif args.what == "thousand":
         thousand(args.variants)
+    elif args.what == "against":
+        against(args.tree, args.variants, args.turns)
     elif args.what == "kills":
         kills(args.kills)
     else:

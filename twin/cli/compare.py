@@ -48,7 +48,10 @@ def carry_out(args: argparse.Namespace) -> int:
 
 def _runs(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
     machine = machine_of(args)
-    return _compared(_trace(first, machine), _trace(second, machine), machine, _names(first, second), out, f"{first}, {second}")
+    a, b, names = _trace(first, machine), _trace(second, machine), _names(first, second)
+    document = _compared(a, b, machine, names, out, f"{first}, {second}")
+    _record(a, b, machine, names, out)
+    return document
 
 
 def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path, inputs: str) -> dict:
@@ -59,8 +62,14 @@ def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out:
     print(comparison.verdict)
     print(comparison.table())
     write_comparison_page(comparison, out / "report.html", inputs)
-    _record(a, b, machine, names, out)
     return comparison.document()
+
+
+def _record_designs(a: tuple[Machine, Trace], b: tuple[Machine, Trace], names: tuple[str, str], out: Path) -> None:
+    """Write compare.rrd, the two machines side by side."""
+    from twin.replay import write_side_by_side
+
+    write_side_by_side(out / "compare.rrd", {names[0]: a, names[1]: b})
 
 
 def _record(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path) -> None:
@@ -125,6 +134,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
             **_compared(runs[0], runs[1], machines[0], names, out, f"{first}, {second} on {args.input}"),
             "numbers": document["numbers"],
         }
+        _record_designs((machines[0], runs[0]), (machines[1], runs[1]), names, out)
     return document
 
 

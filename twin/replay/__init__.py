@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.replay.recording import Written, write_motion, write_recording
+    from twin.replay.side_by_side import write_side_by_side
     from twin.replay.viewer import open_viewer, screenshot, serve
 
-__all__ = ["Written", "open_viewer", "screenshot", "serve", "write_motion", "write_recording"]
+__all__ = ["Written", "open_viewer", "screenshot", "serve", "write_motion", "write_recording", "write_side_by_side"]
 
 _HOMES = {
-    **dict.fromkeys(("replay_command"), "command"),
     **dict.fromkeys(("Written", "write_motion", "write_recording"), "recording"),
+    "write_side_by_side": "side_by_side",
     **dict.fromkeys(("open_viewer", "screenshot", "serve"), "viewer"),
 }
 

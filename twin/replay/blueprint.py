@@ -83,7 +83,7 @@ def layout(content: Content) -> rrb.Blueprint:
     top: list[rrb.View | rrb.Container] = [_machine_view(content)]
     shares = [5.0]
     if content.paths:
-        views = [_path_view(path, content) for path in content.paths]
+        views = [path_view(path, content.paths, content.scene_root, content.part_frame) for path in content.paths]
         column: list[rrb.View | rrb.Container] = [views[0]]
         if len(views) > 1:
             column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
@@ -98,7 +98,11 @@ def layout(content: Content) -> rrb.Blueprint:
         texts.append(rrb.TextLogView(origin=EVENTS, name="Events"))
     top.append(rrb.Tabs(*texts, active_tab=0))
     shares.append(3.0)
-    below = [view for view in (_contour_view(content), _axis_tabs(content)) if view is not None]
+    curves = (
+        contour_view(content.curves, content.states, content.keys),
+        axis_tabs(content.curves, content.axes, content.keys, content.first_axis),
+    )
+    below = [view for view in curves if view is not None]
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
@@ -120,15 +124,17 @@ def _machine_view(content: Content) -> rrb.View:
     )
 
 
-def _path_view(path: PathView, content: Content) -> rrb.View:
-    if path is content.paths[0]:
-        hidden = [f"- {other.root}/**" for other in content.paths[1:]]
-        inside = [*around_the_part(content.scene_root, content.part_frame, path.also), *hidden]
+def path_view(path: PathView, paths: Sequence[PathView], root: str, part_frame: str, title: str = "") -> rrb.View:
+    """The view of one of `paths`: the first true to scale among the bodies that carry the part, the others alone."""
+    title = title or path.title
+    if path is paths[0]:
+        hidden = [f"- {other.root}/**" for other in paths[1:]]
+        inside = [*around_the_part(root, part_frame, path.also), *hidden]
         middle = path.bounds.mean(axis=0)
         near = middle + NEAR * (path.bounds - middle)
-        return scene_view(path.title, content.part_frame, inside, near, growing=path.growing, distance=1.0, seen_from=PATH_FROM)
+        return scene_view(title, part_frame, inside, near, growing=path.growing, distance=1.0, seen_from=PATH_FROM)
     inside = [f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)]
-    return scene_view(path.title, content.part_frame, inside, path.bounds, growing=path.growing, distance=1.05, seen_from=PATH_FROM)
+    return scene_view(title, part_frame, inside, path.bounds, growing=path.growing, distance=1.05, seen_from=PATH_FROM)
 
 
 def around_the_part(scene_root: str, part_frame: str, tool: Sequence[str]) -> list[str]:
@@ -180,19 +186,21 @@ def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM)
     )
 
 
-def _contour_view(content: Content) -> rrb.View | rrb.Container | None:
+def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:
+    """The contour error of all runs, and beside it when an axis was at a limit or stuck; None where there is neither."""
     views: list[rrb.View | rrb.Container] = []
-    if any(curve.path.startswith(CONTOUR_ERROR) for curve in content.curves):
-        views.append(_with_key(_plot(CONTOUR_ERROR, "Contour error [um]"), content.keys.get(""), "Contour error"))
-    if content.states:
+    if any(curve.path.startswith(CONTOUR_ERROR) for curve in curves):
+        views.append(_with_key(_plot(CONTOUR_ERROR, "Contour error [um]"), keys.get(""), "Contour error"))
+    if states:
         views.append(rrb.StateTimelineView(origin="/states", name="Limits and sticking"))
     return rrb.Tabs(*views, active_tab=0) if views else None
 
 
-def _axis_tabs(content: Content) -> rrb.Container | None:
+def axis_tabs(curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str) -> rrb.Container | None:
+    """A tab of plots for each axis, that of `first_axis` in front; None where no axis has a curve."""
     tabs = []
-    for axis in content.axes:
-        groups = {group: name for group in GROUP_TITLES if (name := _unit_title(content.curves, axis, group))}
+    for axis in axes:
+        groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}
         differences = tuple(group for group in groups if group.startswith("difference"))
         columns = [[g for g in column if g in groups] for column in (differences, *_COLUMNS)]
         plots = []
@@ -200,10 +208,10 @@ def _axis_tabs(content: Content) -> rrb.Container | None:
             views = [_plot(axis_entity(axis, group), f"{axis} {groups[group]}") for group in column]
             plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
         if plots:
-            tabs.append(_with_key(rrb.Horizontal(*plots), content.keys.get(axis), f"Axis {axis}"))
+            tabs.append(_with_key(rrb.Horizontal(*plots), keys.get(axis), f"Axis {axis}"))
     if not tabs:
         return None
-    first = content.axes.index(content.first_axis) if content.first_axis in content.axes else 0
+    first = axes.index(first_axis) if first_axis in axes else 0
     return rrb.Tabs(*tabs, active_tab=min(first, len(tabs) - 1))
 
 

@@ -66,7 +66,7 @@ def write_recording(
     `full` keeps every sample, else a minute takes at most 5 MB; `also` are events of the caller's own. Raises InputError for
     runs that cannot be shown.
     """
-    _check(machine, runs)
+    check_runs(machine, runs)
     main, trace = next(iter(runs.items()))
     scene = scene_of(machine)
     paths = tool_paths_of(scene, machine, runs, programmed)
@@ -87,12 +87,12 @@ def write_recording(
         content = Content(
             scene_root=scene.body_paths[0],
             part_frame=scene.part_path,
-            scene_bounds=_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
+            scene_bounds=bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
             curves=curves,
             axes=axes,
             keys=keys,
             paths=views,
-            first_axis=_busiest_axis(machine, trace),
+            first_axis=busiest_axis(machine, trace),
             legend=LEGEND if paths else "",
             legend_title=f"contour error of {main} [um]" if paths else "",
             has_events=bool(found),
@@ -120,7 +120,7 @@ def write_motion(
         content = Content(
             scene_root=scene.body_paths[0],
             part_frame=scene.part_path,
-            scene_bounds=_with_tip(scene, {"motion": joints}),
+            scene_bounds=bounds_with_tip(scene, {"motion": joints}),
             curves=curves,
             axes=tuple(joints),
             keys=log_keys(recording, curves),
@@ -187,7 +187,7 @@ def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: boo
             recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], rr.Scalars.columns(scalars=values))
 
 
-def _with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:
+def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:
     """The box (2, 3) [m] around the machine in its reference pose and all that its tool reaches in the runs."""
     low, high = scene_bounds(scene)
     for joints in runs.values():
@@ -196,7 +196,7 @@ def _with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.
     return np.array([low, high])
 
 
-def _busiest_axis(machine: Machine, trace: Trace) -> str:
+def busiest_axis(machine: Machine, trace: Trace) -> str:
     """The axis whose following error is largest against its highest speed: the one to look at first."""
     shares = {
         axis.name: float(np.abs(error).max()) / axis.max_velocity
@@ -206,7 +206,8 @@ def _busiest_axis(machine: Machine, trace: Trace) -> str:
     return max(shares, key=lambda name: shares[name], default="")
 
 
-def _check(machine: Machine, runs: Mapping[str, Trace]) -> None:
+def check_runs(machine: Machine, runs: Mapping[str, Trace]) -> None:
+    """Raise InputError for runs that cannot be shown on the machine."""
     if not runs:
         raise InputError("recording: no run given; give at least one trace")
     for label, trace in runs.items():

@@ -7,7 +7,7 @@ that pictures and simulation agree. Shapes stand in their body's frame; position
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -70,6 +70,11 @@ class Scene:
 def scene_of(machine: Machine) -> Scene:
     """The scene of a machine file: frames as they are simulated; a body that an effect adds has no looks."""
     return _scene(frames_of_model(machine), machine.name)
+
+
+def placed_at(scene: Scene, root: str) -> Scene:
+    """The scene below another root entity, so that several stand in one recording."""
+    return replace(scene, body_paths=tuple(root + path.removeprefix(f"/{ROOT}") for path in scene.body_paths))
 
 
 def scene_from_mjcf(path: Path) -> Scene:

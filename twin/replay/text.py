@@ -27,13 +27,8 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
     for order, (label, trace) in enumerate(runs.items()):
         lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, sampled every {trace.period * 1e3:g} ms"]
         if paths:
-            error = paths.contours[label].error
-            worst = int(np.argmax(error))
-            rms = np.sqrt(np.mean(error**2))
             colours = "" if order else " (colours of the tool path)"
-            lines.append(
-                f"**Contour error** largest {error[worst] * 1e6:.2f} um at {trace.time[worst]:.3f} s, RMS {rms * 1e6:.2f} um{colours}"
-            )
+            lines.append(_contour_line(paths.contours[label].error, trace.time) + colours)
         table = _axis_table(machine, trace)
         if table:
             lines.append(table)
@@ -62,6 +57,31 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
     if summary:
         parts.append(f"```\n{summary.strip()}\n```")
     return "\n\n".join(parts) + "\n"
+
+
+def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[ToolPaths] | None, summary: str) -> str:
+    """The panel of two designs side by side, as markdown: time, contour error and axes of each."""
+    parts = [f"# {' beside '.join(designs)}"]
+    if summary:
+        parts.append(f"```\n{summary.strip()}\n```")
+    for i, (label, (machine, trace)) in enumerate(designs.items()):
+        lines = [f"## {label}", f"{machine.name}, {trace.time[-1] - trace.time[0]:.3f} s"]
+        if paths:
+            lines.append(_contour_line(paths[i].contours[label].error, trace.time))
+        if table := _axis_table(machine, trace):
+            lines.append(table)
+        parts.append("\n\n".join(lines))
+    if paths:
+        parts.append(
+            "Each contour error is the distance of the tool point from the path of its own set points; colours and magnification are the same in both panes."
+        )
+    return "\n\n".join(parts) + "\n"
+
+
+def _contour_line(error: np.ndarray, time: np.ndarray) -> str:
+    """Largest contour error (sample,) [m] with its time [s], and the RMS."""
+    worst = int(np.argmax(error))
+    return f"**Contour error** largest {error[worst] * 1e6:.2f} um at {time[worst]:.3f} s, RMS {np.sqrt(np.mean(error**2)) * 1e6:.2f} um"
 
 
 def _axis_table(machine: Machine, trace: Trace) -> str:

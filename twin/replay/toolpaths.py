@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -39,11 +39,8 @@ class ToolPaths:
     times: Mapping[str, np.ndarray]
     contours: Mapping[str, Contour]
     scale: ErrorScale
-
-    @property
-    def magnifications(self) -> tuple[int, ...]:
-        """1 and the factors at which the deviation of these paths can be seen."""
-        return magnifications(max(float(contour.error.max()) for contour in self.contours.values()), path_extent(self))
+    magnifications: tuple[int, ...] = (1,)
+    """1 and the factors at which the deviation of these paths can be seen."""
 
 
 def followed_joints(trace: Trace, steps: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
@@ -83,7 +80,20 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], pro
         asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else reference
         contours[label] = contour_of(runs[label].time, points, runs[label].time if own else reference_time, asked, window)
     times = {label: trace.time for label, trace in runs.items()}
-    return ToolPaths(reference_time, ideal, commanded, followed, times, contours, error_scale(next(iter(contours.values())).error))
+    found = ToolPaths(reference_time, ideal, commanded, followed, times, contours, error_scale(next(iter(contours.values())).error))
+    return replace(found, magnifications=magnifications(largest_error(found), path_extent(found)))
+
+
+def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
+    """Both with the scale of the one that errs more and the magnifications that suit both: what looks equal is equal."""
+    worse = max((first, second), key=lambda paths: paths.scale.end)
+    factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
+    return tuple(replace(paths, scale=worse.scale, magnifications=factors) for paths in (first, second))
+
+
+def largest_error(paths: ToolPaths) -> float:
+    """Largest contour error of all runs [m]."""
+    return max(float(contour.error.max()) for contour in paths.contours.values())
 
 
 def _same_setpoints(trace: Trace, other: Trace) -> bool:

@@ -16,8 +16,9 @@ from twin.machine.machine import Machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.run import commissioned_inertia
 from twin.study.catalogue import with_choices
+from twin.study.factors import INERTIA, Factor
 from twin.study.paths import number_at, with_numbers
-from twin.study.spec import INERTIA, Factor, Study
+from twin.study.spec import Study
 
 MOST = 1_000_000
 """More variants than this are a typing error, or a job for a latin_hypercube."""

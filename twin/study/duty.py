@@ -37,7 +37,7 @@ def duty_of(work: Work, machine: Machine, label: str) -> Duty | None:
     try:
         runs = {}
         for source in work.sources:
-            setpoints, _ = motion_of(source, machine, None)
+            setpoints, _ = motion_of(source, machine)
             runs[source.name] = simulate(machine.with_feedforward(source.feedforward), setpoints, count_load=True)
     except TwinError:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import math
@@ -36,7 +36,7 @@ GEOMETRY = ("geometry", "frame", "tool")
 class Source:
     """What one run moves along: set points, or a program's file where its interpolation differs from variant to variant.
 
-    `commanded` is the tool path of the set points at the record's times, None where it differs from variant to variant; `programmed`
+    `part` is what is cut. `commanded` is the tool path of the set points at the record's times, None where it differs from variant to variant; `programmed`
     is what a mark is measured against.
     """
 
@@ -46,6 +46,7 @@ class Source:
     program: tuple[bytes, str] = (b"", "")  # content and ending of the file
     commanded: ToolPath | None = None
     programmed: ToolPath | None = None
+    part: Part | None = None
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,13 @@ class Work:
 
     study: Study
     sources: tuple[Source, ...]
-    part: Part | None = None
     files: tuple[tuple[str, bytes], ...] = ()
     version: str = twin.__version__
 
     def packed(self) -> Work:
         """The same without need of this machine's files."""
-        files = {f"machine/{name}": path for name, path in _model_files(self.study.machine).items()} | _part_files(self.part)
+        files = {f"machine/{name}": path for name, path in _model_files(self.study.machine).items()}
+        files |= _part_files(source.part for source in self.sources)
         return replace(self, files=tuple((name, path.read_bytes()) for name, path in files.items()))
 
     def here(self) -> Work:
@@ -71,14 +72,16 @@ class Work:
             folder = Path(_kept(self.files).name)
         machine = self.study.machine
         study = replace(self.study, machine=replace(machine, model_path=folder / "machine" / machine.model_path.name))
-        places = {path: folder / name for name, path in _part_files(self.part).items()}
-        return replace(self, study=study, part=self.part and self.part.with_files(places), files=())
+        places = {path: folder / name for name, path in _part_files(source.part for source in self.sources).items()}
+        sources = tuple(replace(source, part=source.part and source.part.with_files(places)) for source in self.sources)
+        return replace(self, study=study, sources=sources, files=())
 
 
 def files_of_study(study: Study) -> list[Path]:
     """All files that the results depend on but the machine file and the study file, whose numbers count and not their text."""
-    part = [study.part, *_part_files(read_part(study.part)).values()] if study.part else []
-    return [*_model_files(study.machine).values(), *(run.input for run in study.runs), *part]
+    parts = [run.part for run in study.runs if run.part]
+    meshes = _part_files(read_part(part) for part in parts)
+    return [*_model_files(study.machine).values(), *(run.input for run in study.runs), *parts, *meshes.values()]
 
 
 def _model_files(machine: Machine) -> dict[str, Path]:
@@ -87,9 +90,9 @@ def _model_files(machine: Machine) -> dict[str, Path]:
     return {str(name): model.parent / name for name in (Path(model.name), *files_of(model))}
 
 
-def _part_files(part: Part | None) -> dict[str, Path]:
-    """The meshes of a part by the names under which a worker keeps them."""
-    return {f"part/{i}/{path.name}": path for i, path in enumerate(part.files if part else ())}
+def _part_files(parts: Iterable[Part | None]) -> dict[str, Path]:
+    """The meshes of the parts of all runs by the names under which a worker keeps them."""
+    return {f"part/{run}/{i}/{path.name}": path for run, part in enumerate(parts) for i, path in enumerate(part.files if part else ())}
 
 
 _KEEPING = threading.Lock()
@@ -117,8 +120,7 @@ class Answer:
 
 def work_of(study: Study) -> Work:
     """Read the runs and the part of a study; programs are interpolated once where no factor changes how."""
-    part = read_part(study.part) if study.part else None
-    return Work(study, tuple(_source(study, run, part) for run in study.runs), part)
+    return Work(study, tuple(_source(study, run, read_part(run.part) if run.part else None) for run in study.runs))
 
 
 def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
@@ -140,14 +142,14 @@ def _answer(machine: Machine, work: Work) -> Answer:
     by_run: dict[str, dict[str, float]] = {}
     for source in work.sources:
         found = by_run.setdefault(source.name, {})
-        setpoints, programmed = motion_of(source, machine, work.part)
+        setpoints, programmed = motion_of(source, machine)
         check_travel(setpoints, machine, f"run {source.name}")
         run = simulate(machine.with_feedforward(source.feedforward), setpoints, count_load=True)
         found["cycle_time_s"] = setpoints.duration
         axis_responses(machine, run, setpoints, found.__setitem__)
         contour_responses(machine, run.trace, source.commanded, found.__setitem__)
-        if work.part:
-            found["mark_depth_um"] = mark_depth(machine, run.trace, work.part, programmed)
+        if source.part:
+            found["mark_depth_um"] = mark_depth(machine, run.trace, source.part, programmed)
     if len(by_run) == 1:
         (responses,) = by_run.values()
     else:
@@ -168,15 +170,15 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
         setpoints = setpoints_of(trace, machine)
         # where the geometry varies, the same axis positions are another path on each variant
         commanded = None if varies(study, GEOMETRY) else _commanded(setpoints, machine)
-        return Source(run.name, run.feedforward, setpoints, commanded=commanded)
+        return Source(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
     from twin.program import read_program
 
     feedforward = run.feedforward or read_program(run.input, machine).feedforward
-    source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix))
+    source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix), part=part)
     # what the interpolator reads of a machine: limits, travels, cycles, frames and tools, and how fast an exact stop settles
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
-    setpoints, programmed = motion_of(source, machine, part)
+    setpoints, programmed = motion_of(source, machine)
     return replace(source, setpoints=setpoints, commanded=_commanded(setpoints, machine), programmed=programmed)
 
 
@@ -197,17 +199,17 @@ def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
         return None
 
 
-def motion_of(source: Source, machine: Machine, part: Part | None) -> tuple[Setpoints, ToolPath | None]:
+def motion_of(source: Source, machine: Machine) -> tuple[Setpoints, ToolPath | None]:
     """Set points of a run on a machine, and the programmed path where there is a part to cut."""
     if source.setpoints is not None:
         return source.setpoints, source.programmed
     # one thread plans, the others wait for it: planning is not compiled, and most variants have a plan in common
-    key = (source.program, part is not None, _planning_key(machine))
+    key = (source.program, source.part is not None, _planning_key(machine))
     with _PLANNING:
         if key not in _PLANS:
             while len(_PLANS) >= MOST_PLANS:
                 del _PLANS[next(iter(_PLANS))]
-            _PLANS[key] = _planned(source, machine, part is not None)
+            _PLANS[key] = _planned(source, machine, source.part is not None)
         return _PLANS[key]
 
 

@@ -51,7 +51,7 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
         study.retune,
         study.constraints,
     ]
-    parts += [(run.name, run.feedforward) for run in study.runs]
+    parts += [(run.name, run.feedforward, run.part is not None) for run in study.runs]
     files = [file.read_bytes() for file in (*files_of_study(study), *loaded_files())]
     return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()
 

@@ -108,13 +108,17 @@ def _fit(table: np.ndarray, y: np.ndarray) -> _Fit:
 
 
 def effects_of(names: Sequence[str], table: np.ndarray, y: np.ndarray) -> list[Effect]:
-    """Main effects and interactions of one response (variant,), largest first."""
-    fit = _fit(table, y)
+    """Main effects and interactions of one response (variant,), largest first.
+
+    None changes the response by more than the variants themselves did: what does so comes from factors that the design did not vary
+    apart, and is left out.
+    """
+    fit, reached = _fit(table, y), float(np.ptp(y)) * (1.0 + ROUNDING)
     width = student.ppf(0.975, fit.free) * fit.deviation if fit.free > 0 else np.full(len(fit.terms), np.nan)
     found = [
         Effect(tuple(names[i] for i in term), float(b), float(b - w), float(b + w))
         for term, b, w in zip(fit.terms, fit.value, width)
-        if len(set(term)) == len(term) > 0
+        if len(set(term)) == len(term) > 0 and 2.0 * abs(b) <= reached
     ]
     return sorted(found, key=lambda e: -abs(e.value))
 

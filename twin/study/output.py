@@ -13,9 +13,11 @@ from twin.errors import InputError
 from twin.files import write_json
 from twin.machine.machine import write_machine
 from twin.report import save_png
+from twin.simulation.summary import table
 from twin.study.design import machine_of
 from twin.study.duty import Duty, driven_axes, duty_of, torque_speed_figure
 from twin.study.evaluate import work_of
+from twin.study.labels import label_of, valued
 from twin.study.report import write_report
 from twin.study.results import TABLE, Answers, table_of
 from twin.study.spec import Study
@@ -25,11 +27,11 @@ BEST_MACHINE = "best_machine.toml"
 
 def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) -> list[str]:
     """Write everything into the folder; returns the names of the files."""
-    table = table_of(study, answers.rows)
+    rows = table_of(study, answers.rows)
     written = [TABLE, "table.csv", "study.json", "report.html"]
     try:
-        pyarrow.parquet.write_table(table, out / TABLE)
-        pyarrow.csv.write_csv(table, out / "table.csv")
+        pyarrow.parquet.write_table(rows, out / TABLE)
+        pyarrow.csv.write_csv(rows, out / "table.csv")
         write_json(answers.document(), out / "study.json", "study")
         duties = duties_of(study, answers)
         written += write_report(study, answers, duties, out)
@@ -68,8 +70,20 @@ def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
     return written
 
 
+def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
+    """Factors and answers of some variants beside each other, as a table of plain text."""
+    rows = [answers.row(n) for n in numbers]
+    shown = [answers.shown(factors) for _, factors, _, _ in rows]
+    lines = [[name, *(values[i] for values in shown)] for i, name in enumerate(answers.factors)]
+    for name in answers.looked:
+        lines.append([label_of(name), *(valued(name, found[name]) if name in found else "-" for _, _, found, _ in rows)])
+    return table(["design", *(f"variant {n}" for n in numbers)], lines)
+
+
 def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out: Path) -> list[str]:
-    """Two variants by number: their runs in one recording each, and torque against speed of both."""
+    """Two variants by number: their runs side by side in one recording each, and torque against speed of both."""
+    from twin.replay import write_side_by_side
+
     known = {row[0]: row for row in answers.rows}
     if wrong := next((n for n in numbers if n not in known or not known[n][2]), None):
         raise InputError(f"--compare {wrong}: no variant of this number could be run; the numbers stand in {out / 'table.csv'}")
@@ -77,7 +91,11 @@ def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out
     duties = [duty_of(work, machine_of(study, np.array(known[n][1])), f"variant {n}") for n in numbers]
     found = [duty for duty in duties if duty]
     name = "compare_" + "_".join(str(n) for n in numbers)
-    written = write_replays(found, name, out)
+    summary = comparison_text(answers, numbers)
+    written = []
+    for run in found[0].runs:
+        written.append(f"{name}_{run}.rrd")
+        write_side_by_side(out / written[-1], {duty.label: (duty.machine, duty.runs[run].trace) for duty in found}, summary=summary)
     if driven_axes(found):
         save_png(torque_speed_figure(found), out / "plots" / f"{name}.png")
         written.append(f"plots/{name}.png")

@@ -13,11 +13,12 @@ from twin.report.figure import AMBER, BLUE, RED, SOFT
 from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
+from twin.study.factors import Factor
 from twin.study.labels import label_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
-from twin.study.spec import Factor, Study
+from twin.study.spec import Study
 
 MOST_LINES = 50
 """Rows of a table in the report; all of them are in table.csv."""
@@ -127,7 +128,13 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         if r.surrogate:
             share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
             words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {r.surrogate.error:.3g} RMS{share}.")
-        tables = [Table(["factors", "change, low to high end", "95 % interval"], effect_rows(r), caption="Main effects and interactions")]
+            if not r.surrogate.fits:
+                words.append("That is too much to believe: it is not drawn, and no effect is given.")
+        tables = (
+            []
+            if not r.effects
+            else [Table(["factors", "change, low to high end", "95 % interval"], effect_rows(r), caption="Main effects and interactions")]
+        )
         if sensitivities := sensitivity_rows(study, r):
             tables.insert(
                 0, Table(["factor", "changes it by", "95 % interval"], sensitivities, caption="Sensitivities: straight line over the range")
@@ -208,7 +215,7 @@ def factors_figure(study: Study, r: Response) -> Any:
         panel.plot(r.table[:, i], r.y, ".", color=BLUE, alpha=0.7, markersize=6 if len(r.y) < MANY_POINTS else 3, markeredgewidth=0)
         if factor.choices:
             panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
-        elif r.surrogate is not None and np.ptp(r.table[:, i]) > 0:
+        elif r.surrogate is not None and r.surrogate.fits and np.ptp(r.table[:, i]) > 0:
             points = np.tile(middle, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
             panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0)

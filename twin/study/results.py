@@ -16,6 +16,7 @@ import pyarrow.parquet
 
 from twin.errors import InputError, nearest
 from twin.study.design import problem_of
+from twin.study.factors import Factor
 from twin.study.outcomes import (
     Effect,
     Surrogate,
@@ -28,7 +29,7 @@ from twin.study.outcomes import (
     swings_of,
     without_effect,
 )
-from twin.study.spec import Factor, Study
+from twin.study.spec import Study
 from twin.study.store import Row
 
 TABLE = "table.parquet"
@@ -63,6 +64,8 @@ class Answers:
     minimised: str
     best: int | None
     definitions: tuple[Factor, ...] = ()
+    looked: tuple[str, ...] = ()
+    """Names of the responses that the report is about."""
 
     def shown(self, values: Sequence[float]) -> list[str]:
         """The factors of a variant as people read them, the entries of a catalogue by name."""
@@ -87,7 +90,9 @@ class Answers:
 
     def commonest(self, ran: bool) -> str:
         """The commonest reason of the variants that ran and broke a constraint, or that could not be run; without its numbers."""
-        reasons = Counter(_without_numbers(r.split("; ")[0]) for _, _, responses, r in self.rows if r and bool(responses) == ran)
+        # a variant counts for each constraint that it breaks; what follows the first part of an error says what to do
+        parts = ((r.split("; ") if ran else [r.split("; ")[0]]) for _, _, responses, r in self.rows if r and bool(responses) == ran)
+        reasons = Counter(_without_numbers(part) for several in parts for part in several)
         return reasons.most_common(1)[0][0] if reasons else ""
 
     def row(self, number: int) -> Row:
@@ -167,7 +172,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
                 name,
                 table,
                 y,
-                effects_of(names, table, y),
+                effects_of(names, table, y) if surrogate is None or surrogate.fits else [],
                 surrogate,
                 swings_of(names, table, y, surrogate, listed) if surrogate else [],
                 sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
@@ -185,6 +190,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         minimised=looked[0] if looked else "",
         best=fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None,
         definitions=study.factors,
+        looked=tuple(looked),
     )
 
 
@@ -208,7 +214,10 @@ def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:
 
 
 def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, float]], tuple[float, float]]:
-    """The surrogate of a finished study: a function of a value for each factor that returns (value, its error)."""
+    """The surrogate of a finished study: a function of a value for each factor that returns (value, its error).
+
+    It goes through the variants that keep the constraints, as all answers do.
+    """
     path = Path(folder) / TABLE
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the --out folder of a finished `twin study`")
@@ -217,7 +226,7 @@ def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, 
     if response not in table.column_names:
         raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")
     columns = np.column_stack([table.column(name).to_numpy() for name in [*names, response]])
-    kept = columns[np.isfinite(columns[:, -1])]
+    kept = columns[np.isfinite(columns[:, -1]) & table.column("reason").is_null().to_numpy()]
     surrogate = surrogate_of(kept[:, :-1], kept[:, -1])
     if surrogate is None:
         raise InputError(f"{path}: {len(kept)} variants are too few for a surrogate of '{response}'; add some")

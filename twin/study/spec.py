@@ -2,7 +2,7 @@
 
 seed = 1
 machine = "my_machine.toml"          # optional; else --machine or the Mikron
-part = "part.toml"                   # optional: also the depth of the mark on this part
+part = "part.toml"                   # optional: also the depth of the mark on this part, with all runs or with one (part = .. below [[run]])
 answer = ["contour_error_max_um"]    # optional: what the report looks at first; the first one is minimised
 recommission = true                  # optional: the control is commissioned with each variant's own inertia and torque constant
 retune = "same margins"              # optional: speed gains follow the inertia, current gains the winding; else the gains stay
@@ -54,10 +54,20 @@ from typing import Any
 from twin.documents import outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine
-from twin.study.catalogue import Choice, choices_of
 from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, MOST_TIME_AT_LIMIT, Constraint, standing
-from twin.study.paths import matching_paths, number_at, with_numbers
-from twin.tables import is_number, known_keys
+from twin.study.factors import (
+    Factor,
+    Tied,
+    catalogue_factor_of,
+    check_apart,
+    factor_of,
+    flag,
+    known_table,
+    numbers,
+    tied_of,
+)
+from twin.study.paths import matching_paths, with_numbers
+from twin.tables import is_number
 
 DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
 """Designs, and the keys that each takes."""
@@ -79,56 +89,18 @@ TOP = (
     "constraint",
     "design",
 )
-INERTIA = "inertia."
 SAME_MARGINS = "same margins"
 """Word of `retune`: gains follow inertia and winding, so that designs are compared and not their tunings."""
 
 
 @dataclass(frozen=True)
-class Factor:
-    """One thing that is varied: paths into the machine that take the same value (or factor, when `relative`).
-
-    With `choices`, entries of a catalogue, a value is the number of an entry, from 0 on, and `paths` are all that any of them changes.
-    """
-
-    name: str
-    paths: tuple[str, ...]
-    relative: bool
-    values: tuple[float, ...]
-    range: tuple[float, float] | None
-    choices: tuple[Choice, ...] = ()
-    installed: str = ""
-
-    @property
-    def low(self) -> float:
-        return self.range[0] if self.range else min(self.values)
-
-    @property
-    def high(self) -> float:
-        return self.range[1] if self.range else max(self.values)
-
-    def shown(self, value: float) -> str:
-        """A value as people read it: the name of a choice, else the number."""
-        return self.choices[round(value)].name if self.choices else f"{value:.4g}"
-
-
-@dataclass(frozen=True)
-class Tied:
-    """Paths that follow a factor or `inertia.AXIS`: nominal x ratio^exponent, or nominal + slope x change of the factor's number."""
-
-    paths: tuple[str, ...]
-    to: str
-    exponent: float
-    slope: float | None
-
-
-@dataclass(frozen=True)
 class StudyRun:
-    """One program or trace that every variant runs."""
+    """One program or trace that every variant runs, and the part that is cut with it."""
 
     name: str
     input: Path
     feedforward: str | None
+    part: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -153,7 +125,6 @@ class Study:
     design: Design
     seed: int
     answer: tuple[str, ...]
-    part: Path | None
     recommission: bool
     retune: bool = False
     constraints: tuple[Constraint, ...] = ()
@@ -171,25 +142,26 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     if not path.exists():
         raise InputError(f"{path}: no such study file; see docs/study.md for the form")
     document = read_toml(path)
-    _known(document, TOP, str(path))
+    known_table(document, TOP, str(path))
     own = document.get("machine")
     machine = load_machine(machine_path or (outer_file(own, path.parent, f"{path}: machine") if own else None))
     machine = with_numbers(machine, _fixed(document.get("fixed", {}), machine, f"{path}: [fixed]"))
     design = _design(document.get("design", {}), f"{path}: [design]")
     factors = tuple(
-        _catalogue_factor(table, machine, path, f"{path}: factor {i + 1}")
+        catalogue_factor_of(table, machine, path, f"{path}: factor {i + 1}")
         if isinstance(table, Mapping) and "catalogue" in table
-        else _factor(table, design, i, machine, f"{path}: factor {i + 1}")
+        else factor_of(table, _column(design, i), machine, f"{path}: factor {i + 1}")
         for i, table in enumerate(_tables(document, "factor", path))
     )
-    _check_apart(factors, path)
+    check_apart(factors, path)
     design = _rows_by_number(design, factors, f"{path}: [design]")
-    tied = tuple(_tied(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.get("tied", [])))
-    runs = tuple(_run(table, path, f"{path}: run {i + 1}") for i, table in enumerate(_tables(document, "run", path)))
+    tied = tuple(tied_of(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.get("tied", [])))
+    part = _part(document, path, str(path), None)
+    runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(_tables(document, "run", path)))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise InputError(f"{path}: two of [[{what}]] have the name '{twice}'; give each its own")
-    seed, answer, part = document.get("seed", 0), document.get("answer", []), document.get("part")
+    seed, answer = document.get("seed", 0), document.get("answer", [])
     if not isinstance(seed, int) or seed < 0:
         raise InputError(f"{path}: seed = {seed!r}; give a whole number, 0 or more")
     return Study(
@@ -201,12 +173,16 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         design=design,
         seed=seed,
         answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
-        part=outer_file(part, path.parent, f"{path}: part") if part is not None else None,
-        recommission=_flag(document, "recommission", str(path)),
+        recommission=flag(document, "recommission", str(path)),
         retune=_retune(document, path),
         constraints=_constraints(document, path),
         pareto=_pairs(document.get("pareto", []), path),
     )
+
+
+def _column(design: Design, i: int) -> list[Any] | None:
+    """Values of a factor in the rows of a list; None with another design."""
+    return [row[i] for row in design.rows if i < len(row)] if design.kind == "list" else None
 
 
 def _retune(document: Mapping[str, Any], path: Path) -> bool:
@@ -230,7 +206,7 @@ def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, .
     found = list(standing(margin, share))
     for i, table in enumerate(document.get("constraint", [])):
         where = f"{path}: constraint {i + 1}"
-        _known(table, ("response", "least", "most"), where)
+        known_table(table, ("response", "least", "most"), where)
         if not isinstance(table.get("response"), str):
             raise InputError(f"{where}: 'response' is missing; name a response or a pattern, e.g. current_limit_used_*")
         if "least" not in table and "most" not in table:
@@ -246,30 +222,11 @@ def _bound(table: Mapping[str, Any], key: str, where: str, default: float = 0.0)
     return float(value)
 
 
-def _known(table: object, keys: Sequence[str], where: str) -> None:
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: must be a table; see docs/study.md for the form")
-    known_keys(table, keys, where)
-
-
 def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
     tables = document.get(key, [])
     if not isinstance(tables, list) or not tables:
         raise InputError(f"{path}: no [[{key}]]; give at least one")
     return tables
-
-
-def _flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    value = table.get(key, False)
-    if not isinstance(value, bool):
-        raise InputError(f"{where}: {key} = {value!r}; write true or false")
-    return value
-
-
-def _numbers(values: Any, what: str, where: str) -> tuple[float, ...]:
-    if not isinstance(values, list) or not all(map(is_number, values)):
-        raise InputError(f"{where}: {what} = {values!r}; give a list of numbers")
-    return tuple(float(v) for v in values)
 
 
 def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
@@ -283,15 +240,21 @@ def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
             if isinstance(value, Mapping):
                 collect(value, f"{prefix}{key}.")
             else:
-                (number,) = _numbers([value], f"{prefix}{key}", where)
+                (number,) = numbers([value], f"{prefix}{key}", where)
                 out.update(dict.fromkeys(matching_paths(f"{prefix}{key}", machine, where), number))
 
     collect(table, "")
     return out
 
 
-def _run(table: Any, path: Path, where: str) -> StudyRun:
-    _known(table, ("name", "input", "feedforward"), where)
+def _part(table: Mapping[str, Any], path: Path, where: str, otherwise: Path | None) -> Path | None:
+    """The part file of a study or of one of its runs."""
+    part = table.get("part")
+    return otherwise if part is None else outer_file(part, path.parent, f"{where}: part")
+
+
+def _run(table: Any, path: Path, where: str, part: Path | None) -> StudyRun:
+    known_table(table, ("name", "input", "feedforward", "part"), where)
     if "input" not in table:
         raise InputError(f"{where}: 'input' is missing; name a program or a trace beside the study file")
     source = outer_file(table["input"], path.parent, f"{where}: input")
@@ -301,98 +264,14 @@ def _run(table: Any, path: Path, where: str) -> StudyRun:
     name = str(table.get("name", source.stem))
     if not re.fullmatch(r"[^/\\\x00-\x1f.][^/\\\x00-\x1f]*", name):
         raise InputError(f"{where}: name = {name!r}: files are named after it; leave out / and \\, and a dot at its start")
-    return StudyRun(name, source, feedforward)
-
-
-def _factor(table: Any, design: Design, column: int, machine: Machine, where: str) -> Factor:
-    _known(table, ("name", "path", "paths", "relative", "values", "range"), where)
-    asked = table.get("paths", [table["path"]] if "path" in table else [])
-    if not isinstance(asked, list) or not asked or not all(isinstance(one, str) for one in asked):
-        raise InputError(f"{where}: 'path' is missing; name a number of the machine file, e.g. axis.X.moving_mass_kg")
-    name = str(table.get("name", asked[0]))
-    where = f"{where}: '{name}'"
-    paths = tuple(dict.fromkeys(p for one in asked for p in matching_paths(one, machine, where)))
-    relative = _flag(table, "relative", where)
-    if relative and (lacking := next((p for p in paths if number_at(machine, p) is None), None)):
-        raise InputError(f"{where}: relative, but the machine lacks {lacking}; give absolute values or put the effect into its file")
-    values = _numbers(table.get("values", []), "values", where)
-    limits = _numbers(table.get("range", []), "range", where)
-    if limits and (len(limits) != 2 or limits[0] >= limits[1]):
-        raise InputError(f"{where}: range = {list(limits)}; give [low, high] with low below high")
-    if values and limits:
-        raise InputError(f"{where}: has both values and a range; give one of them")
-    if design.kind == "list":
-        # the rows show its values
-        own = [row[column] for row in design.rows if column < len(row)]
-        return Factor(name, paths, relative, _numbers(own, "rows", where), None)
-    if not values and not limits:
-        raise InputError(f"{where}: has neither values nor a range; give values = [..] or range = [low, high]")
-    if not limits and len(set(values)) < 2:
-        raise InputError(f"{where}: has one value only; give two or more, or put it under [fixed]")
-    return Factor(name, paths, relative, values, (limits[0], limits[1]) if limits else None)
-
-
-def _catalogue_factor(table: Mapping[str, Any], machine: Machine, path: Path, where: str) -> Factor:
-    _known(table, ("name", "catalogue", "axis", "axes", "installed", "values"), where)
-    names = table.get("axes", [table["axis"]] if "axis" in table else [])
-    if not isinstance(names, list) or not names:
-        raise InputError(f"{where}: 'axis' is missing; name the axis whose drive is chosen, e.g. axis = \"X\"")
-    if wrong := next((name for name in names if name not in machine.axis_names), None):
-        raise InputError(f"{where}: no axis {wrong!r}; {nearest(str(wrong), machine.axis_names)}")
-    values, installed = table.get("values", []), table.get("installed")
-    if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise InputError(f"{where}: values = {values!r}; give names of the catalogue, or leave it out for all")
-    if not isinstance(installed, str):
-        raise InputError(f"{where}: 'installed' is missing; name the entry of the catalogue that the machine has now")
-    choices = choices_of(
-        outer_file(table["catalogue"], path.parent, f"{where}: catalogue"), [machine.axis(name) for name in names], installed, values, where
-    )
-    paths = dict.fromkeys(p for c in choices for p, _ in (*c.values, *c.added_inertia))
-    name = str(table.get("name", f"{Path(str(table['catalogue'])).stem} of {' '.join(names)}"))
-    return Factor(name, tuple(paths), False, tuple(float(i) for i in range(len(choices))), None, choices, installed)
-
-
-def _check_apart(factors: Sequence[Factor], path: Path) -> None:
-    """What a catalogue sets no other factor may set; inertias of a motor and a screw add up."""
-    for factor in factors:
-        own = {p for choice in factor.choices for p, _ in choice.values}
-        for other in factors:
-            both = set(other.paths) & (own if other.choices else set(factor.paths) if factor.choices else set())
-            if other is not factor and both:
-                raise InputError(f"{path}: factors '{factor.name}' and '{other.name}' both set {min(both)}; leave one of them out")
-
-
-def _tied(table: Any, factors: Sequence[Factor], machine: Machine, where: str) -> Tied:
-    _known(table, ("path", "to", "exponent", "slope"), where)
-    names = [f.name for f in factors]
-    to = str(table.get("to"))
-    inertias = [f"{INERTIA}{axis}" for axis in machine.axis_names]
-    if to not in (*names, *inertias):
-        raise InputError(f"{where}: to = {table.get('to')!r}; {nearest(to, (*names, *inertias))}")
-    if "path" not in table:
-        raise InputError(f"{where}: 'path' is missing; name a number of the machine file")
-    paths = tuple(matching_paths(str(table["path"]), machine, where))
-    if "slope" in table and ("exponent" in table or to in inertias):
-        raise InputError(f"{where}: slope goes with a factor and without exponent; give one of them")
-    exponent, *slope = _numbers([table.get("exponent", 1.0), *([table["slope"]] if "slope" in table else [])], "exponent, slope", where)
-    factor = next((f for f in factors if f.name == to), None)
-    if factor and factor.choices:
-        raise InputError(
-            f"{where}: to = {to!r} is a choice of a catalogue, which has no ratio; tie it to {INERTIA}AXIS, or give the number under [fixed]"
-        )
-    if factor and not factor.relative and not slope and number_at(machine, factor.paths[0]) == 0.0:
-        raise InputError(f"{where}: {factor.paths[0]} is 0 on the machine as it is, so there is no ratio; give a slope")
-    lacking = [p for p in (*paths, *(factor.paths if factor and not factor.relative else ())) if number_at(machine, p) is None]
-    if lacking:
-        raise InputError(f"{where}: the machine lacks {lacking[0]}, so there is no nominal to scale; give it under [fixed]")
-    return Tied(paths, to, exponent, slope[0] if slope else None)
+    return StudyRun(name, source, feedforward, _part(table, path, where, part))
 
 
 def _design(table: Any, where: str) -> Design:
     kind = table.get("kind") if isinstance(table, Mapping) else None
     if kind not in DESIGNS:
         raise InputError(f"{where}: kind = {kind!r}; use one of {', '.join(DESIGNS)}")
-    _known(table, ("kind", *DESIGNS[kind]), f"{where} of kind {kind}")
+    known_table(table, ("kind", *DESIGNS[kind]), f"{where} of kind {kind}")
 
     def whole(key: str, default: int, check: Callable[[int], bool], ask: str) -> int:
         value = table.get(key, default)
@@ -427,6 +306,6 @@ def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> De
                     raise InputError(f"{where} rows: {value!r} is no choice of '{factor.name}'; {nearest(str(value), names)}")
                 numbers.append(float(names.index(value)))
             else:
-                numbers += _numbers([value], "rows", where)
+                numbers += numbers([value], "rows", where)
         rows.append(tuple(numbers))
     return replace(design, rows=tuple(rows))

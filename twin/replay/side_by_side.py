@@ -1,0 +1,155 @@
+"""Two designs side by side: a pane for each with its machine and its tool path, on one clock, one scale and one magnification.
+
+    +--------------------------+--------------------------+
+    | variant 3: machine       | variant 17: machine      |
+    +--------------------------+--------------------------+
+    | its deviation x100       | its deviation x100       |
+    +--------------------------+--------------------------+
+    | colours of the contour error, the same in both panes |
+    +-----------------+------------------------+----------+
+    | contour errors  | X | Y | Z : both runs  | summary  |
+    +-----------------+------------------------+----------+
+
+The same colour is the same error, the same bulge the same deviation: otherwise the eye compares two scales.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from twin.errors import InputError
+from twin.geometry.body_poses import local_poses
+from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
+from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view
+from twin.replay.colour_bar import colour_bar_view
+from twin.replay.curves import axis_curves, contour_curve, following_error
+from twin.replay.key import log_keys
+from twin.replay.names import LEGEND, SUMMARY, TIMELINE
+from twin.replay.recording import bounds_with_tip, check_runs, log_curves, pose_steps, recording_to
+from twin.replay.scene import Scene, placed_at, scene_of
+from twin.replay.shapes import log_motion, log_scene
+from twin.replay.text import design_text
+from twin.replay.toolpaths import ToolPaths, alike, followed_joints, log_tool_paths, tool_paths_of
+
+ROOTS = ("/design_1", "/design_2")
+
+
+@dataclass(frozen=True)
+class _Pane:
+    """One design as far as the layout needs it: its name, scene, the box around it (2, 3) [m], and the views of its paths."""
+
+    label: str
+    scene: Scene
+    bounds: np.ndarray
+    views: tuple[PathView, ...]
+
+
+def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Trace]], *, summary: str = "", full: bool = False) -> int:
+    """Write two designs (label -> machine and its run) as one recording with a pane for each. Returns the bytes written.
+
+    Both have the same axes; set points may differ, each run is held against its own. `summary` is a table of plain text. Raises
+    InputError for designs that cannot be shown beside each other.
+    """
+    _check(designs)
+    machine = next(iter(designs.values()))[0]
+    runs = {label: trace for label, (_, trace) in designs.items()}
+    scenes = [placed_at(scene_of(one), root) for (one, _), root in zip(designs.values(), ROOTS)]
+    paths = _paths_of(designs, scenes)
+    with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
+        panes, curves = [], axis_curves(machine, runs)
+        for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
+            shapes = log_scene(recording, scene)
+            steps = pose_steps(trace.time, full)
+            log_motion(recording, scene, trace.time[steps], local_poses(scene.model, followed_joints(trace, steps)))
+            views = log_tool_paths(recording, scene, paths[i], shapes, full) if paths else ()
+            panes.append(_Pane(label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
+            if paths:
+                curves.append(contour_curve(label, trace.time, paths[i].contours[label].error, i, alone=False))
+        log_curves(recording, curves, full)
+        keys = log_keys(recording, curves)
+        text = design_text(designs, paths, summary)
+        recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
+        below = [contour_view(curves, (), keys), axis_tabs(curves, axes, keys, most_different_axis(machine, *runs.values()))]
+        recording.send_blueprint(_layout(panes, [view for view in below if view is not None]))
+    return Path(path).stat().st_size
+
+
+def _paths_of(designs: Mapping[str, tuple[Machine, Trace]], scenes: Sequence[Scene]) -> tuple[ToolPaths, ToolPaths] | None:
+    """The tool paths of both, alike in scale and magnification; None where a tool does not move."""
+    first, second = (tool_paths_of(scene, one, {label: trace}, None) for (label, (one, trace)), scene in zip(designs.items(), scenes))
+    return alike(first, second) if first is not None and second is not None else None
+
+
+def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
+    """The axis whose following errors lie furthest apart against its highest speed: the one to look at first."""
+    apart = {}
+    for axis in machine.axes:
+        errors = [following_error(trace, axis.name) for trace in (first, second) if axis.name in trace.axes]
+        a, b = (*errors, None, None)[:2]
+        if a is not None and b is not None:
+            both = min(len(a), len(b))
+            apart[axis.name] = float(np.abs(a[:both] - b[:both]).max()) / axis.max_velocity
+    return max(apart, key=lambda name: apart[name], default="")
+
+
+def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -> rrb.Blueprint:
+    columns = []
+    # both are seen from the same place, from as far away as suits the larger one
+    whole_box = _around([pane.bounds for pane in panes])
+    boxes = [_around([view.bounds for view in views]) for views in zip(*(pane.views for pane in panes))]
+    for pane in panes:
+        views = [replace(view, bounds=box) for view, box in zip(pane.views, boxes)]
+        root = pane.scene.body_paths[0]
+        hidden = [f"- {view.root}/**" for view in views[1:]]
+        growing = views[0].growing if views else ()
+        whole = scene_view(f"{pane.label}: machine", root, [f"+ {root}/**", *hidden], whole_box, growing=growing, floor=True)
+        near = [
+            path_view(view, views, root, pane.scene.part_path, title=f"{pane.label}: {view.title[0].lower()}{view.title[1:]}")
+            for view in views
+        ]
+        # the largest magnification that suits the path, as in the recording of one run
+        column: list[rrb.View | rrb.Container] = [whole]
+        if near:
+            column.append(rrb.Tabs(*near, active_tab=len(near) - 1, name=f"{pane.label}: path"))
+        columns.append(rrb.Vertical(*column) if len(column) > 1 else whole)
+    rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*columns)]
+    shares = [5.0]
+    if panes[0].views:
+        rows.append(colour_bar_view(LEGEND, "contour error of both [um]"))
+        shares.append(0.55)
+    bottom = [*below, rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
+    rows.append(rrb.Horizontal(*bottom, column_shares=[1.0, 2.2, 1.3][-len(bottom) :]))
+    shares.append(2.6)
+    return rrb.Blueprint(
+        rrb.Vertical(*rows, row_shares=shares),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _around(boxes: Sequence[np.ndarray]) -> np.ndarray:
+    """The box (2, 3) around boxes."""
+    return np.array([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
+
+
+def _check(designs: Mapping[str, tuple[Machine, Trace]]) -> None:
+    if len(designs) != 2:
+        raise InputError(f"recording: {len(designs)} designs given; two stand side by side")
+    for label, (machine, trace) in designs.items():
+        check_runs(machine, {label: trace})
+    (first, _), (second, _) = designs.values()
+    if first.axis_names != second.axis_names:
+        raise InputError(
+            f"recording: the designs have the axes {' '.join(first.axis_names)} and {' '.join(second.axis_names)}; give two with the same"
+        )
