@@ -4,7 +4,7 @@
 
 Eleven designs (study.toml beside this file): the machine as it is, half the inertia at the motor of one axis after the other, of all
 with the margins that the loops had and with the gains that they had; twice the gains on the machine as it is; twice the acceleration and jerk. Prints error, time, current and energy of each on each program, and draws
-them. --quick: the five-axis program alone (about a minute; all four take twenty).
+them. The mark is where the followed path cuts too deep, on the three parts. --quick: the five-axis program alone.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 from pathlib import Path
 import sys
 from typing import Any
@@ -45,10 +46,11 @@ DESIGNS = (
 )
 SHOWN = (
     ("contour_error_max_um", "largest contour error [um]"),
+    ("mark_depth_um", "depth of the mark [um]"),
     ("cycle_time_s", "time [s]"),
-    ("copper_loss_w", "copper loss of all motors [W]"),
+    ("copper_loss_w", "heat of all motors [W]"),
     ("electrical_energy_j", "electrical energy [kJ]"),
-    ("current_limit_used", "largest share of a current limit [%]"),
+    ("current_limit_used", "largest current, share of the limit [%]"),
 )
 
 
@@ -71,10 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     for run in study.runs:
         print(f"\n{run.name}")
-        lines = [
-            [name, *(said(numbers(row, run.name, len(study.runs) > 1)[key], key) for key, _ in SHOWN)] for name, row in zip(DESIGNS, rows)
-        ]
-        print(table(["design", *(label for _, label in SHOWN)], lines))
+        found = [numbers(row, run.name, len(study.runs) > 1) for row in rows]
+        columns = [(key, label) for key, label in SHOWN if any(math.isfinite(one[key]) for one in found)]
+        lines = [[name, *(said(one[key], key) for key, _ in columns)] for name, one in zip(DESIGNS, found)]
+        print(table(["design", *(label for _, label in columns)], lines))
     marked = [f"{name}: {reason}" for name, (*_, reason) in zip(DESIGNS, rows) if reason]
     least = [min(value for key, value in row[2].items() if key.startswith("phase_margin_")) for row in rows if row[2]]
     print(f"\nleast phase margin of all loops and designs: {min(least):.0f} degrees")
@@ -114,14 +116,20 @@ def numbers(row: Row, run: str, several: bool) -> dict[str, float]:
     found = {name.removeprefix(prefix): value for name, value in row[2].items() if name.startswith(prefix)}
     if not found:
         return {key: float("nan") for key, _ in SHOWN}
-    return found | {
-        "copper_loss_w": sum(value for name, value in found.items() if name.startswith("copper_loss_")),
-        "current_limit_used": max(value for name, value in found.items() if name.startswith("current_limit_used_")),
-    }
+    return (
+        {"mark_depth_um": float("nan")}
+        | found
+        | {
+            "copper_loss_w": sum(value for name, value in found.items() if name.startswith("copper_loss_")),
+            "current_limit_used": max(value for name, value in found.items() if name.startswith("current_limit_used_")),
+        }
+    )
 
 
 def said(value: float, key: str) -> str:
     """A number of the table."""
+    if math.isnan(value):
+        return "-"
     if key == "current_limit_used":
         return f"{100 * value:.0f}"
     return f"{value / 1e3 if key == 'electrical_energy_j' else value:.4g}"
@@ -129,12 +137,18 @@ def said(value: float, key: str) -> str:
 
 def picture(study: Study, rows: Sequence[Row]) -> Any:
     """Change of every number against the machine as it is, a panel each, a colour for each program."""
-    figure, axes = new_figure(1, 4, width=13.0, height=4.2, sharey=True)
+    found = {run.name: [numbers(row, run.name, len(study.runs) > 1) for row in rows] for run in study.runs}
+    shown = [
+        (key, label)
+        for key, label in SHOWN
+        if key != "copper_loss_w" and any(math.isfinite(one[key]) for every in found.values() for one in every)
+    ]
+    figure, axes = new_figure(1, len(shown), width=2.0 + 2.7 * len(shown), height=4.2, sharey=True)
     places = np.arange(len(DESIGNS))[::-1]
-    for panel, (key, label) in zip(axes[0], (s for s in SHOWN if s[0] != "copper_loss_w")):
-        for run, colour, offset in zip(study.runs, (BLUE, GREEN, AMBER, RED), (0.24, 0.08, -0.08, -0.24)):
-            values = np.array([numbers(row, run.name, len(study.runs) > 1)[key] for row in rows])
-            panel.plot(100.0 * (values / values[0] - 1.0), places + offset, "o", color=colour, markersize=5.5, label=run.name)
+    for panel, (key, label) in zip(axes[0], shown):
+        for (name, every), colour, offset in zip(found.items(), (BLUE, GREEN, AMBER, RED), (0.24, 0.08, -0.08, -0.24)):
+            values = np.array([one[key] for one in every])
+            panel.plot(100.0 * (values / values[0] - 1.0), places + offset, "o", color=colour, markersize=5.5, label=name)
         panel.axvline(0.0, color="#9aa3ab", linewidth=0.9)
         panel.set_xlabel(f"{label.split(' [')[0]}:\nchange [%]")
     axes[0][0].set_yticks(places, DESIGNS)

@@ -296,7 +296,7 @@ def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> De
     """Rows of a list in which the names of a catalogue's entries are their numbers."""
     rows = []
     for row in design.rows:
-        numbers: list[float] = []
+        row_numbers: list[float] = []
         given: tuple[Any, ...] = row
         for k, value in enumerate(given):
             factor = factors[k] if k < len(factors) else None
@@ -304,8 +304,8 @@ def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> De
                 names = [c.name for c in factor.choices]
                 if value not in names:
                     raise InputError(f"{where} rows: {value!r} is no choice of '{factor.name}'; {nearest(str(value), names)}")
-                numbers.append(float(names.index(value)))
+                row_numbers.append(float(names.index(value)))
             else:
-                numbers += numbers([value], "rows", where)
-        rows.append(tuple(numbers))
+                row_numbers += numbers([value], "rows", where)
+        rows.append(tuple(row_numbers))
     return replace(design, rows=tuple(rows))
