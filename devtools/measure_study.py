@@ -1,10 +1,9 @@
-"""What a design study costs and survives: throughput, kills, memory, and its numbers against closed forms.
+"""What a design study costs and survives: throughput, kills, memory.
 
     python devtools/measure_study.py throughput [--seconds 20]    two threads over one; steps a second over bare mj_step on all cores
     python devtools/measure_study.py thousand [--variants 1000]   a whole `twin study` of that many 2 s moves, and its memory
     python devtools/measure_study.py against TREE [--variants 200] [--turns 4]   the same beside another checkout, in turn
     python devtools/measure_study.py kills [--kills 20]           kill -9 at random moments, resume, compare with the undisturbed table
-    python devtools/measure_study.py closed_forms                 error against inertia, matching optimum, time of a rapid move
 
 Throughput is measured in turns of a second or so (one thread, all threads, bare engine), and the medians of their ratios are
 printed, so that another load on the machine weighs on all alike; the load average stands beside them. The same ratios follow without
@@ -16,8 +15,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-import math
 import os
 from pathlib import Path
 import random
@@ -34,13 +31,10 @@ import numpy as np
 import pyarrow.parquet
 
 from devtools.benchmark import BareEngine, moving_setpoints
-from twin.geometry.scurve import phases_of_move
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
-from twin.study.design import machine_of, variants_of
+from twin.study.design import variants_of
 from twin.study.evaluate import evaluate, work_of
-from twin.study.paths import with_numbers
-from twin.study.results import surrogate_from
 from twin.study.spec import read_study
 
 Rates = tuple[float, float]
@@ -248,127 +242,6 @@ def rows_in(file: Path) -> int:
         store.close()
 
 
-def closed_forms() -> None:
-    """Run the worked studies and hold them against what theory says."""
-    with tempfile.TemporaryDirectory() as folder:
-        for name in ("corner_mass", "table_payload", "inertia_matching"):
-            command = [sys.executable, "-m", "twin", "study", str(EXAMPLES / f"{name}.toml"), "--out", f"{folder}/{name}", "--no-replay"]
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        corner(Path(folder) / "corner_mass")
-        friction_share()
-        payload(Path(folder) / "table_payload")
-        matching(Path(folder) / "inertia_matching")
-
-
-def corner(out: Path) -> None:
-    """A speed controller with integral time Tn leaves J Tn jerk / (Kp Kv) at constant jerk: what a kilogram costs follows."""
-    machine = load_machine()
-    nominal = {"X mass": 700.0, "Y saddle": 1050.0, "position gain": 1.0}
-    print("control deviation for 100 kg more, um: study, and r^2 Tn jerk / (Kp Kv)")
-    for axis, factor in (("X", "X mass"), ("Y", "Y saddle")):
-        predict = surrogate_from(out, f"control_deviation_max_{axis}_um")
-        more = predict({**nominal, factor: nominal[factor] + 100.0})[0] - predict({**nominal, factor: nominal[factor] - 100.0})[0]
-        a = machine.axis(axis)
-        theory = 100.0 * a.ratio**2 * a.loops.speed_integral_time_s * a.max_jerk
-        theory /= a.loops.speed_gain_nm_s_per_rad * a.loops.position_gain_per_s
-        share = 700.0 * a.ratio**2 / a.commissioned_inertia if axis == "X" else 1050.0 * a.ratio**2 / a.commissioned_inertia
-        print(f"  {axis}: {more / 2:.4f}, {theory * 1e6:.4f}; the moved mass is {100 * share:.0f} % of the inertia at the motor")
-
-
-def friction_share() -> None:
-    """The nominal corner with and without Coulomb friction on X and Y."""
-    study = read_study(EXAMPLES / "corner_mass.toml")
-    smooth = with_numbers(study.machine, {f"axis.{axis}.coulomb_friction_nm": 0.0 for axis in "XY"})
-    print("corner of the machine as it is, um: deviation of X, contour error")
-    for words, machine in (("with Coulomb friction", study.machine), ("without", smooth)):
-        found = evaluate(replace(work_of(study), study=replace(study, machine=machine)), (700.0, 1050.0, 1.0)).responses
-        print(f"  {words}: {found['control_deviation_max_X_um']:.2f}, {found['contour_error_max_um']:.2f}")
-
-
-def least_at(out: Path, response: str, rotor: float, low: float, high: float) -> tuple[float, float]:
-    """Lead [m] and value at the least of a response on the study's surrogate."""
-    predict = surrogate_from(out, response)
-    leads = np.linspace(low, high, 2001)
-    values = [predict({"screw lead": float(lead), "rotor inertia": rotor})[0] for lead in leads]
-    i = int(np.argmin(values))
-    return float(leads[i]), values[i]
-
-
-def rigid_body_current(machine: Machine, tilt: np.ndarray, turn: np.ndarray, period: float) -> np.ndarray:
-    """Current of A (sample,) that rigid bodies ask for: m g y + I alpha + friction, with y and I of every body at A and C."""
-    a = machine.axis("A")
-    speed = np.gradient(tilt, period)
-    acceleration = np.gradient(speed, period)
-    torque = a.coulomb_friction * np.sign(speed) + a.viscous_friction * speed + a.reflected_inertia * acceleration
-    for body in machine.bodies:
-        c = np.zeros(len(turn)) if body.name == "cradle" else turn
-        x, y, z = body.centre_of_mass_m
-        y_turned = x * np.sin(c) + y * np.cos(c)
-        inertia = body.inertia_kg_m2[0] * np.cos(c) ** 2 + body.inertia_kg_m2[1] * np.sin(c) ** 2 + body.mass_kg * (y_turned**2 + z**2)
-        torque += body.mass_kg * machine.gravity * (y_turned * np.cos(tilt) - z * np.sin(tilt)) + inertia * acceleration
-    return torque * a.ratio / a.motor.torque_constant_nm_per_a
-
-
-def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Largest current of A of every variant (variant,): as simulated, and of rigid bodies."""
-    study = read_study(EXAMPLES / "table_payload.toml")
-    setpoints = work_of(study).sources[0].setpoints
-    if setpoints is None:
-        raise AssertionError("the path is the same for all variants")
-    tilt, turn = setpoints.position[:, 3], setpoints.position[:, 4]
-    rows = pyarrow.parquet.read_table(out / "table.parquet").to_pylist()
-    machines = [machine_of(study, np.array([row[f.name] for f in study.factors])) for row in rows]
-    theory = [float(np.abs(rigid_body_current(m, tilt, turn, setpoints.period)).max()) for m in machines]
-    return np.array([row["current_smooth_max_A_a"] for row in rows]), np.array(theory)
-
-
-def payload(out: Path) -> None:
-    """The largest current of A against that of rigid bodies."""
-    found, theory = payload_currents(out)
-    error = found - theory
-    print(f"largest current of A, A: study {found.min():.2f} to {found.max():.2f}, rigid bodies {theory.min():.2f} to {theory.max():.2f}")
-    print(f"  difference over {len(found)} variants: mean {error.mean():+.3f}, RMS about it {error.std():.3f}")
-
-
-def matching(out: Path) -> None:
-    """Torque over acceleration (J + m r^2) / r is least at r = sqrt(J / m); viscous friction b v adds b v / a to J."""
-    machine = load_machine()
-    x = machine.axis("X")
-    jerk, speed = 5.0, 0.25
-    a_peak = math.sqrt(speed * jerk)  # the move of x_200mm.csv is too slow for its acceleration limit: constant jerk up and down
-    print("lead of least current, mm: study, sqrt(J / m), and with viscous friction at half speed")
-    for rotor in (0.5, 1.0, 2.0):
-        inertia = rotor * x.rotor_inertia_kg_m2
-        plain = math.sqrt(inertia / x.moving_mass_kg)
-        friction = math.sqrt((inertia + x.viscous_friction_nm_s_per_rad * 0.5 * speed / a_peak) / x.moving_mass_kg)
-        lead, value = least_at(out, "set_points.current_smooth_max_X_a", rotor, 0.01, 0.06)
-        cost = (inertia / friction + x.moving_mass_kg * friction) * a_peak + x.coulomb_friction_nm
-        cost += x.viscous_friction_nm_s_per_rad * 0.5 * speed / friction
-        torque = cost / x.motor.torque_constant_nm_per_a
-        print(
-            f"  rotor x {rotor:g}: {lead * 1e3:.1f}, {plain * 2e3 * math.pi:.1f}, {friction * 2e3 * math.pi:.1f}; "
-            f"current {value:.2f} A, torque of the law over Kt {torque:.2f} A"
-        )
-    print("lead of the shortest rapid move, mm, and its time, s: study, jerk-limited moves in closed form")
-    for rotor in (0.5, 1.0, 2.0):
-        leads = np.linspace(0.01, 0.06, 501)
-        times = [rapid_time(machine, rotor, float(lead)) for lead in leads]
-        i = int(np.argmin(times))
-        lead, value = least_at(out, "rapid.cycle_time_s", rotor, 0.01, 0.06)
-        print(f"  rotor x {rotor:g}: {lead * 1e3:.1f} ({value:.3f}), {leads[i] * 1e3:.1f} ({times[i]:.3f} without pauses at the stops)")
-
-
-def rapid_time(machine: Machine, rotor: float, lead: float) -> float:
-    """Two moves of 600 mm with the limits of the study."""
-    x = machine.axis("X")
-    nominal_inertia = x.rotor_inertia_kg_m2 + x.moving_mass_kg * x.ratio**2
-    ratio = lead / (2.0 * math.pi * x.ratio)
-    inertia = rotor * x.rotor_inertia_kg_m2 + x.moving_mass_kg * (lead / (2.0 * math.pi)) ** 2
-    force = ratio * nominal_inertia / inertia
-    t_j, t_a, t_v = phases_of_move(0.6, 22.0 / 60.0 * ratio, x.max_acceleration * force, 50.0 * force)
-    return 2.0 * (4.0 * t_j + 2.0 * t_a + t_v)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="what")
@@ -379,7 +252,6 @@ def main() -> None:
     other.add_argument("--variants", type=int, default=200)
     other.add_argument("--turns", type=int, default=4)
     commands.add_parser("kills").add_argument("--kills", type=int, default=20)
-    commands.add_parser("closed_forms")
     args = parser.parse_args()
     if args.what == "throughput":
         throughput(args.seconds)
@@ -387,10 +259,8 @@ def main() -> None:
         thousand(args.variants)
     elif args.what == "against":
         against(args.tree, args.variants, args.turns)
-    elif args.what == "kills":
-        kills(args.kills)
     else:
-        closed_forms()
+        kills(args.kills)
 
 
 if __name__ == "__main__":

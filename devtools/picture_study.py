@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet
 
-from devtools.measure_study import payload_currents, rapid_time
-from twin.cli import main as twin
+from devtools.worked_studies import carried_out, payload_currents, rapid_time, table_of
 from twin.machine.machine import load_machine
 from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT
@@ -25,11 +23,6 @@ from twin.study.results import surrogate_from
 ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ROOT / "docs" / "pictures" / "study"
 COLOURS = (GREEN, BLUE, RED)
-
-
-def table_of(folder: Path) -> dict[str, np.ndarray]:
-    table = pyarrow.parquet.read_table(folder / "table.parquet")
-    return {name: table.column(name).to_numpy() for name in table.column_names if name != "reason"}
 
 
 def from_zero(panel: Any) -> None:
@@ -123,10 +116,7 @@ def main() -> None:
     parser.add_argument("--studies", type=Path, default=Path("out") / "studies", metavar="FOLDER")
     args = parser.parse_args()
     for name, draw in (("corner_mass", corner), ("table_payload", payload), ("inertia_matching", matching)):
-        folder = args.studies / name
-        if twin(["study", str(ROOT / "examples" / "studies" / f"{name}.toml"), "--out", str(folder), "--resume", "--no-replay"]):
-            raise SystemExit(2)
-        save_png(draw(folder), PICTURES / f"{name}.png")
+        save_png(draw(carried_out(name, args.studies)), PICTURES / f"{name}.png")
         print(PICTURES / f"{name}.png")
 
 

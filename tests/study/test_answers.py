@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from scipy.stats import qmc
 
@@ -15,7 +16,7 @@ from twin.study.labels import valued
 from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
 from twin.study.paths import carrying_axes, with_numbers
 from twin.study.report import sentences, swing_rows
-from twin.study.results import answers_of
+from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
 from twin.study.store import Row
 
@@ -153,6 +154,7 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
     assert noise.surrogate is not None
     assert not noise.surrogate.fits
     assert noise.swings == []
+    assert noise.effects == []
     assert line.effects[0].value == pytest.approx(np.ptp([row[1][0] for row in rows[:30]]))  # half of 2 kg^-1 x the range
     said = sentences(answers)
     assert "too uneven" in said[0]
@@ -160,3 +162,43 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
     assert swing_rows(answers, line)[0][1] == valued("line", line.swings[0].swing)
     assert any("1 of 34 variants could not be run; commonest reason: axis X: moving_mass_kg = .." in text for text in said)
     assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)
+
+
+def test_effects_that_the_design_cannot_part_are_left_out() -> None:
+    """Two factors that nearly go together: their coefficients are thousands, the response changes by one."""
+    a = np.linspace(0.0, 1.0, 12)
+    rng = np.random.default_rng(2)
+    table = np.column_stack([a, a + 1e-6 * rng.standard_normal(12)])
+    y = a + 0.01 * rng.standard_normal(12)
+    assert all(2.0 * abs(e.value) <= np.ptp(y) * 1.001 for e in effects_of(["a", "b"], table, y))
+    # all of a full factorial stays, the interaction that makes the whole response too
+    corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0], [0.0, 0.0]])
+    (largest, *_) = effects_of(["a", "b"], corners, corners[:, 0] * corners[:, 1])
+    assert largest.factors == ("a", "b")
+    assert 2.0 * largest.value == pytest.approx(2.0)
+
+
+def test_the_commonest_reason_counts_every_constraint_that_is_broken(tmp_path: Path) -> None:
+    study = read_study(write_spec(tmp_path, 'answer = ["line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 9\n'))
+    margin, current = "phase margin of the speed loop of X is 9 deg, at least 30 deg is asked for", "time at current limit of X is 2 %"
+    reasons = [
+        None,
+        None,
+        margin,
+        f"copper loss of X is 7 W; {current}",
+        f"current of Y is 8 A; {current}",
+        margin.replace("9", "8"),
+        current,
+    ]
+    rows: list[Row] = [(n, [500.0 + n], {"line": float(n)}, reason) for n, reason in enumerate(reasons)]
+    assert answers_of(study, rows).commonest(ran=True) == "time at current limit of X is .. %"
+
+
+def test_the_surrogate_of_a_folder_leaves_out_marked_variants(tmp_path: Path) -> None:
+    study = read_study(write_spec(tmp_path))
+    rows: list[Row] = [(n, [500.0 + 40.0 * n], {"line": 2.0 * n}, None) for n in range(8)]
+    rows += [(8, [640.0], {"line": 1e9}, "time at current limit of X is 90 %")]
+    pyarrow.parquet.write_table(table_of(study, rows), tmp_path / "table.parquet")
+    value, error = surrogate_from(tmp_path, "line")({"mass": 620.0})
+    assert value == pytest.approx(6.0, abs=1e-6)
+    assert error < 1e-6

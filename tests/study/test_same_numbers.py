@@ -9,11 +9,14 @@ import sys
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.builders.study_files import rows_of, write_spec
 from twin.errors import InputError
+from twin.geometry.scurve import moves_in_turn
 from twin.machine.check import check_machine
 from twin.machine.machine import Machine
+from twin.recordings.trace import Trace, write_trace
 from twin.study.design import machine_of, variants_of
 from twin.study.evaluate import evaluate, work_of
 from twin.study.execution import fingerprint
@@ -49,6 +52,21 @@ def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
     backwards = [evaluate(work, tuple(row)).responses for row in variants[::-1]][::-1]
     assert backwards == fresh
     assert [found for _, _, found, _ in rows_of(spec, tmp_path / "again", threads=3)] == fresh
+
+
+def test_blas_threads_change_no_bit(tmp_path: Path) -> None:
+    """Workers of a cluster have one BLAS thread, a desk has as many as cores: a dot product of a long record is split among them."""
+    time, x = moves_in_turn(0.0, [0.01, -0.01] * 30, 0.1, 2.0, 50.0, 0.06, 1e-3)
+    assert len(time) > 12_000
+    write_trace(Trace(time, {("X", "setpoint"): x}, {"X": "linear"}), tmp_path / "move.csv")
+    work = work_of(read_study(write_spec(tmp_path)))
+    found = []
+    for threads in (1, 2, 3):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            found.append(evaluate(work, (700.0,)).responses)
+            assert {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"} == {threads}  # given back
+    assert found[0] == found[1] == found[2]
+    assert found[0]["following_error_rms_X_um"] > 0.0
 
 
 def test_every_loop_below_the_margin_is_marked(tmp_path: Path) -> None:

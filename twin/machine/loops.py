@@ -22,13 +22,14 @@ Friction is viscous here, inertia that of the home pose, limits are not met; a s
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
 import numpy as np
 from scipy.linalg import block_diag, expm
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError
@@ -80,7 +81,7 @@ class Loop:
 class Margins:
     """Margins of a loop: gain [1] at the phase crossing, phase [deg] at the gain crossover, both frequencies [Hz]; inf where there is none.
 
-    `bandwidth` is where the closed loop has fallen to -3 dB, `peak` its largest gain [1].
+    `bandwidth` is where the closed loop first falls to -3 dB, `peak` its largest gain [1].
     """
 
     gain: float
@@ -107,11 +108,9 @@ def margins_of(loop: Loop, count: int = GRID) -> Margins:
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
     closed = np.abs(response / (1.0 + response))
-    fallen = np.flatnonzero(closed < math.sqrt(0.5))
-    above = np.flatnonzero(closed >= math.sqrt(0.5))
-    last = fallen[fallen > above[0]] if above.size else fallen[:0]
-    bandwidth = float(f[last[0]]) if last.size else math.inf
-    return Margins(float(gain), float(phase_crossing), float(phase), float(crossover), bandwidth, float(closed.max()), loop.is_stable)
+    return Margins(
+        float(gain), float(phase_crossing), float(phase), float(crossover), _bandwidth(loop, f, closed), float(closed.max()), loop.is_stable
+    )
 
 
 def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list[Loop]:
@@ -307,7 +306,34 @@ def _wider(row: np.ndarray, size: int) -> np.ndarray:
 
 
 def _at(loop: Loop, frequency: float) -> complex:
-    return complex(loop.open_response(np.array([frequency]))[0])
+    """L at one frequency [Hz]."""
+    z = cmath.exp(2j * math.pi * frequency * loop.period)
+    return complex((loop.c @ np.linalg.solve(z * np.eye(len(loop.a)) - loop.a, loop.b))[0, 0])
+
+
+def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
+    """Where the closed loop, with these gains on a grid, first falls to -3 dB [Hz]; inf where it never does."""
+    level = math.sqrt(0.5)
+    above = np.flatnonzero(closed >= level)
+    if not above.size:
+        return math.inf
+    fallen = np.flatnonzero(closed[above[0] :] < level) + above[0]
+    end = int(fallen[0]) if fallen.size else len(f) - 1
+    # a notch may reach the level between two frequencies of the grid
+    inside = np.arange(above[0] + 1, end)
+    for i in inside[(closed[inside] < closed[inside - 1]) & (closed[inside] <= closed[inside + 1])]:
+        bottom = minimize_scalar(
+            lambda x: _closed_gain(loop, x), bounds=(f[i - 1], f[i + 1]), method="bounded", options={"xatol": 1e-6 * f[i]}
+        )
+        if bottom.fun < level:
+            return _refined(lambda x: _closed_gain(loop, x) - level, f[i - 1], float(bottom.x))
+    return _refined(lambda x: _closed_gain(loop, x) - level, f[end - 1], f[end]) if fallen.size else math.inf
+
+
+def _closed_gain(loop: Loop, frequency: float) -> float:
+    """abs(L / (1 + L)) at one frequency [Hz]."""
+    response = _at(loop, frequency)
+    return abs(response / (1.0 + response))
 
 
 def _changes(values: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 from twin.study.constraints import broken_by
 from twin.study.design import machine_of
+from twin.study.one_blas_thread import one_blas_thread
 from twin.study.responses import axis_responses, contour_responses, drive_responses, joined, mark_depth
 from twin.study.spec import Study, StudyRun
 from twin.surface.part import Part, read_part
@@ -118,11 +119,13 @@ class Answer:
     reason: str | None = None
 
 
+@one_blas_thread()
 def work_of(study: Study) -> Work:
     """Read the runs and the part of a study; programs are interpolated once where no factor changes how."""
     return Work(study, tuple(_source(study, run, read_part(run.part) if run.part else None) for run in study.runs))
 
 
+@one_blas_thread()
 def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
     """Answer one variant. One that diverges or is impossible is a result, not the end of the study."""
     if work.version != twin.__version__:

@@ -24,12 +24,12 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
-from twin.effects import load_inertia, settings_of
+from twin.effects import load_inertia
 from twin.errors import TwinError
 from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, contour_error, search_window, tool_path_of
 from twin.machine.holding import holding_effort
-from twin.machine.loops import Loop, Margins, loops_of, margins_of
+from twin.machine.loops import Loop, Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.drive_load import DriveLoad
@@ -190,10 +190,8 @@ def drive_responses(machine: Machine, add: Add) -> None:
         held = float(np.abs(holding_effort(machine, axis)).max())
         if held > HELD * axis.motor.peak_current_a:
             add(f"holding_{axis.effort}_{axis.name}_{axis.effort_unit.lower()}", held)
-    for setting in settings_of(machine):
-        if (stiffness := setting.parameters.get("stiffness")) and setting.effect.block == "transmission":
-            axis = machine.axis(setting.axis)
-            add(f"first_mode_{axis.name}_hz", math.sqrt(stiffness / load_inertia(machine, axis)) / (2 * math.pi))
+        if (mode := first_mode(machine, axis)) is not None:
+            add(f"first_mode_{axis.name}_hz", mode)
 
 
 @functools.lru_cache(maxsize=4096)
