@@ -88,7 +88,7 @@ def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
     """Both with the scale of the one that errs more and the magnifications that suit both: what looks equal is equal."""
     worse = max((first, second), key=lambda paths: paths.scale.end)
     factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
-    return tuple(replace(paths, scale=worse.scale, magnifications=factors) for paths in (first, second))
+    return replace(first, scale=worse.scale, magnifications=factors), replace(second, scale=worse.scale, magnifications=factors)
 
 
 def largest_error(paths: ToolPaths) -> float:
