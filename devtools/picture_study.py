@@ -2,23 +2,32 @@
 
     python devtools/picture_study.py [--studies FOLDER]     runs them into FOLDER (default out/studies) where they are not there yet
 
-Writes docs/pictures/study/*.png.
+    python devtools/picture_study.py --only side_by_side       one picture
+
+Writes docs/pictures/study/*.png; that of two designs side by side is drawn by the viewer and needs a Vulkan driver.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 import math
 from pathlib import Path
+import tempfile
 from typing import Any
 
 import numpy as np
 
 from devtools.worked_studies import carried_out, payload_currents, rapid_time, table_of
 from twin.machine.machine import load_machine
+from twin.replay import screenshot, write_side_by_side
 from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT
+from twin.study.design import machine_of
+from twin.study.duty import duty_of
+from twin.study.evaluate import work_of
 from twin.study.results import surrogate_from
+from twin.study.spec import read_study
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ROOT / "docs" / "pictures" / "study"
@@ -111,13 +120,36 @@ def matching(folder: Path) -> Any:
     return figure
 
 
+def side_by_side(picture: Path) -> None:
+    """The viewer on the machine as it is and with half the inertia of X at the same margins, on the five-axis program."""
+    study = read_study(ROOT / "examples" / "half_inertia" / "study.toml")
+    study = replace(study, runs=study.runs[-1:])
+    (run,) = study.runs
+    work = work_of(study)
+    duties = [
+        duty_of(work, machine_of(study, np.array([inertia, *[1.0] * 6])), label) for label, inertia in (("as it is", 1.0), ("half X", 0.5))
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "compare.rrd"
+        write_side_by_side(file, {duty.label: (duty.machine, duty.runs[run.name].trace) for duty in duties if duty})
+        screenshot(file, picture, at_s=4.2, size=(1600, 900))
+
+
+DRAWN = {"corner_mass": corner, "table_payload": payload, "inertia_matching": matching}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--studies", type=Path, default=Path("out") / "studies", metavar="FOLDER")
+    parser.add_argument("--only", choices=(*DRAWN, "side_by_side"))
     args = parser.parse_args()
-    for name, draw in (("corner_mass", corner), ("table_payload", payload), ("inertia_matching", matching)):
-        save_png(draw(carried_out(name, args.studies)), PICTURES / f"{name}.png")
-        print(PICTURES / f"{name}.png")
+    for name in [args.only] if args.only else (*DRAWN, "side_by_side"):
+        picture = PICTURES / f"{name}.png"
+        if name in DRAWN:
+            save_png(DRAWN[name](carried_out(name, args.studies)), picture)
+        else:
+            side_by_side(picture)
+        print(picture)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from twin.machine.holding import holding_effort
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.study.design import machine_of
+from twin.study.holding_figure import held_axes, span_over
 from twin.study.paths import with_numbers
 from twin.study.spec import read_study
 
@@ -104,6 +105,7 @@ def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixtu
     assert {"compare_0_3_move.rrd", "best_move.rrd"} <= {p.name for p in out.iterdir()}
     assert (out / "plots" / "compare_0_3.png").stat().st_size > 5000
     assert (out / "plots" / "torque_speed.png").stat().st_size > 5000
+    assert (out / "plots" / "holding.png").stat().st_size > 5000
     document = json.loads((out / "study.json").read_text(encoding="utf-8"))
     assert set(document["best"]["choices"]) == {"motor", "screw"}
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -188,4 +190,12 @@ def test_holding_current_by_pose(mikron: Machine) -> None:
         torque += body.mass_kg * mikron.gravity * (turned * np.cos(tilt) - height * np.sin(tilt))
     np.testing.assert_allclose(found.forces[:, 3], torque, atol=1e-6 * np.abs(torque).max())
     np.testing.assert_allclose(holding_effort(mikron, a), torque * a.ratio / a.motor.torque_constant_nm_per_a, atol=1e-9)
+    # what the report draws: A tilts all of it, C turns what is off the middle of a tilted table
+    assert held_axes(mikron) == ["A", "C"]
+    degrees, least, largest = span_over(mikron, "A", "A")
+    at = np.isclose(np.degrees(tilt), degrees[2])
+    assert (least[2], largest[2]) == (
+        pytest.approx(holding_effort(mikron, a)[at].min()),
+        pytest.approx(holding_effort(mikron, a)[at].max()),
+    )
     assert load_machine().axis("A").motor.rated_torque_nm is None

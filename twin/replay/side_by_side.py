@@ -124,7 +124,7 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
     shares = [5.0]
     if panes[0].views:
         rows.append(colour_bar_view(LEGEND, "contour error of both [um]"))
-        shares.append(0.55)
+        shares.append(0.7)
     bottom = [*below, rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
     rows.append(rrb.Horizontal(*bottom, column_shares=[1.0, 2.2, 1.3][-len(bottom) :]))
     shares.append(2.6)

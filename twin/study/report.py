@@ -14,6 +14,7 @@ from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
 from twin.study.factors import Factor
+from twin.study.holding_figure import holding_figure
 from twin.study.labels import label_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.paths import unit_at
@@ -157,6 +158,9 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         sections.append(
             Section("Motors", figures=[shown(torque_speed_figure(duties), "torque_speed", caption)], tables=[torque_table(duties)])
         )
+    if duties and (figure := holding_figure({duty.label: duty.machine for duty in duties})):
+        caption = "Current that holds each axis against gravity, from the least to the largest over the angles of the other rotary axes"
+        sections.append(Section("Holding by pose", figures=[shown(figure, "holding", caption)]))
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
         ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
