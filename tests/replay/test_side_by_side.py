@@ -30,7 +30,7 @@ def designs() -> dict[str, tuple[Machine, Trace]]:
         position[:, axis] = np.pad(way, (0, 1201 - len(way)), mode="edge") if len(way) < 1201 else way[:1201]
     nominal = load_machine()
     gain = 0.2 * nominal.axis("Y").loops.speed_gain_nm_s_per_rad
-    other = nominal.with_values({"axis.Y.loops.speed_gain_nm_s_per_rad": gain, "geometry.a_axis_to_c_axis_z_m": 0.1})
+    other = nominal.with_values({"axis.Y.loops.speed_gain_nm_s_per_rad": gain, "geometry.a_axis_to_c_axis_y_m": 0.1})
     return {
         name: (machine, simulate(machine, Setpoints(position, 1e-3)).trace) for name, machine in (("as it is", nominal), ("soft", other))
     }

@@ -115,7 +115,7 @@ def test_the_commanded_path_of_a_trace_is_that_of_each_variant(tmp_path: Path) -
     time, tilt = moves_in_turn(0.0, [0.3], 0.5, 2.0, 50.0, 0.06, 1e-3)
     signals = {("A", "setpoint"): tilt, ("C", "setpoint"): np.zeros(len(time)), ("Z", "setpoint"): np.zeros(len(time))}
     write_trace(Trace(time, signals, {"A": "rotary", "C": "rotary", "Z": "linear"}), tmp_path / "move.csv")
-    factor = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_z_m"\n[design]\nkind = "list"\nrows = [[0.0], [0.2]]\n'
+    factor = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_y_m"\n[design]\nkind = "list"\nrows = [[0.0], [0.2]]\n'
     nominal, other = rows_of(write_spec(tmp_path, factor), tmp_path / "out")
     assert 0.0 < nominal[2]["contour_error_max_um"] < 1000.0
     assert 0.2 < other[2]["contour_error_max_um"] / nominal[2]["contour_error_max_um"] < 5.0

@@ -24,8 +24,10 @@ from twin.study.paths import inertia_at_motor, with_numbers
 from twin.study.spec import read_study
 from twin.study.store import FILE
 
-GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_z_m"\nvalues = [0.0, 0.05]\n'
+GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_y_m"\nvalues = [0.0, 0.05]\n'
 LIMIT = '[[factor]]\nname = "jerk"\npath = "axis.X.max_jerk_m_per_s3"\nvalues = [5.0, 20.0]\n'
+ELSEWHERE = '[fixed]\n"geometry.a_axis_to_c_axis_y_m" = 0.02\n"body.workpiece.mass_kg" = 25.0\n"axis.Y.coulomb_friction_nm" = 3.0\n'
+"""Another machine with the same axes and limits: what is remembered of it under too short a name comes back."""
 MASS = '[[factor]]\nname = "load"\npath = "added_mass.workpiece"\nvalues = [0.0, 40.0]\n'
 RUN = '[[run]]\ninput = "tilt.mpf"\n'
 DESIGN = '[design]\nkind = "grid"\n'
@@ -40,7 +42,7 @@ def spec_in(folder: Path, factors: str) -> Path:
 
 def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
     """Workers remember models, plans, margins and weights: none of it may reach another machine."""
-    spec, other = spec_in(tmp_path / "a", GEOMETRY + MASS), spec_in(tmp_path / "b", LIMIT + MASS)
+    spec, other = spec_in(tmp_path / "a", GEOMETRY + MASS), spec_in(tmp_path / "b", ELSEWHERE + LIMIT + MASS)
     command = [sys.executable, "-m", "twin", "study", str(spec), "--out", str(tmp_path / "fresh"), "--threads", "1", "--no-replay"]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     with sqlite3.connect(tmp_path / "fresh" / FILE) as database:
