@@ -158,9 +158,10 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         sections.append(
             Section("Motors", figures=[shown(torque_speed_figure(duties), "torque_speed", caption)], tables=[torque_table(duties)])
         )
-    if duties and (figure := holding_figure({duty.label: duty.machine for duty in duties})):
+    held = holding_figure({duty.label: duty.machine for duty in duties}) if duties else None
+    if held is not None:
         caption = "Current that holds each axis against gravity, from the least to the largest over the angles of the other rotary axes"
-        sections.append(Section("Holding by pose", figures=[shown(figure, "holding", caption)]))
+        sections.append(Section("Holding by pose", figures=[shown(held, "holding", caption)]))
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
         ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
