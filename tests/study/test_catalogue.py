@@ -1,14 +1,17 @@
 """Catalogues, masses on bodies, ratings: what changes together changes together, and is held against its rating."""
 
+from dataclasses import replace
 import json
 import math
 from pathlib import Path
+import runpy
 
 import numpy as np
 import pytest
 
 from tests.builders.refused import refused
 from tests.builders.study_files import rows_of, write_spec
+from tests.conftest import ROOT
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.holding import holding_effort
@@ -199,3 +202,30 @@ def test_holding_current_by_pose(mikron: Machine) -> None:
         pytest.approx(holding_effort(mikron, a)[at].max()),
     )
     assert load_machine().axis("A").motor.rated_torque_nm is None
+
+
+def test_a_workpiece_is_carried_by_the_axes_below_its_table() -> None:
+    """On a mill whose table moves: saddle and table carry what is clamped, the head does not."""
+    examples = runpy.run_path(str(ROOT / "examples" / "kinematics" / "run.py"))
+    machine = examples["machine_of"]("three_axis")
+    table = {"mass_kg": 200.0, "centre_of_mass_m": [0.0, 0.0, 0.0], "inertia_kg_m2": [20.0, 20.0, 20.0]}
+    machine = replace(machine, document={**machine.document, "body": {"table": table}})
+    heavier = with_numbers(machine, {"added_mass.table": 50.0})
+    more = {a.name: b.moving_mass_kg - a.moving_mass_kg for a, b in zip(machine.axes, heavier.axes)}
+    assert more == {"LEFT_RIGHT": 50.0, "LENGTH": 50.0, "LIFT": 0.0}
+    assert heavier.bodies[0].mass_kg == 250.0
+
+
+def test_a_gear_changes_ratio_and_inertia_together(folder: Path, mikron: Machine) -> None:
+    (folder / "gears.toml").write_text(
+        '[[gear]]\nname = "90"\ngear_ratio = 90.0\ninertia_kg_m2 = 3.0e-4\n'
+        '[[gear]]\nname = "120"\ngear_ratio = 120.0\ninertia_kg_m2 = 4.0e-4\ncoulomb_friction_nm = 0.2\n',
+        encoding="utf-8",
+    )
+    factor = '[[factor]]\nname = "gear"\ncatalogue = "gears.toml"\naxis = "A"\ninstalled = "90"\n'
+    study = read_study(write_spec(folder, "recommission = true\n" + factor + GRID))
+    before, after = mikron.axis("A"), machine_of(study, np.array([1.0])).axis("A")
+    assert after.ratio == pytest.approx(1.0 / 120.0)
+    assert after.rotor_inertia_kg_m2 == pytest.approx(before.rotor_inertia_kg_m2 + 1.0e-4)
+    assert after.coulomb_friction_nm == 0.2
+    assert after.motor == before.motor

@@ -84,10 +84,9 @@ def carry_out(args: argparse.Namespace) -> int:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
     if answers.best is not None:
-        number, factors, responses, _ = answers.row(answers.best)
-        at = ", ".join(f"{name} {value}" for name, value in zip(answers.factors, answers.shown(factors)))
+        number, _, responses, _ = answers.row(answers.best)
         first = answers.minimised
-        print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {at}")
+        print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {answers.design_of(number)}")
     print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
     open_report(args, out / "report.html")
     return 0

@@ -11,7 +11,7 @@ from twin.documents import outer_file
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
 from twin.study.catalogue import Choice, choices_of
-from twin.study.paths import matching_paths, number_at
+from twin.study.paths import matching_paths, number_at, unit_at
 from twin.tables import is_number, known_keys
 
 INERTIA = "inertia."
@@ -43,6 +43,22 @@ class Factor:
     def shown(self, value: float) -> str:
         """A value as people read it: the name of a choice, else the number."""
         return self.choices[round(value)].name if self.choices else f"{value:.4g}"
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values: 'kg', 'times nominal'; '' for the entries of a catalogue and for numbers without one."""
+        if self.choices:
+            return ""
+        return "times nominal" if self.relative else unit_at(self.paths[0])
+
+    @property
+    def titled(self) -> str:
+        """Name and unit, as a table or a plot has them."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def said(self, value: float) -> str:
+        """A value with its unit: '850 kg', '0.7 times nominal', or the entry of a catalogue."""
+        return f"{self.shown(value)} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)

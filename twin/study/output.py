@@ -73,8 +73,7 @@ def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
 def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
     """Factors and answers of some variants beside each other, as a table of plain text."""
     rows = [answers.row(n) for n in numbers]
-    shown = [answers.shown(factors) for _, factors, _, _ in rows]
-    lines = [[name, *(values[i] for values in shown)] for i, name in enumerate(answers.factors)]
+    lines = [[factor.name, *(factor.said(factors[i]) for _, factors, _, _ in rows)] for i, factor in enumerate(answers.definitions)]
     for name in answers.looked:
         lines.append([label_of(name), *(valued(name, found[name]) if name in found else "-" for _, _, found, _ in rows)])
     return table(["design", *(f"variant {n}" for n in numbers)], lines)

@@ -13,7 +13,6 @@ from twin.report.figure import AMBER, BLUE, RED, SOFT
 from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
-from twin.study.factors import Factor
 from twin.study.holding_figure import holding_figure
 from twin.study.labels import label_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
@@ -41,7 +40,7 @@ def sentences(answers: Answers) -> list[str]:
         if r.swings:
             s = r.swings[0]
             text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: "
-            text += f"least at {_at(answers, s.factor, s.least_at)}, largest at {_at(answers, s.factor, s.largest_at)}"
+            text += f"least at {answers.said_of(s.factor, s.least_at)}, largest at {answers.said_of(s.factor, s.largest_at)}"
         elif r.surrogate:
             text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
         said.append(text)
@@ -60,21 +59,9 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
     lines = []
     for s in r.swings:
         moves = s.swing > ROUNDING * float(np.abs(r.y).max())
-        places = [_at(answers, s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
+        places = [answers.said_of(s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
         lines.append([s.factor, valued(r.name, s.swing if moves else 0.0), *places])
     return lines
-
-
-def _at(answers: Answers, name: str, value: float) -> str:
-    """A value of a factor with its unit: '850 kg', '0.7 times nominal', or the entry of a catalogue."""
-    factor = answers.definitions[answers.factors.index(name)]
-    return f"{factor.shown(value)} {_unit(factor)}".rstrip()
-
-
-def _unit(factor: Factor) -> str:
-    if factor.choices:
-        return ""
-    return "times nominal" if factor.relative else unit_at(factor.paths[0])
 
 
 def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
@@ -168,7 +155,7 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
     ):
         if rows:
             lines = [[str(n), *answers.shown(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
-            sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.factors, "reason"], lines)]))
+            sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.headings, "reason"], lines)]))
     write_page(
         out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections, made_line(inputs=study.path.name, seed=study.seed)
     )
@@ -179,10 +166,9 @@ def _lead(study: Study, answers: Answers) -> str:
     runs = ", ".join(run.name for run in study.runs)
     text = f"{len(answers.rows)} variants of {study.machine.name} ({study.design.kind}), run on {runs}."
     if answers.best is not None:
-        number, factors, responses, _ = answers.row(answers.best)
+        number, _, responses, _ = answers.row(answers.best)
         name = answers.minimised
-        at = ", ".join(f"{k} {v}" for k, v in zip(answers.factors, answers.shown(factors)))
-        text += f" Least {label_of(name)}: {valued(name, responses[name])} with variant {number} ({at})."
+        text += f" Least {label_of(name)}: {valued(name, responses[name])} with variant {number} ({answers.design_of(number)})."
     return f"{text} Constraints: {'; '.join(map(in_words, study.constraints))}."
 
 
@@ -204,7 +190,7 @@ def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], fi
     lines = [[str(n), *answers.shown(factors), *_numbers([found[k] for k in pair])] for n, factors, found, _ in rows[:MOST_LINES]]
     said = " and ".join(map(label_of, pair))
     words = [f"{len(rows)} variants are beaten by no other one in both {said}; each is to be small.", *_of(rows)]
-    return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.factors, *map(titled, pair)], lines)])
+    return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.headings, *map(titled, pair)], lines)])
 
 
 def factors_figure(study: Study, r: Response) -> Any:
@@ -224,8 +210,7 @@ def factors_figure(study: Study, r: Response) -> Any:
             points = np.tile(middle, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
             panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0)
-        unit = _unit(factor)
-        panel.set_xlabel(f"{factor.name} [{unit}]" if unit else factor.name)
+        panel.set_xlabel(factor.titled)
     for row in axes:
         row[0].set_ylabel(titled(r.name))
     return figure

@@ -71,9 +71,18 @@ class Answers:
         """The factors of a variant as people read them, the entries of a catalogue by name."""
         return [factor.shown(value) for factor, value in zip(self.definitions, values)]
 
-    def shown_of(self, name: str, value: float) -> str:
-        """A value of one factor as people read it."""
-        return self.definitions[self.factors.index(name)].shown(value)
+    def said_of(self, name: str, value: float) -> str:
+        """A value of one factor with its unit."""
+        return self.definitions[self.factors.index(name)].said(value)
+
+    def design_of(self, number: int) -> str:
+        """The factors of a variant in words: 'screw lead 0.02 m/rev, rotor inertia 0.8 times nominal'."""
+        return ", ".join(f"{factor.name} {factor.said(value)}" for factor, value in zip(self.definitions, self.row(number)[1]))
+
+    @property
+    def headings(self) -> list[str]:
+        """The factors with their units, as a table has them."""
+        return [factor.titled for factor in self.definitions]
 
     def _chosen(self, values: Sequence[float]) -> dict[str, str]:
         return {f.name: f.shown(v) for f, v in zip(self.definitions, values) if f.choices}
