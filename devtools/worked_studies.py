@@ -89,18 +89,22 @@ def least_at(out: Path, response: str, rotor: float, low: float, high: float) ->
 
 
 def rigid_body_current(machine: Machine, tilt: np.ndarray, turn: np.ndarray, period: float) -> np.ndarray:
-    """Current of A (sample,) that rigid bodies ask for: m g y + I alpha + friction, with y and I of every body at A and C."""
+    """Current of A (sample,) that rigid bodies ask for: friction, gravity m g y and the change of the angular momentum about A.
+
+    A body at y (turned by C) and z off the axis of A has L = (I + m (y^2 + z^2)) A' - m z y': what C turns on the tilted table counts, too.
+    """
     a = machine.axis("A")
     speed = np.gradient(tilt, period)
-    acceleration = np.gradient(speed, period)
-    torque = a.coulomb_friction * np.sign(speed) + a.viscous_friction * speed + a.reflected_inertia * acceleration
+    torque = a.coulomb_friction * np.sign(speed) + a.viscous_friction * speed
+    momentum = a.reflected_inertia * speed
     for body in machine.bodies:
         c = np.zeros(len(turn)) if body.name == "cradle" else turn
         x, y, z = body.centre_of_mass_m
         y_turned = x * np.sin(c) + y * np.cos(c)
         inertia = body.inertia_kg_m2[0] * np.cos(c) ** 2 + body.inertia_kg_m2[1] * np.sin(c) ** 2 + body.mass_kg * (y_turned**2 + z**2)
-        torque += body.mass_kg * machine.gravity * (y_turned * np.cos(tilt) - z * np.sin(tilt)) + inertia * acceleration
-    return torque * a.ratio / a.motor.torque_constant_nm_per_a
+        torque += body.mass_kg * machine.gravity * (y_turned * np.cos(tilt) - z * np.sin(tilt))
+        momentum += inertia * speed - body.mass_kg * z * np.gradient(y_turned, period)
+    return (torque + np.gradient(momentum, period)) * a.ratio / a.motor.torque_constant_nm_per_a
 
 
 def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
