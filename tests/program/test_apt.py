@@ -68,7 +68,7 @@ def test_the_whole_way(read, mikron) -> None:
         ("FEDRAT/100\nFOO/3", "line 2: statement 'FOO' is not known"),
         ("FEDRAT/100\nGOTO/1,2,X", "not all values are numbers"),
         ("FEDRAT/100\nGOTO/1,2", "2 values"),
-        ("FEDRAT/1,MMPR\n", "needs a spindle speed"),
+        ("FEDRAT/1,MMPR\nGOTO/1,0,150\n", "needs a spindle speed"),
         ("FROM/10,0,150\nFEDRAT/6\nCIRCLE/0,0,150,0,0,1,5\nGOTO/0,10,150", "does not close"),
         ("FEDRAT/100\nGOTO/1,2,150,0,0,0", "no length"),
         ("PARTNO/NOTHING", "moves no axis"),
@@ -126,3 +126,45 @@ def test_a_feed_per_revolution_takes_the_spindle_speed(read) -> None:
 def test_text_for_people_is_no_statement(read) -> None:
     program = read("PPRINT OPERATION NAME : Tool Change.1\nTPRINT/T1 End Mill D 10\nFROM/0,0,150\nFEDRAT/600\nGOTO/10,0,150\nEND\n")
     assert program.moves.kind.tolist() == [LINE]
+
+
+def test_points_of_rhinocam_stand_in_the_world_and_csys_is_the_tool(read) -> None:
+    """TRNTYP/WORLD: CSYS moves no point; its z axis is that of a GOTO with three values, also after a tilted operation."""
+    plane = "TRNTYP/WORLD,0,0,0\nCSYS/{}\n"
+    level, side = "1,0,0,5,0,1,0,5,0,0,1,5", "0,-0.8,-0.6,0,1,0,0,0,0,-0.6,0.8,0"
+    text = plane.format(side) + "CSI_SET_FLUTE_LENGTH/5.\nFEDRAT/600,MMPM\nRAPID/\nGOTO/0,0,150,-0.6,0,0.8\nGOTO/1,2,150,-0.6,0,0.8\n"
+    program = read(text + plane.format(level) + "GOTO/10,0,150\n")
+    assert np.allclose(program.moves.target[:, :3] * 1e3, [[1, 2, 150], [10, 0, 150]])
+    assert np.allclose(np.degrees(program.moves.target[:, 3]), [-math.degrees(math.atan2(0.6, 0.8)), 0.0])
+    with pytest.raises(InputError, match="TRNTYP"):
+        read("TRNTYP/LOCAL,0,0,0\n")
+
+
+def test_circle_without_radius_and_arc_with_an_angle(read) -> None:
+    program = read("FROM/10,0,150\nFEDRAT/600\nCIRCLE/0,0,150,0,0,1\nGOTO/0,10,150\nMOVARC/0,0,150,0,0,1,10,ANGLE,90\nGOTO/10,0,150\n")
+    assert program.moves.angle.tolist() == pytest.approx([math.pi / 2, math.pi / 2])
+    assert program.moves.normal[:, 2].tolist() == [1.0, -1.0]  # the angle says that the second turns back
+    with pytest.raises(InputError, match="ANGLE says"):
+        read("FROM/10,0,150\nFEDRAT/600\nMOVARC/0,0,150,0,0,1,10,ANGLE,45\nGOTO/0,10,150\n")
+
+
+def test_a_feed_per_revolution_waits_for_its_speed(read) -> None:
+    program = read("FROM/0,0,150\nFEDRAT/0.3,MMPR\nSPINDL/200,RPM,CLW\nGOTO/10,0,150\nSPINDL/400,RPM,CLW\nGOTO/20,0,150\n")
+    assert program.moves.feed.tolist() == pytest.approx([0.06 / 60, 0.12 / 60])
+    with pytest.raises(InputError, match="spindle speed"):
+        read("FROM/0,0,150\nFEDRAT/0.3,MMPR\nGOTO/10,0,150\n")
+
+
+def test_holes_are_left_to_the_retract_height(read) -> None:
+    program = read("FROM/0,0,180\nCYCLE/DRILL,RAPTO,3,FEDTO,-10,MMPM,200,RTRCTO,20\nGOTO/10,0,150\nGOTO/30,0,150\nCYCLE/OFF\n")
+    heights = (program.moves.target[:, 2] * 1e3).round(6).tolist()
+    assert heights == [170, 153, 140, 153, 170, 170, 153, 140, 153, 170]
+    assert program.moves.kind.tolist() == [RAPID, RAPID, LINE, RAPID, RAPID] * 2
+
+
+def test_an_arc_of_turning_stands_on_edge(read) -> None:
+    program = read(
+        "FROM/0,39.9,151.1\nFEDRAT/600\nINDIRV/0,1,0\nTLON,GOFWD/(CIRCLE/0,39.9,149.9,1.2),ON,(LINE/0,39.9,149.9,0,41.1,149.9)\n"
+    )
+    assert np.allclose(program.moves.target[-1, :3] * 1e3, [0, 41.1, 149.9])
+    assert program.moves.angle[-1] == pytest.approx(math.pi / 2)

@@ -11,7 +11,7 @@ from devtools import fuzz_programs, words_table
 from twin.errors import InputError
 from twin.machine.machine import load_machine, write_machine
 from twin.program import interpolate, read_program
-from twin.program.moves import ARC
+from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
 from twin.program.tables import ACTS, ISO_G, ISO_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
 
@@ -340,7 +340,8 @@ NAMES_IN_CONTEXT = {
     "MSG": 'MSG("a")', "TRANS": "TRANS X1", "ATRANS": "ATRANS X1", "ROT": "ROT Z9", "AROT": "AROT Z9", "SCALE": "SCALE X2", "ASCALE": "ASCALE X2",
     "MIRROR": "MIRROR X0", "AMIRROR": "AMIRROR X0", "SUPA": "SUPA X3", "CYCLE832": "CYCLE832(0.3,1)", "CYCLE800": "CYCLE800(0,,0,57,0,0,0,9,0,0,0,0,0)",
     "CYCLE81": "CYCLE81(5,0,1,-2)", "CYCLE82": "CYCLE82(5,0,1,-2)", "CYCLE83": "CYCLE83(5,0,1,-2,,-1)", "CYCLE84": "CYCLE84(5,0,1,-2,,0,,,1,,100)",
-    "CYCLE840": "CYCLE840(5,0,1,-2)", "CYCLE85": "CYCLE85(5,0,1,-2,,0,9,9)", "CYCLE86": "CYCLE86(5,0,1,-2)", "CYCLE89": "CYCLE89(5,0,1,-2)",
+    "CYCLE840": "CYCLE840(5,0,1,-2)", "CYCLE85": "CYCLE85(5,0,1,-2,,0,9,9)", "CYCLE86": "CYCLE86(5,0,1,-2)", "CYCLE87": "CYCLE87(5,0,1,-2)", "CYCLE88": "CYCLE88(5,0,1,-2)",
+    "CYCLE89": "CYCLE89(5,0,1,-2)",
     "HOLES1": "MCALL CYCLE81(5,0,1,-2)\nHOLES1(0,0,0,5,5,2)", "HOLES2": "MCALL CYCLE81(5,0,1,-2)\nHOLES2(0,0,5,0,90,2)",
     "CYCLE801": "MCALL CYCLE81(5,0,1,-2)\nCYCLE801(0,0,0,3,3,2,2)", "CYCLE802": "MCALL CYCLE81(5,0,1,-2)\nCYCLE802(1,1,3,4)",
     "MCALL": "MCALL CYCLE81(5,0,1,-2)\nX7", "CALL": 'CALL "SUB1"', "PCALL": 'PCALL "SUB1"', "EXTCALL": 'EXTCALL "SUB1"', "RET": "RET",
@@ -355,7 +356,7 @@ NAMES_IN_CONTEXT = {
 def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> None:
     """Names and G codes: behind one of two states each changes the motion or what later words mean, or it says what it lacks.
 
-    RET and G40 act on what follows: other tests hold them.
+    RET, ENDPROC and G40 act on what follows: other tests hold them.
     """
     from twin.program.sinumerik import Sinumerik
     from twin.program.source import Source, units_of
@@ -375,7 +376,7 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
 
     context = {4: "F1", 25: "X1", 26: "X1", 331: "Z3 K1", 332: "Z3 K1", 63: "Z3", 41: "X9", 42: "X9", 53: "X3", 153: "X3", 58: "X5", 59: "X5", 74: "X1=0", 75: "X1=0",
                2: "X2 Z3 Y1 I3 K3 CR=5", 3: "X5 Y5 CR=9", 9: "X7", 110: "X4", 111: "X4", 112: "X4", 0: "X7", 1: "X7"}  # fmt: skip
-    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, _) in SINUMERIK_NAMES.items() if kind == ACTS and n != "RET"]
+    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, _) in SINUMERIK_NAMES.items() if kind == ACTS and n not in ("RET", "ENDPROC")]
     words += [f"G{n:g} {context.get(n, '')}" for n, (kind, _) in SINUMERIK_G.items() if kind == ACTS and n != 40]
     before = [run(state) for state in states]
     silent = []
@@ -487,3 +488,55 @@ def test_what_linuxcnc_refuses_is_refused(mikron) -> None:
     for program in programs:
         with pytest.raises(InputError):
             understand(program, mikron)
+
+
+def test_var_values_come_back_to_the_caller(read, write) -> None:
+    """VAR: whole variables and arrays are the caller's own; R parameters and elements are written back; others are copies."""
+    write(
+        "PROC STEPS(VAR REAL PLACE[3], VAR REAL SCALED, VAR REAL BACK, REAL OWN)\nPLACE[1]=PLACE[0]+5\nSCALED=SCALED*2\nBACK=7\nOWN=99\nENDPROC\n",
+        "STEPS.SPF",
+    )
+    program = read("DEF REAL P[3], Q\nP[0]=1\nQ=3\nR1=0\nR2=4\nSTEPS(P,Q,R1,R2)\nG1 F100 X=P[1] Y=Q Z=R1\nX=R2\n")
+    assert ends(program).tolist() == [[6, 6, 7], [4, 6, 7]]
+
+
+def test_cutter_radius_in_a_tilted_plane(read, write, mikron) -> None:
+    """G41 in a plane of CYCLE800 is that of the same plane untilted; a tool askew to the plane is refused."""
+    contour = "G41 {d} X10 Y0\nX30\nY20\nX0\nG40 X0 Y30\n"
+    head, last = "$TC_DP6[1,1]=3\nT1 D1\nG1 F500 X0 Y-10 Z180\n", contour.format(d="")
+    flat = ends(read("TRAORI\n" + head + last))
+    assert flat[1, :2].tolist() == [10, 3]
+    tilted = read("CYCLE800(0,,0,57,0,0,0,20,0,0,0,0,0)\n" + head + last)
+    turn = np.radians(20.0)
+    matrix = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    there = ends(tilted)
+    shift = there[0] - matrix @ flat[0]
+    assert np.allclose(there, flat @ matrix.T + shift, atol=1e-6)
+    with pytest.raises(InputError, match="stands across the plane"):
+        read("TRAORI\n" + head + "A3=0 B3=-0.3 C3=1\n" + last)
+
+
+def test_corners_of_fanuc(read) -> None:
+    """,C cuts a corner off at that distance from it, ,R rounds it; both need a line behind."""
+    text = "G1 X0 Y0 F100\nX20{}\nY20\n"
+    assert ends(read(text.format(" ,C5"), "part.nc")).tolist()[1:] == [[15, 0, 0], [20, 5, 0], [20, 20, 0]]
+    rounded = read(text.format(",R4."), "part.nc")
+    assert ends(rounded).tolist()[1:] == [[16, 0, 0], [20, 4, 0], [20, 20, 0]]
+    assert rounded.moves.angle[rounded.moves.kind == ARC] == pytest.approx([np.pi / 2])
+    for wrong in ("G1 X9 F1 ,R2\nM8\n", "G1 X9 F1 ,R2\n", "G0 X9 ,R2\nX10\n"):
+        with pytest.raises(InputError, match=r",R"):
+            read(wrong, "part.nc")
+
+
+def test_polar_places_of_drilling_cycles(read) -> None:
+    """G16 counts for the holes of a cycle, too; with G91 the angle goes on from the last one."""
+    program = read("G0 G90 G16 Z9\nG81 X100 Y30 Z-2 R1 F200\nG91 Y60\nG15 G80\n", "part.nc")
+    holes = {tuple(p) for p in ends(program)[:, :2].tolist()}
+    assert {(round(100 * np.cos(np.radians(a)), 6), round(100 * np.sin(np.radians(a)), 6)) for a in (30, 90)} <= holes
+    assert not any(p[0] == 100 for p in holes)
+
+
+def test_a_fanuc_begins_with_rapid(read) -> None:
+    program = read("X1 Y1\nX5\nG1 X9 F100\n", "part.nc")
+    assert program.moves.kind.tolist()[-2:] == [RAPID, LINE]
+    assert any("before any G0 or G1" in note for note in program.notes)

@@ -31,6 +31,9 @@ PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
 PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}
 """Feed units -> metre; None: the unit of the file."""
 
+CYCLES = ("DRILL", "DEEP", "DEEP2", "BRKCHP", "BRKCH2", "FACE", "CSINK", "BORE", "BORE2", "REAM", "SPDRL", "THRU", "TAP", "TAPR")
+"""Drilling cycles: one stroke at feed to the depth; MecSoft numbers its kinds."""
+
 OFF_AXIS = 1e-3
 """A frame whose axes are further from a right angle or from unit length than this is no frame."""
 
@@ -50,14 +53,16 @@ class AptReader:
         self.unit = 1e-3
         self.feed = math.nan
         self.spindle = math.nan  # rev/min
+        self.turn_feed: tuple[list[str], str] | None = None  # FEDRAT per revolution, which a later SPINDL changes
         self.rapid = False
         self.rapid_feed = False
         self.axis = np.array([0.0, 0.0, 1.0])
         self.rotation = np.eye(3)  # part frame from the frame of the data
         self.shift = np.zeros(3)
-        self.arc: tuple[np.ndarray, np.ndarray, float] | None = None
+        self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
+        self.world = False  # points stand in the part frame whatever CSYS says
         self.direction: tuple[str, np.ndarray] | None = None
-        self.cycle: tuple[float, float, float] | None = None  # depth, clearance [m], feed as in FEDRAT
+        self.cycle: tuple[float, float, float, float] | None = None  # depth, clearance, retract height [m], feed as in FEDRAT
         self.out_at_feed = False  # tapping and the like leave the hole at feed
         self.ended = False
         self.on_profile = False  # Creo says that its points are not those of the tool centre
@@ -67,8 +72,8 @@ class AptReader:
             "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay, "FINI": self._fini, "TLAXIS": self._tool_axis,
             "INDIRV": self._direction, "INDIRP": self._direction, "TLON,GOFWD": self._driven, "GOFWD": self._driven, "CYCLE": self._cycle,
             "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._machine_system, "CSYS": self._coordinate_system,
-            "PSIS": self._part_surface,
-            "GOHOME": self._home,
+            "PSIS": self._part_surface, "GOHOME": self._home, "MOVARC": self._moved_arc, "TRNTYP": self._transformation_type,
+            "MCSYS": self._numbered_system,
         }  # fmt: skip
 
     def read(self) -> mv.Program:
@@ -126,6 +131,10 @@ class AptReader:
             self.out.notes[f"{word}: understood, without effect on the motion"] = None
         elif found[0] in ("LETTER", "TITLES", "DISPLY", "PROGRAM"):
             self.out.notes[f"{word}: text"] = None
+        elif "_" in word:
+            self.out.notes[
+                f"{word}: a word of the CAM system that the standard of CL data does not have, taken as without effect on the motion"
+            ] = None
         else:
             hint = nearest(word, {*WITHOUT_EFFECT, *self.words})
             if not hint.startswith("did you"):
@@ -157,7 +166,26 @@ class AptReader:
     def _coordinate_system(self, word: str, values: str) -> None:
         """CSYS/ three rows of a 3 x 4 matrix (Creo)."""
         m = np.array(self._numbers(values, word, (12,))).reshape(3, 4)
+        if self.world:
+            self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
+            return
         self._frame(word, m[:, 0], m[:, 1], m[:, 3])
+
+    def _transformation_type(self, word: str, values: str) -> None:
+        """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS behind it only says how the tool stands (RhinoCAM, VisualCAD)."""
+        parts = listed(values)
+        if parts[:1] != ["WORLD"] or any(not _is_number(v) or float(v) for v in parts[1:]):
+            raise self._fail(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0")
+        self.world = True
+        self.out.notes[f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one"] = None
+
+    def _numbered_system(self, word: str, values: str) -> None:
+        """MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis): the frame of the points that follow (DMG MORI)."""
+        numbers = [float(v) for v in listed(values) if _is_number(v)]
+        if len(numbers) != 10 or listed(values).count("VECTOR") != 2:
+            raise self._fail(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)")
+        self._frame(word, np.array(numbers[4:7]), np.array(numbers[7:10]), np.array(numbers[1:4]))
+        self.axis = np.array([0.0, 0.0, 1.0])
 
     def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
         if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
@@ -178,6 +206,8 @@ class AptReader:
         numbers = [v for v in parts if v.replace(".", "", 1).replace("-", "", 1).isdigit()]
         if numbers and not {"SFM", "SMM"} & set(parts):
             self.spindle = float(numbers[0])
+            if self.turn_feed:
+                self.feed = self._feed_of(*self.turn_feed)
         self.out.notes["SPINDL: the speed counts for feeds per revolution only"] = None
 
     def _compensation(self, word: str, values: str) -> None:
@@ -204,7 +234,8 @@ class AptReader:
         if parts == ["RAPID"]:
             self.rapid_feed = True
             return
-        self.feed = self._feed_of(parts, word)
+        self.turn_feed = (parts, word) if set(parts) & PER_REVOLUTION.keys() else None
+        self.feed = math.nan if self.turn_feed and math.isnan(self.spindle) else self._feed_of(parts, word)
         self.rapid = self.rapid_feed = False
 
     def _feed_of(self, parts: list[str], word: str) -> float:
@@ -264,6 +295,8 @@ class AptReader:
 
     def _add(self, kind: int, target: np.ndarray, arc: apt_arcs.Arc | None, feed: float) -> None:
         out = self.out
+        if kind != mv.RAPID and math.isnan(feed) and self.turn_feed:
+            self._feed_of(*self.turn_feed)
         if kind != mv.RAPID and math.isnan(feed):
             raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO")
         if arc:
@@ -274,11 +307,30 @@ class AptReader:
         out.position[:] = [*map(float, target), math.nan, math.nan]
 
     def _circle(self, word: str, values: str) -> None:
-        numbers = self._numbers(values, word, (7, 8, 9, 10, 11))
+        """CIRCLE/ centre, axis [, radius]: the arc to the next point."""
+        numbers = self._numbers(values, word, (6, 7, 8, 9, 10, 11))
+        self._circle_to_come(word, numbers[:6], numbers[6] if len(numbers) > 6 else None, None)
+
+    def _circle_to_come(self, word: str, numbers: list[float], radius: float | None, degrees: float | None) -> None:
         normal = np.array(numbers[3:6])
         if not np.linalg.norm(normal) > 0.0:
-            raise self._fail("CIRCLE needs the axis of the circle as 4th to 6th value; correct it")
-        self.arc = self._place(numbers[:3]), self.rotation @ normal / np.linalg.norm(normal), numbers[6] * self.unit
+            raise self._fail(f"{word} needs the axis of the circle as 4th to 6th value; correct it")
+        self.arc = (
+            self._place(numbers[:3]),
+            self.rotation @ normal / np.linalg.norm(normal),
+            None if radius is None else radius * self.unit,
+            None if degrees is None else math.radians(degrees),
+        )
+
+    def _moved_arc(self, word: str, values: str) -> None:
+        """MOVARC/ centre, axis, radius [, ANGLE, degrees] (Fusion), or CENTER, .., AXIS, .., RADIUS, r: the arc to the next point."""
+        parts = listed(values)
+        numbers = [float(v) for v in parts if _is_number(v)]
+        unknown = [v for v in parts if not _is_number(v) and v not in ("CENTER", "AXIS", "RADIUS", "ANGLE")]
+        angle = numbers.pop() if "ANGLE" in parts and len(numbers) == 8 else None
+        if len(numbers) != 7 or unknown:
+            raise self._fail(f"{word}/{values[:60]} is not read; give centre, axis, radius, ANGLE, degrees")
+        self._circle_to_come(word, numbers[:6], numbers[6], angle)
 
     def _direction(self, word: str, values: str) -> None:
         self.direction = word, np.array(self._numbers(values, word, (3,)))
@@ -315,9 +367,9 @@ class AptReader:
         if kind == "OFF" or kind == "NOMORE":
             self.cycle = None
             return
-        if kind == "ON":
+        if kind in ("ON", "INIT"):
             return
-        if kind not in ("DRILL", "DEEP", "BRKCHP", "FACE", "CSINK", "BORE", "REAM", "SPDRL", "THRU", "TAP"):
+        if kind not in CYCLES:
             raise self._fail(f"{word}/{kind} is not simulated; let the CAM system put out points (GOTO) instead")
         feed_units = {**PER_MINUTE, **PER_REVOLUTION}
         named: dict[str, float] = {}
@@ -341,17 +393,23 @@ class AptReader:
         if not math.isfinite(depth) or not math.isfinite(feed):
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
         self.out.notes[f"CYCLE/{kind}: one straight stroke to its depth; pecks and dwells are left out"] = None
-        self.cycle = depth * self.unit, abs(clear) * self.unit, feed
-        self.out_at_feed = kind in ("TAP", "REAM", "BORE")
+        clear = abs(clear)
+        retract = max(clear, abs(named.get("RTRCTO", named.get("RETURN", clear))))
+        self.cycle = depth * self.unit, clear * self.unit, retract * self.unit, feed
+        self.out_at_feed = kind in ("TAP", "REAM", "BORE", "BORE2", "TAPR")
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
-        depth, clear, feed = self.cycle
+        depth, clear, retract, feed = self.cycle
         up = self.rotation @ self.axis / np.linalg.norm(self.axis)
-        above, bottom = hole + clear * up, hole - depth * up
+        above, bottom, high = hole + clear * up, hole - depth * up, hole + retract * up
+        if retract > clear:
+            self._add(mv.RAPID, high, None, math.inf)
         self._add(mv.RAPID, above, None, math.inf)
         self._add(mv.LINE, bottom, None, feed)
         self._add(mv.LINE if self.out_at_feed else mv.RAPID, above, None, feed)
+        if retract > clear:
+            self._add(mv.RAPID, high, None, math.inf)
         self.rapid = False
 
 

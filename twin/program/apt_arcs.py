@@ -1,6 +1,7 @@
 """Arcs of CL data: centre, axis and angle from CIRCLE with the next point, or from TLON,GOFWD with a starting direction.
 
-CIRCLE/ x,y,z,i,j,k,r            arc to the next GOTO, right-handed about its axis (NX, Creo)
+CIRCLE/ x,y,z,i,j,k[,r]          arc to the next GOTO, right-handed about its axis (NX, Creo; RhinoCAM without radius)
+MOVARC/ x,y,z,i,j,k,r,ANGLE,a    the same; of the two senses the one that the angle fits (Fusion)
 INDIRV/ i,j,k                    direction in which the tool leaves (CATIA); INDIRP/ x,y,z: the point it leaves towards
 TLON,GOFWD/ (CIRCLE/ x,y,z,r),ON,[n,INTOF,](LINE/ x1,y1,z1,x2,y2,z2)
                                  along the circle about the tool axis to its first (n-th) meeting with the line;
@@ -24,9 +25,20 @@ _PART = re.compile(r"\(?\s*(CIRCLE|LINE|PLANE)\s*/\s*([^()]*?)\s*\)?\s*(?=,\s*(?
 _ORDINAL = re.compile(r",\s*(\d+)\s*,\s*INTOF")
 
 
-def arc_to(start: np.ndarray, end: np.ndarray, centre: np.ndarray, normal: np.ndarray, radius: float) -> Arc:
-    """The arc from start to end about an axis; equal places are a full circle."""
+ANGLE_FITS = math.radians(1.0)
+"""How far the angle that MOVARC says may be from that of its points [rad]: some posts round it to whole degrees."""
+
+
+def arc_to(
+    start: np.ndarray, end: np.ndarray, centre: np.ndarray, normal: np.ndarray, radius: float | None, sweep: float | None = None
+) -> Arc:
+    """The arc from start to end about an axis; equal places are a full circle.
+
+    Without `radius` [m] it is that of the start. With `sweep` [rad] the sense is the one whose angle is that: the older post of
+    Fusion writes the axis of a clockwise arc as that of a counter-clockwise one.
+    """
     arms = [_arm(p, centre, normal) for p in (start, end)]
+    radius = float(np.linalg.norm(arms[0])) if radius is None else radius
     for arm, place in zip(arms, ("start", "end")):
         if abs(np.linalg.norm(arm) - radius) > CLOSING_TOLERANCE:
             raise ArcError(
@@ -34,7 +46,13 @@ def arc_to(start: np.ndarray, end: np.ndarray, centre: np.ndarray, normal: np.nd
                 f"the radius is {radius * 1e3:.4f} mm; correct it"
             )
     angle = _angle(arms[0], arms[1], normal)
-    return centre, normal, angle if angle > NO_ANGLE else 2.0 * math.pi
+    angle = angle if angle > NO_ANGLE else 2.0 * math.pi
+    if sweep is not None and abs(angle - abs(sweep)) > ANGLE_FITS:
+        back = 2.0 * math.pi - angle
+        if abs(back - abs(sweep)) > ANGLE_FITS:
+            raise ArcError(f"the arc turns by {math.degrees(angle):.3f} deg, and ANGLE says {math.degrees(abs(sweep)):.3f} deg; correct it")
+        return centre, -normal, back
+    return centre, normal, angle
 
 
 def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis: np.ndarray, unit: float) -> tuple[Arc, np.ndarray]:
@@ -46,6 +64,12 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     numbers = _numbers(circle, "CIRCLE")
     if len(numbers) == 4:
         normal = tool_axis / np.linalg.norm(tool_axis)
+        way = start - np.array(numbers[:3]) * unit
+        if abs(float(way @ normal)) > CLOSING_TOLERANCE and abs(float(np.linalg.norm(way)) - numbers[3] * unit) <= CLOSING_TOLERANCE:
+            normal = np.cross(way, direction)  # a contour of turning stands on edge: its plane is that of the start and its direction
+            if not np.linalg.norm(normal) > 0.0:
+                raise ArcError("INDIRV/ points along the radius of the circle, so the plane of the arc is not known; correct it")
+            normal = normal / np.linalg.norm(normal)
     elif len(numbers) == 7:
         normal = np.array(numbers[3:6])
         if not np.linalg.norm(normal) > 0.0:

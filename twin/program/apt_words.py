@@ -13,9 +13,11 @@ FREE_TEXT = ("PARTNO", "PPRINT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES
 WITHOUT_EFFECT = frozenset({
     "AIR", "ARCSLP", "AUTOPS", "AUXFUN", "BREAK", "CHECK", "CLAMP", "CLEARP", "CLRSRF", "COOLNT", "COUPLE", "CUTTER", "DEBUG", "DELETE",
     "END", "END-OF-PATH", "HEAD", "INTOL", "LEADER", "LINTOL", "LOAD", "LOADTL", "MACHIN", "MAXDPM", "MAXVEL", "MCHTOL", "MODE", "MULTAX",
-    "OPSKIP", "OPSTOP", "OUTTOL", "PAINT", "PIVOTZ", "PLABEL", "PLOT", "POSTN", "PPFUN", "PREFUN", "REWIND", "SAFETY", "SELCTL", "SELECT",
-    "SELECTL", "SEQNO", "SET", "SLOWDN", "SPINDL", "STOP", "SYN", "TLCOM", "TLDATA", "TMARK", "TOLER", "TOOL PATH", "TOOLNO", "TURRET",
-    "UNCLMP", "UNLOAD", "VERIFY", "ZERO", "CONTRL", "TAPKUL", "CALSUB", "SWITCH",
+    "OPSKIP", "OPSTOP", "OUTTOL", "OUTOL", "PAINT", "PIVOTZ", "PLABEL", "PLOT", "POSTN", "PPFUN", "PREFUN", "REWIND", "SAFETY", "SELCTL", "SELECT",
+    "SELECTL", "SEQNO", "SET", "SLOWDN", "SPINDL", "STOP", "SYN", "TDATA", "TLCOM", "TLDATA", "TMARK", "TOLER", "TOOL PATH", "TOOLNO", "TURRET",
+    "UNCLMP", "UNLOAD", "VERIFY", "ZERO", "CONTRL", "TAPKUL", "SWITCH", "BEGIN", "MATERL", "OPNAME", "APPLY", "TCP", "TCPCTL",
+    "OFSTNO", "OSETNO", "PARTID", "CATCHR", "BARFED", "TLSTCK", "OVRIDE", "ADJUST", "LIMIT", "OPTION", "PRINT", "PUNCH", "CHUCK", "BLANK",
+    "STOCK", "FIXTUR", "REGEN", "NOPOST", "TOOLST", "TLSPEC", "RESET", "TYPE", "MODEL",
 })  # fmt: skip
 """Statements that are read and move nothing here; each is a note."""
 
@@ -45,6 +47,7 @@ NOT_SIMULATED = {
         "let the CAM system put out the transformed points",
     ),
     **dict.fromkeys(("RETRCT", "RETURN"), "give the place as a GOTO"),
+    **dict.fromkeys(("CALSUB", "CALLSUB"), "it calls a subprogram that this file does not hold; put its points out here"),
     "THREAD": "threads cut with a turning spindle are not simulated",
 }
 """Statements that move the tool in a way that is not simulated: what to do instead."""

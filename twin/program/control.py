@@ -239,9 +239,10 @@ class Control:
 
     def _feed_given(self, kind: int) -> None:
         if kind != mv.RAPID and math.isnan(self.feed):
-            raise self.out.fail(
-                self.line, self.block, "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block"
-            )
+            text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block"
+            if self.path.suffix.lower() == ".spf":
+                text = "no feed is programmed yet, which a call gives this subprogram; read the program that calls it"
+            raise self.out.fail(self.line, self.block, text)
 
     def _put(
         self,
@@ -351,13 +352,26 @@ class Control:
                 raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
             self._end_compensation()
         if side and radius:
-            if self.out.modes.traori or self.fixed_axis is not None:
-                raise WordError("G41 and G42 under a transformation are not simulated; let the CAM system put out the tool centre", 1)
+            if self.out.modes.traori and not self._stands_across():
+                raise WordError(
+                    "G41 and G42 need a tool that stands across the plane G17, G18 or G19; let the CAM system put out the tool centre", 1
+                )
             self.programmed = self.here()
             self.comp = Compensation(
                 abs(radius), (side > 0) == (radius > 0), along_next=along_next, corners_meet=corners_meet, emit=self._emit
             )
         self.settle_plain()
+
+    def _stands_across(self) -> bool:
+        """Under a transformation: whether the tool stands along the normal of the plane in force."""
+        normal = np.eye(3)[arcs.PLANES[self.plane][2]]
+        if self.matrix is not None:
+            normal = self.matrix @ normal
+        axis = self.fixed_axis
+        if axis is None:
+            machine = np.concatenate([np.zeros(3), self.out.settle()])
+            axis = self.out.kinematics.forward(machine)[1][0]
+        return abs(float(axis @ normal)) > (1.0 - 1e-9) * float(np.linalg.norm(axis) * np.linalg.norm(normal))
 
     def _end_compensation(self) -> None:
         assert self.comp is not None

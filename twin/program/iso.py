@@ -27,7 +27,11 @@ from twin.program.source import Unit
 from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
 from twin.program.words import NUMBER
 
-_NOT_IN_LINUXCNC: dict[float, str] = {76: "threading is not simulated", 5: "splines; let the CAM system put out lines or arcs"}
+_NOT_IN_LINUXCNC: dict[float, str] = {
+    76: "threading is not simulated",
+    88: "boring with a halt for the hand is not simulated",
+    5: "splines; let the CAM system put out lines or arcs",
+}
 _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
     {54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3},
@@ -60,6 +64,7 @@ class Iso(IsoCalls):
     def run(self) -> Any:
         """All blocks; the moves stand in `out`."""
         self.flow.run()
+        self._release()
         if self.comp is not None:
             self.compensate(0, 0.0, along_next=False)
         return self.out
@@ -146,7 +151,7 @@ class Iso(IsoCalls):
 
     def fast(self, text: str, line: int) -> bool:
         """Take a plain block of coordinates; False if it must be read word by word."""
-        if not self.plain or self.cycle is not None or self.polar or self.modal_macro is not None:
+        if not self.plain or self.cycle is not None or self.polar or self.modal_macro is not None or self.held is not None:
             return False
         match = self.plain_block.match(text)
         if not match:
@@ -194,6 +199,8 @@ class Iso(IsoCalls):
         self.with_m19 = 19 in m_codes
         w = dict(words)
         codes = {number for number, _ in g}
+        if self.held is not None and (not words.keys() & set("XYZ") or codes - {1} or m_codes):
+            self._release()
         if self._calls(codes, m_codes, w):
             return
         w = {self.slot_of.get(name, name): item for name, item in w.items()}
@@ -331,7 +338,7 @@ class Iso(IsoCalls):
         elif number == 68.2:
             self._tilt(w)
         elif number in (15, 16):
-            self.polar = number == 16
+            self.polar, self.polar_place = number == 16, None
         elif number in (61, 61.1, 64):
             self._path_mode(number, w, self.with_m19)
         elif number in (28.1, 30.1):

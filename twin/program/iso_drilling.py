@@ -14,7 +14,7 @@ from twin.program.cycles import FEED, RAPID, Drilling
 from twin.program.expressions import WordError
 from twin.program.iso_variables import IsoVariables
 
-CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 89}
+CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 88, 89}
 MOST_REPEATS = 10_000
 
 
@@ -37,6 +37,7 @@ class IsoDrilling(IsoVariables):
                 raise WordError(f"Cannot put {name} in a canned cycle; move {name} in a block before", coordinates[name].column)
         a, b, across = arcs.PLANES[self.plane]
         named = {n: coordinates[n].value for n in coordinates}
+        absolute = {n: self.absolute or coordinates[n].how == "AC" for n in coordinates}  # G16 gives places
         for name in "RPQIJ":
             if name in w:
                 self.sticky[name] = w.pop(name).value
@@ -76,6 +77,8 @@ class IsoDrilling(IsoVariables):
         if number == 76 and not any(aside):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
             self.note("G76: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
+        if number == 88:
+            self.note("G88: the halt at the bottom is passed over")
         pause = self.sticky.get("P", 0.0) if number in (74, 76, 82, 84, 86, 89, 73, 83, 88) else 0.0
         if not self.linuxcnc:
             pause /= 1000.0
@@ -94,7 +97,7 @@ class IsoDrilling(IsoVariables):
             point = self.here()
             for name, value in named.items():
                 i = INDEX[name]
-                point[i] = value * self.unit if self.absolute else point[i] + value * self.unit
+                point[i] = value * self.unit if absolute[name] else point[i] + value * self.unit
             self.go(mv.RAPID, point, nothing)
             if abs(self.here()[across] / self.unit - safe) > 1e-12:
                 self._height(across, safe)

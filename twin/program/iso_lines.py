@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from twin.program.control import Control
+from twin.program.corners import Corners
 from twin.program.expressions import WordError
 from twin.program.flow import Statement
 from twin.program.source import Unit
@@ -29,7 +29,7 @@ LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O\s*(?:<[^>]*>|\d+\s*(?:SUB|IF|WHILE|DO|
 SEPARATOR = "\x01"
 
 
-class IsoLines(Control):
+class IsoLines(Corners):
     """Reads lines."""
 
     iso = True

@@ -13,6 +13,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_TOLERANCE
 from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.corners import Move
 from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling
 from twin.program.source import Unit
@@ -23,8 +24,10 @@ class IsoMotion(IsoDrilling):
 
     def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
-        self.motion = None if linuxcnc else 1
+        self.motion = None
+        self.any_motion = False  # a Fanuc takes coordinates before any G0 or G1 as rapid
         self.polar = False
+        self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.modal_macro: tuple[Unit, int, dict] | None = None
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
@@ -37,9 +40,15 @@ class IsoMotion(IsoDrilling):
             i, j, k = (w.pop(n).value if n in w else 0.0 for n in "IJK")
             vector = (i, j, k) if given else None
         if self.cycle is not None:
+            if self.polar:
+                self._polar(coordinates)
             self._drill(codes, coordinates, w)
             return
         in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
+        if self.motion is None and coordinates and not self.linuxcnc and not self.any_motion:
+            self.motion = 0
+            self.note("coordinates before any G0 or G1: taken as rapid, which a parameter of the control decides")
+        self.any_motion = self.any_motion or self.motion is not None
         moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
         if codes & {2, 3} and not moves:
             raise WordError("a circle needs its centre (I J K) or radius R, and an end point; add them", 1)
@@ -57,8 +66,8 @@ class IsoMotion(IsoDrilling):
             self._polar(coordinates)
         if suppress and kind == mv.ARC:
             raise WordError("G53 goes with G0 or G1; give the arc in the work coordinates", 1)
-        start = self.here()
-        point, angles = self.target(coordinates, suppress)
+        start = self._from()
+        point, angles = self.target(coordinates, suppress, None if suppress else start)
         arc = None
         if kind == mv.ARC:
             radius = w.pop("R").value * self.unit if "R" in w else None
@@ -73,34 +82,44 @@ class IsoMotion(IsoDrilling):
             if self.centre_absolute and len([n for n in in_plane if "IJK".index(n) in arcs.PLANES[self.plane][:2]]) < 2 and in_plane:
                 raise WordError("under G90.1 a circle needs both words of its centre; add the other", 1)
             arc = self.arc_centre(start, point, in_plane, radius), self.motion == 2, turns
-        self._corner_words(w)
-        self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))
+        corner = next(((n, w.pop(n)) for n in (",R", ",C") if n in w), None)
+        if corner is not None and (kind != mv.LINE or suppress or vector):
+            raise WordError(f"{corner[0]} stands in a block with G1 before another one with G1; write it there", corner[1].column)
+        if corner is not None or self.held is not None:
+            move = Move(kind, point, angles, vector, arc, None, suppress, self.feed, self.line, self.block)
+            self._queue(move, None if corner is None else (corner[0], corner[1].value * self.unit))
+        else:
+            self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))
         if self.modal_macro is not None:
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
                 frame.variables = dict(variables)
 
-    def _corner_words(self, w: dict[str, Item]) -> None:
-        for name in (",R", ",C"):
-            if name in w:
-                raise WordError(f"{name} is not supported: roundings and chamfers between blocks; write them as blocks", w[name].column)
-
     def _polar(self, coordinates: dict[str, Item]) -> None:
-        """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program."""
+        """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program; both are kept.
+
+        With G91 the angle counts from the last one. A radius with G91 would be about the place of the tool, which is refused.
+        """
         a, b = (LINEAR[i] for i in arcs.PLANES[self.plane][:2])
-        here = self.here()
-        first, second = (here[arcs.PLANES[self.plane][k]] for k in (0, 1))
-        radius, angle = math.hypot(first, second) / self.unit, math.degrees(math.atan2(second, first))
-        if not self.absolute:
-            raise WordError("G16 with G91 is not supported; use G90", 1)
+        if a not in coordinates and b not in coordinates:
+            return
+        if self.polar_place is None:
+            here = self._from()
+            first, second = (here[arcs.PLANES[self.plane][k]] for k in (0, 1))
+            self.polar_place = math.hypot(first, second) / self.unit, math.degrees(math.atan2(second, first))
+        radius, angle = self.polar_place
         if a in coordinates:
+            if not self.absolute:
+                raise WordError(
+                    f"{a} under G16 and G91 is a radius about the place of the tool, which is not read; use G90", coordinates[a].column
+                )
             radius = coordinates[a].value
         if b in coordinates:
-            angle = coordinates[b].value
-        if a in coordinates or b in coordinates:
-            column = next(iter(coordinates.values())).column
-            coordinates[a] = Item(radius * math.cos(math.radians(angle)), "", column)
-            coordinates[b] = Item(radius * math.sin(math.radians(angle)), "", column)
+            angle = coordinates[b].value + (0.0 if self.absolute else angle)
+        self.polar_place = radius, angle
+        column = next(iter(coordinates.values())).column
+        coordinates[a] = Item(radius * math.cos(math.radians(angle)), "AC", column)
+        coordinates[b] = Item(radius * math.sin(math.radians(angle)), "AC", column)
 
     def _reference(self, number: int, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
         """G28, G30: through the point of the block to the reference point, rapid."""

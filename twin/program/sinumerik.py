@@ -242,7 +242,7 @@ class Sinumerik(SinumerikCalls):
             raise WordError(f"'{calls[1].name}' is a second call in the block; write it in the next one", calls[1].column)
         for word in calls:
             self._call(word, times)
-        if 17 in block.m or any(w.name == "RET" for w in names):
+        if 17 in block.m or any(w.name in ("RET", "ENDPROC") for w in names):
             self.flow.back("return")
         elif 2 in block.m or 30 in block.m:
             self.flow.ended = True
@@ -362,7 +362,7 @@ class Sinumerik(SinumerikCalls):
                     calls[0] = Word(plain_name(held), word.column)
                 return
             calls.append(Word(plain_name(str(self._value_of(text, word.text_column))), word.column))
-        elif name == "RET":
+        elif name in ("RET", "ENDPROC"):
             self._release()
         elif meaning == SINUMERIK_NAMES["OFFN"][1]:
             if self._value(word):

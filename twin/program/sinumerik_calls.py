@@ -33,6 +33,7 @@ class SinumerikCalls(SinumerikMotion):
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.folder = Folder(path)
         self.mcall: Callable[[], None] | None = None
+        self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
 
     def other(self, s: Statement, frame: Frame) -> None:
@@ -101,10 +102,34 @@ class SinumerikCalls(SinumerikMotion):
             )
         self._release()
         variables, first = self._arguments(unit, arguments, word)
+        written, self.written_back = self.written_back, []
         kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.clean(unit.lines[first - 1])) else None
         if frame := self.flow.call(unit, first, times=times, name=name, column=word.column):
             frame.variables = variables
-            frame.on_return = kept
+            frame.on_return = self._at_return(written, kept) if written else kept
+
+    def _at_return(self, written: list[tuple[str, dict, int]], kept: Callable[[], None] | None) -> Callable[[], None]:
+        """VAR values that are an R parameter or an element of an array get back what the subprogram left in them."""
+
+        def restore() -> None:
+            if kept:
+                kept()
+            for target, store, column in written:
+                self.assign(target, store[()], column)
+
+        return restore
+
+    def _by_reference(self, given: tuple[str, int], start: Value) -> dict[tuple, Value]:
+        """The store of a VAR value: that of the caller's variable itself, or one that is written back at the end."""
+        text = given[0].strip()
+        store = self._store_of(text)
+        if store is not None:
+            store.setdefault(("default",), start)
+            return store
+        own: dict[tuple, Value] = {(): self._value_of(*given) if text else start, ("default",): start}
+        if text:
+            self.written_back.append((text, own, given[1]))
+        return own
 
     def _kept_modes(self) -> Callable[[], None]:
         """What PROC .. SAVE brings back at the end of the subprogram: the modal G codes and the programmable frame."""
@@ -150,6 +175,9 @@ class SinumerikCalls(SinumerikMotion):
                 name = words[-1]
                 start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
                 given = arguments[k] if k < len(arguments) and arguments[k][0] else (default, 1)
+                if words[0] == "VAR":
+                    variables[name] = self._by_reference(given, start)
+                    continue
                 if "AXIS" in declared and given[0]:
                     value: Value = given[0]
                 else:

@@ -114,9 +114,11 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         base = inward or control.feed
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED, out_scale=outward / base if outward and base else 1.0)
     elif name == "CYCLE86":
-        if any(_number(a, k, 0.0) for k in (7, 8, 9)):
-            raise WordError("CYCLE86 with RPA, RPO or RPAP moves aside, which is not simulated; write the moves", word.column)
-        cycle = Drilling(safe, depth, rtp, dwell=time(5))
+        aside = _number(a, 7, 0.0), _number(a, 8, 0.0)
+        cycle = Drilling(safe, depth, rtp, dwell=time(5), aside=aside, lift=abs(_number(a, 9, 0.0)))
+    elif name in ("CYCLE87", "CYCLE88"):
+        control.note(f"{name}: the halt at the bottom is passed over")
+        cycle = Drilling(safe, depth, rtp, dwell=time(5) if name == "CYCLE88" else 0.0)
     elif name == "CYCLE89":
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
 
@@ -132,7 +134,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
             control.set_feed_mode(mode)
             control.feed = kept
 
-    if word.name in ("CYCLE81", "CYCLE82", "CYCLE83", "CYCLE84", "CYCLE840", "CYCLE85", "CYCLE86", "CYCLE89"):
+    if word.name in ("CYCLE81", "CYCLE82", "CYCLE83", "CYCLE84", "CYCLE840", "CYCLE85", "CYCLE86", "CYCLE87", "CYCLE88", "CYCLE89"):
         return run
     raise WordError(f"{name} is not read here", word.column)
 

@@ -10,11 +10,11 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item, rotation
 from twin.program.expressions import WordError
-from twin.program.sinumerik_corners import SinumerikCorners
+from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.words import Word
 
 
-class SinumerikFrames(SinumerikCorners):
+class SinumerikFrames(SinumerikLines):
     """Frames and what changes them."""
 
     def __init__(self, path: Path, machine: Machine) -> None:

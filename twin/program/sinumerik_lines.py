@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 
 from twin.machine.machine import Machine
-from twin.program.control import Control
+from twin.program.corners import Corners
 from twin.program.expressions import WordError
 from twin.program.flow import Statement
 from twin.program.source import Unit
@@ -30,7 +30,7 @@ _REPEAT = re.compile(
 _FOR = re.compile(r"\s*FOR\s*([A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(.+?)\s+TO\s+(.+)\Z", re.A)
 
 
-class SinumerikLines(Control):
+class SinumerikLines(Corners):
     """Reads lines."""
 
     def __init__(self, path: Path, machine: Machine) -> None:

@@ -12,8 +12,8 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import INDEX, LINEAR, ROTARY, Arc, Item, SpaceArc, Vector, rotation
+from twin.program.corners import Move
 from twin.program.expressions import Value, WordError
-from twin.program.sinumerik_corners import Move
 from twin.program.sinumerik_variables import SinumerikVariables
 from twin.program.words import Word
 

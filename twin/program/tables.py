@@ -45,7 +45,7 @@ ISO_G: dict[float, tuple[str, str]] = {
     73: (ACTS, "drilling, chips broken: Z R Q"), 74: (ACTS, "left-hand tapping: Z R P"), 76: (ACTS, "fine boring: aside by Q towards +, or by I J"),
     80: (ACTS, "cycle off"), 81: (ACTS, "drilling: Z R"), 82: (ACTS, "drilling with dwell P"), 83: (ACTS, "deep drilling: Q"), 84: (ACTS, "tapping at feed"),
     85: (ACTS, "boring, out at feed"), 86: (ACTS, "boring, out at rapid"), 87: (REFUSED, "back boring moves aside; write the moves"),
-    88: (REFUSED, "boring with a halt for the hand is not simulated"), 89: (ACTS, "boring with dwell, out at feed"),
+    88: (ACTS, "boring with dwell; the halt for the hand is passed over"), 89: (ACTS, "boring with dwell, out at feed"),
     84.2: (REFUSED, "use G84"), 84.3: (REFUSED, "use G74"),
     90: (ACTS, "absolute"), 91: (ACTS, "incremental"), 90.1: (ACTS, "I J K absolute"), 91.1: (ACTS, "I J K from the start"),
     92: (ACTS, "this place has these coordinates"), 92.1: (ACTS, "G92 cleared"), 92.2: (ACTS, "G92 off"), 92.3: (ACTS, "G92 on again"),
@@ -145,10 +145,10 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS"),
     **_group(ACTS, "machine coordinates in this block", "SUPA"),
     **_group(ACTS, "tolerance (mm) and rounding of free-form surfaces", "CYCLE832"), **_group(ACTS, "tilted plane", "CYCLE800"),
-    **_group(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89"), **_group(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840"),
+    **_group(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE87 CYCLE88 CYCLE89"), **_group(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840"),
     **_group(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802"),
     **_group(ACTS, "a cycle or subprogram behind each move", "MCALL"),
-    **_group(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL"), **_group(ACTS, "end of a subprogram", "RET"),
+    **_group(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL"), **_group(ACTS, "end of a subprogram", "RET ENDPROC"),
     **_group(ACTS, "arc through I1= J1= K1=, arc that goes on smoothly", "CIP CT"),
     **_group(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP"),
     **_group(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2"),
@@ -162,7 +162,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
         "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA PHI PSI XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7 CUT3DC CUT3DF CUT3DFS CUT3DFF")),
     **_group(REFUSED, "a milling or turning cycle; let the CAM system put out the moves", (
         "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
-        "CYCLE79 CYCLE87 CYCLE88 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
+        "CYCLE79 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
         "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
     **_group(REFUSED, "this place gets new coordinates; use TRANS or a settable frame", "PRESETON PRESETONS"),
     **_group(REFUSED, "point-to-point motion of the axes is not simulated; use CP", "PTP STAT TU"),

@@ -1,4 +1,4 @@
-"""Corners of SINUMERIK programs: RND, RNDM, CHF and CHR hold a move back until the next one is known."""
+"""Corners between two lines: RND, RNDM, CHF and CHR of SINUMERIK, ,R and ,C of ISO hold a move back until the next one is known."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import Arc, SpaceArc, Vector
+from twin.program.control import Arc, Control, SpaceArc, Vector
 from twin.program.expressions import WordError
-from twin.program.sinumerik_lines import SinumerikLines
 
 
 class Move(NamedTuple):
@@ -45,7 +44,11 @@ class Held(NamedTuple):
     start: np.ndarray
 
 
-class SinumerikCorners(SinumerikLines):
+CUT_OFF = ("CHR", ",C")
+"""Words that say how far from the corner a chamfer begins; CHF is its length."""
+
+
+class Corners(Control):
     """Moves that go out at once, or wait for their corner."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
@@ -114,7 +117,7 @@ class SinumerikCorners(SinumerikLines):
             return
         cut = (
             size
-            if what == "CHR"
+            if what in CUT_OFF
             else size / (2.0 * math.cos(0.5 * angle))
             if what == "CHF" and angle < math.pi - 1e-6
             else size * math.tan(0.5 * angle)
@@ -124,7 +127,7 @@ class SinumerikCorners(SinumerikLines):
         first, last = corner - cut * u, corner + cut * v
         self._go(before._replace(point=first))
         cut_off = before._replace(point=last, angles=[math.nan, math.nan], vector=None, suppress=False)
-        if what in ("CHF", "CHR"):
+        if what == "CHF" or what in CUT_OFF:
             self._go(cut_off)
         else:
             normal = np.cross(u, v)
