@@ -67,7 +67,10 @@ def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
     program = document.get("program", {})
     if not isinstance(program, dict):
         raise InputError(f"{where}: 'program' must be a table; write [program] and below it calls_without_motion")
-    keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion", "axes"))
+    keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion", "axes", "feed_mm_min"))
+    feed = program.get("feed_mm_min", 1.0)
+    if isinstance(feed, bool) or not isinstance(feed, int | float) or not feed > 0:
+        raise InputError(f"{where}: [program]: feed_mm_min must be a number above 0; write the feed before the first F")
     calls = program.get("calls_without_motion", [])
     if not isinstance(calls, list) or not all(isinstance(name, str) for name in calls):
         raise InputError(f'{where}: [program]: calls_without_motion must be a list of names; write ["TOOLCHECK"]')

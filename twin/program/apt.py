@@ -52,6 +52,7 @@ class AptReader:
         self.out.change_frame(replace(self.out.modes, traori=True))
         self.unit = 1e-3
         self.feed = math.nan
+        self.first_feed = float(machine.document.get("program", {}).get("feed_mm_min", math.nan)) * 1e-3
         self.spindle = math.nan  # rev/min
         self.turn_feed: tuple[list[str], str] | None = None  # FEDRAT per revolution, which a later SPINDL changes
         self.rapid = False
@@ -298,7 +299,9 @@ class AptReader:
         if kind != mv.RAPID and math.isnan(feed) and self.turn_feed:
             self._feed_of(*self.turn_feed)
         if kind != mv.RAPID and math.isnan(feed):
-            raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO")
+            feed = self.first_feed / self.unit
+        if kind != mv.RAPID and math.isnan(feed):
+            raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO, or feed_mm_min in [program] of the machine file")
         if arc:
             out.arcs[len(out.kinds)] = arc
         x, y, z = map(float, self.rotation @ self.axis)

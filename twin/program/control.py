@@ -82,7 +82,7 @@ class Control:
         self.path, self.machine = path, machine
         self.out = Collector(path, machine)
         self.motion: int | None = 1
-        self.feed = math.nan
+        self.feed = float(machine.document.get("program", {}).get("feed_mm_min", math.nan))  # till the first F
         self.override = 1.0  # OVR
         self.plane = 17
         self.absolute = True
@@ -239,7 +239,7 @@ class Control:
 
     def _feed_given(self, kind: int) -> None:
         if kind != mv.RAPID and math.isnan(self.feed):
-            text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block"
+            text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block, or feed_mm_min in [program] of the machine file"
             if self.path.suffix.lower() == ".spf":
                 text = "no feed is programmed yet, which a call gives this subprogram; read the program that calls it"
             raise self.out.fail(self.line, self.block, text)

@@ -66,21 +66,26 @@ class IsoCalls(IsoMotion, ABC):
             return True
         if 67 in codes:
             self.modal_macro = None
-        if 98 in m:
+        if 97 in m or 98 in m:
+            own = 97 in m
+            if own and self.linuxcnc:
+                raise WordError("M97 is no word of LinuxCNC; use M98 and O", 1)
             if "P" not in w:
-                raise WordError("M98 needs P, the number of the subprogram", 1)
+                raise WordError(f"M{97 if own else 98} needs P, the number of the {'block' if own else 'subprogram'}", 1)
             p, times = w.pop("P"), 1
             number = int(p.value)
             if "L" in w or "K" in w:
                 times = int(w.pop("L" if "L" in w else "K").value)
-            elif not self.linuxcnc and number > 9999:
+            elif not self.linuxcnc and not own and number > 9999:
                 times, number = divmod(number, 10000)
             if w or codes:
-                self.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n != 98], w)
+                self.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n not in (97, 98)], w)
             if times > MOST_REPEATS:
                 raise WordError(f"M98 repeats more than {MOST_REPEATS} times", p.column)
-            unit, at = self._program_place(number, p.column)
-            self.flow.call(unit, at, times=times, name=f"O{number}", style="m98", shared=True, column=p.column)
+            place = self._block_place(number, p.column) if own else self._program_place(number, p.column)
+            if place is not None:
+                unit, at = place
+                self.flow.call(unit, at, times=times, name=f"{'N' if own else 'O'}{number}", style="m98", shared=True, column=p.column)
             return True
         if 99 in m:
             frame = self.flow.frame
@@ -97,8 +102,16 @@ class IsoCalls(IsoMotion, ABC):
             return True
         return False
 
-    def _program_place(self, number: int, column: int) -> tuple[Unit, int]:
-        """Where program O.. begins: in this file, or in a file of the folder."""
+    def _block_place(self, number: int, column: int) -> tuple[Unit, int]:
+        """Where block N.. of this program begins, for M97 of a Haas."""
+        unit = self.flow.frame.unit
+        found = self.labels(unit).get(f"N{number}")
+        if not found:
+            raise WordError(f"M97 P{number}: this program has no block N{number}; add it", column)
+        return unit, found[0]
+
+    def _program_place(self, number: int, column: int) -> tuple[Unit, int] | None:
+        """Where program O.. begins: in this file, or in a file of the folder; None if the machine file says that it moves no axis."""
         wrong = False
         for unit in dict.fromkeys((self.flow.frame.unit, self.unit_read)):
             for at, line in enumerate(unit.lines):
@@ -114,7 +127,16 @@ class IsoCalls(IsoMotion, ABC):
             raise WordError(f"O{number} is a subprogram 'O{number} sub' and is called by 'O{number} call', not by M98", column)
         unit = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))  # type: ignore[assignment]
         if unit is None:
-            raise WordError(f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); add it", column)
+            program = self.machine.document.get("program", {})
+            still = [str(n).upper() for n in program.get("calls_without_motion", [])]
+            if {f"O{number}", f"O{number:04d}"}.intersection(still):
+                self.note(f"O{number}: moves no axis, says the machine file")
+                return None
+            raise WordError(
+                f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); add it, or list it in [program] "
+                "calls_without_motion of the machine file if it moves no axis",
+                column,
+            )
         unit = between_percents(unit)
         at = next((i + 1 for i, line in enumerate(unit.lines) if PROGRAM.match(COMMENT.sub("", line).upper())), 0)
         return unit, at
@@ -129,7 +151,10 @@ class IsoCalls(IsoMotion, ABC):
             if name not in MACRO:
                 raise WordError(f"{name} passes nothing to a macro", item.column)
             variables[MACRO[name]] = item.value
-        unit, at = self._program_place(int(p.value), p.column)
+        place = self._program_place(int(p.value), p.column)
+        if place is None:
+            return
+        unit, at = place
         if modal:
             self.modal_macro = unit, at, variables
             return

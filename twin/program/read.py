@@ -56,6 +56,8 @@ _OTHER = (
     (re.compile(r"^\s*(?:<\?xml|<html|\{\s*\")", re.I), "no part program but a data file"),
     (re.compile(r"^\s*(?:ISO-10303-21|solid\s+\w)", re.I), "a model, not a program"),
 )
+_FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
+"""A length of the tool that is called without G43."""
 
 
 def dialect(source: Source) -> str:
@@ -69,6 +71,8 @@ def dialect(source: Source) -> str:
     for pattern, name in _OTHER:
         if pattern.search(text):
             raise InputError(f"{source.path}: this is {name}, which is not read; put the program out as SINUMERIK, ISO or APT")
+    if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
+        raise InputError(f"{source.path}: this is a FADAL program, which is not read; put the program out as SINUMERIK, ISO or APT")
     if ending in SINUMERIK_ENDINGS:
         return "sinumerik"
     if ending in APT:

@@ -27,6 +27,7 @@ _PLAIN = (
     r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?"
     + rf"(?:X=?({NUMBER})\s*)?(?:Y=?({NUMBER})\s*)?(?:Z=?({NUMBER})\s*)?(?:A=?({NUMBER})\s*)?(?:C=?({NUMBER})\s*)?(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?(?:F({NUMBER})\s*)?$"
 )
+_INDEXED_AXES = {"POS", "POSA", "AX"}
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, 331, 332}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {70, 71, 700, 710}, {40, 41, 42}, {60, 64, 641, 642, 643, 644, 645, 646},
@@ -127,9 +128,11 @@ class Sinumerik(SinumerikCalls):
             ):
                 self._assignment(word)
             elif name == "G" and (word.value is not None or word.assigned):
-                block.g.append((self._value(word), word))
-            elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in ("POS", "POSA") and word.index):
-                axis = name[0] if not name.startswith("POS") else (word.index or "").strip().removesuffix("1")
+                block.g.append((self._value(word) if word.index is None else self._of_group(word), word))
+            elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
+                if word.index and name not in _INDEXED_AXES:
+                    raise WordError(f"{name}[..] is no axis; write {name} and its place, or AX[..]", word.column)
+                axis = name[0] if name not in _INDEXED_AXES else self._axis_of(word)
                 axis = self.slot_of.get(axis, axis) if axis != name else axis
                 if axis not in INDEX and axis not in OTHER:
                     raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)

@@ -25,6 +25,12 @@ _FRAME_PART = re.compile(r"\s*C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)\s*:?
 AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
 MOST_ELEMENTS = 100_000
 
+G_GROUPS = {
+    1: (0, 1, 2, 3), 6: (17, 18, 19), 7: (40, 41, 42), 8: (500, 54, 55, 56, 57), 10: (60, 64, 641, 642, 643, 644, 645),
+    12: (601, 602, 603), 13: (70, 71, 700, 710), 14: (90, 91), 15: (93, 94, 95),
+}  # fmt: skip
+"""G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
+
 
 class SinumerikVariables(SinumerikFrames):
     """Values of variables, words and expressions."""
@@ -91,7 +97,7 @@ class SinumerikVariables(SinumerikFrames):
             asked = str(e.arguments()[0]).partition("[")[0].upper()
             return float(self._store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
-            raise e.fail(f"'{name}' is no function that is read here", at)
+            raise e.fail(f"'{name}' is no function that is read here; write its value instead", at)
         if match := re.fullmatch(r"R(\d{1,4})", name):
             return self.parameters.get(int(match[1]), 0.0)
         if name == "R" and len(index) == 1 and not isinstance(index[0], str):
@@ -154,8 +160,14 @@ class SinumerikVariables(SinumerikFrames):
             if index[2] == "FI":
                 return 0.0
         if name == "$P_GG" and len(index) == 1:
-            groups = {6.0: self.plane - 16, 14.0: 1 + (not self.absolute), 13.0: 1 if self.unit != 1e-3 else 2, 1.0: 1 + (self.motion or 0)}
+            groups = {
+                1.0: 1 + (self.motion or 0), 6.0: self.plane - 16, 7.0: 1 if self.comp is None else 2 if self.comp.offset > 0 else 3,
+                8.0: self._frame_number(self.chosen) + 1, 13.0: 1 if self.unit != 1e-3 else 2, 14.0: 1 + (not self.absolute),
+            }  # fmt: skip
             return float(groups[index[0]]) if index[0] in groups else None
+        if name in ("$P_AXN1", "$P_AXN2", "$P_AXN3"):
+            slots = {slot: letter for letter, slot in self.slot_of.items()}
+            return slots.get("XYZ"[int(name[-1]) - 1], "XYZ"[int(name[-1]) - 1])
         if name in ("$P_PROG", "$P_STACK", "$P_PROGPATH"):
             return self.flow.frame.unit.name if name != "$P_STACK" else float(len(self.flow.frames) - 1)
         return None
@@ -202,6 +214,24 @@ class SinumerikVariables(SinumerikFrames):
         if word.text is not None and not word.assigned:
             raise WordError(f"'{word.name}({word.text})' is not a coordinate; write {word.name}=AC(..) or {word.name}=IC(..)", word.column)
         return Item(self._value(word), "", word.column)
+
+    def _axis_of(self, word: Word) -> str:
+        """The axis of POS[X], AX[_AXIS] and the like: its name, or a variable of type AXIS."""
+        text = (word.index or "").strip()
+        if text not in AXIS_NAMES:
+            text = str(self._value_of(text, word.column)).strip()
+        return text.removesuffix("1")
+
+    def _of_group(self, word: Word) -> float:
+        """The G code of G[6]=1: the first of group 6."""
+        group = int(self.number_of(word.index or "", word.column))
+        number = int(self._value(word))
+        if group == 8 and number > 5:
+            return 500.0 + number - 1
+        codes = G_GROUPS.get(group, ())
+        if not 1 <= number <= len(codes):
+            raise WordError(f"G[{group}]={number} is not read; write the G code itself", word.column)
+        return float(codes[number - 1])
 
     def _tool_value(self, word: Word) -> Value:
         if word.assigned:

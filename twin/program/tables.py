@@ -70,7 +70,7 @@ ISO_M: dict[int, tuple[str, str]] = {
     **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
     66: (NOTE, "waits for an input, which is taken as there"), 61: (ACTS, "tool number"),
     70: (ACTS, "LinuxCNC: keeps the modes"), 71: (ACTS, "LinuxCNC: forgets them"), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes for the end of the subprogram"),
-    128: (REFUSED, "use G43.4"), 97: (REFUSED, "local subprograms; use M98 and O"),
+    128: (REFUSED, "use G43.4"), 97: (ACTS, "call of a block N of this program with P, L times (Haas)"),
 }  # fmt: skip
 """M codes of ISO programs; any other is the machine builder's and noted."""
 
@@ -152,6 +152,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(ACTS, "arc through I1= J1= K1=, arc that goes on smoothly", "CIP CT"),
     **_group(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP"),
     **_group(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2"),
+    **_group(ACTS, "an axis by a variable of type AXIS, e.g. AX[_X]=10", "AX"),
     **_group(ACTS, "axis to a position, with its own motion in this block", "POS POSA"),
     **_group(NOTE, "compensation begins and ends across the contour", "KONT KONTC KONTT"),
     **_group(NOTE, "G91 and the length of the tool: as G90 of a mill", "DIAMCYCOF"),

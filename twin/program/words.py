@@ -45,8 +45,11 @@ def split_words(line: str) -> list[Word]:
         if word:
             words.append(word)
         elif match := _ADDRESS.match(line, at):
-            end = match.end()
-            words.append(Word(match[1], column, value=float(match[2])))
+            end, text, text_column = match.end(), None, 0
+            if match[1] == "L" and line[end : end + 1] == "(":
+                close = closing(line, end)
+                text, text_column, end = line[end + 1 : close], end + 2, close + 1
+            words.append(Word(match[1], column, value=float(match[2]), text=text, text_column=text_column))
         elif match := _NAME.match(line, at):
             end, text, text_column = match.end(), None, 0
             behind = _BLANK.match(line, end).end()  # type: ignore[union-attr]
