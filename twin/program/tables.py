@@ -157,7 +157,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(NOTE, "compensation begins and ends across the contour", "KONT KONTC KONTT"),
     **_group(NOTE, "G91 and the length of the tool: as G90 of a mill", "DIAMCYCOF"),
     **_group(REFUSED, "diameters are programmed on lathes; this machine mills", "DIAMON DIAM90 DIAMONA DIAM90A"),
-    **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
+    **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "SD PW ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
     **_group(REFUSED, "a transformation of other machines; let the CAM system put out X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
     **_group(REFUSED, "the orientation is given by a law of its own; use A3= B3= C3= or ORIWKS", (
         "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA PHI PSI XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7 CUT3DC CUT3DF CUT3DFS CUT3DFF")),
