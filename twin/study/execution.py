@@ -20,6 +20,7 @@ from twin.effects.user_files import loaded_files
 from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
 from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
+from twin.study.one_blas_thread import one_blas_thread, stay_on_one_blas_thread
 from twin.study.spec import Study
 from twin.study.store import Store
 
@@ -90,7 +91,7 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
 def threads_here(count: int | None = None) -> Iterator[Workers]:
     """Threads of this process, one for each core by default: the compiled loop leaves the interpreter free."""
     count = count or len(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(count) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(count) as pool:
         try:
             yield Workers(pool, lambda: count, lambda work: work)
         except BaseException:
@@ -120,7 +121,8 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
         except TimeoutError:
             raise InputError(f"--scheduler {scheduler}: has no worker; start some with 'dask worker {scheduler}'") from None
 
-        if effect_files := loaded_files():  # also workers that come later
+        client.register_worker_callbacks(stay_on_one_blas_thread)  # also workers that come later
+        if effect_files := loaded_files():
             client.register_worker_callbacks(functools.partial(share_files, effect_files))
 
         def share(work: Work) -> Any:

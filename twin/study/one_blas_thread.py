@@ -1,6 +1,7 @@
 """One BLAS thread for each variant: more give other last bits (a dot product of 10 000 samples is split among them) and wait for each other.
 
-A matrix exponential of four states takes 0.03 ms on one thread and 8 ms on two, and variants run on all cores anyway.
+A matrix exponential of four states takes 0.03 ms on one thread and 8 ms on two, and variants run on all cores anyway. BLAS threads that come back
+spin for a while: a study holds the limit as long as it runs, a worker of a cluster for good.
 """
 
 from __future__ import annotations
@@ -32,6 +33,13 @@ def one_blas_thread() -> Iterator[None]:
             limit = _INSIDE.pop()
             if not _INSIDE:
                 limit.restore_original_limits()
+
+
+@functools.cache
+def stay_on_one_blas_thread() -> None:
+    """BLAS of this process on one thread from now on."""
+    with _COUNTING:
+        _INSIDE.append(_INSIDE[0] if _INSIDE else _libraries().limit(limits=1, user_api="blas"))
 
 
 @functools.cache
