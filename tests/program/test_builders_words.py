@@ -7,17 +7,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
-from twin.program import read_program
 from twin.program.moves import RAPID
-
-
-@pytest.fixture
-def read(mikron, tmp_path):
-    def reader(text: str, name: str = "part.mpf", machine: Machine = mikron):
-        (tmp_path / name).write_text(text)
-        return read_program(tmp_path / name, machine)
-
-    return reader
 
 
 @pytest.fixture

@@ -14,18 +14,6 @@ from twin.program.words import split_words
 
 
 @pytest.fixture
-def read(mikron, tmp_path):
-    """Reads a text as a program."""
-
-    def reader(text: str, name: str = "part.mpf", machine=mikron):
-        path = tmp_path / name
-        path.write_text(text)
-        return read_program(path, machine)
-
-    return reader
-
-
-@pytest.fixture
 def with_tools(mikron, tmp_path):
     """Reads the Mikron back from a file to which a text has been added."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-import math
 
 import numpy as np
 
@@ -17,8 +16,8 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation.gap import LEAST_NOISE, sensor_noise
-from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, shifted
+from twin.simulation.gap import encoders_noise
+from twin.simulation.two_encoders import has_both, motor_minus_scale, shifted
 from twin.units import ARCSEC
 
 FEWEST_RUNS = 5
@@ -50,7 +49,7 @@ def without_zeros(
     for (name, k), offset in zeros.items():
         axis = machine.axis(name)
         runs = [_shifted(run, axis, offset) if i == k else run for i, run in enumerate(runs)]
-        noise = max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
+        noise = encoders_noise(machine, axis)
         if abs(offset) > max(DEFAULT.zero_least * noise, abs(clear.get(name, 0.0))):
             clear[name] = offset
     return tuple(runs), clear
@@ -111,7 +110,7 @@ def _is_of_zeros(
 ) -> bool:
     means, deviations = np.array(offsets).T
     largest = float(np.abs(means).max())
-    noise = max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
+    noise = encoders_noise(machine, axis)
     if largest < thresholds.zero_least * noise or np.any(deviations > thresholds.zero_constant * largest):
         return False
     left = means - means.mean()

@@ -37,6 +37,7 @@ from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
 from twin.simulation.plant_spec import build_plant, full_inertia
 from twin.simulation.run import Run, commissioned_inertia, simulate
+from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
@@ -225,9 +226,9 @@ def channels_of(
         error = None if name in view.pushed else law_error(trace, view, axis, (gains or {}).get(name, 1.0))
         if error is not None:
             out[name, "controller"] = error
-        if measured.has(name, "position") and measured.has(name, "motor_position") and moving.sum() > view.thresholds.enough_samples:
-            motor_minus_scale = (trace.get(name, "motor_position") - trace.get(name, "position"))[moving]
-            out[name, "motor_minus_scale"] = motor_minus_scale - motor_minus_scale.mean() if name in view.own_zeros else motor_minus_scale
+        if has_both(measured, name) and moving.sum() > view.thresholds.enough_samples:
+            apart = motor_minus_scale(trace, name)[moving]
+            out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
             continue  # at rest the other signals show how it was stuck
         for signal in ("position", "motor_position"):

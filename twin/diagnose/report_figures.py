@@ -23,6 +23,7 @@ from twin.recordings.trace import Trace
 from twin.report import figure_svg
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
+from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"
@@ -199,7 +200,7 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
     panels = []
     if measured.has(axis.name, "position"):
         panels.append(("following error", "following error"))
-    if block in ("transmission", "measurement") and measured.has(axis.name, "position") and measured.has(axis.name, "motor_position"):
+    if block in ("transmission", "measurement") and has_both(measured, axis.name):
         panels.append(("motor − scale", "motor_minus_scale"))
     elif measured.has(axis.name, axis.effort):
         panels.append((axis.effort, axis.effort))
@@ -214,7 +215,7 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
         asked = delayed_set_point(measured, axis)
         return (asked - trace.get(axis.name, "position")) * factor, unit
     if signal == "motor_minus_scale":
-        return (trace.get(axis.name, "motor_position") - trace.get(axis.name, "position")) * factor, unit
+        return motor_minus_scale(trace, axis.name) * factor, unit
     unit, factor = gap_unit(axis, signal)
     return trace.get(axis.name, signal) * factor, unit
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import functools
-import math
 
 import numpy as np
 
@@ -14,10 +13,10 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.gap import LEAST_NOISE, SAME_PERIOD, at_times, is_moving, sensor_noise, simulated_period
+from twin.simulation.gap import SAME_PERIOD, at_times, encoders_noise, is_moving, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
-from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale
+from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 
 @dataclass(frozen=True)
@@ -113,9 +112,7 @@ def _follows_another(view: RunView, name: str) -> bool:
     moving = [other for other in trace.axes if trace.moves(other)]
     apart = motor_minus_scale(trace, name)
     apart = apart - apart.mean()
-    axis = view.machine.axis(name)
-    noise = math.hypot(*(max(sensor_noise(view.machine, axis, signal), LEAST_NOISE[signal]) for signal in BOTH))
-    if not moving or float(np.std(apart)) < PUSHED * noise:
+    if not moving or float(np.std(apart)) < PUSHED * encoders_noise(view.machine, view.machine.axis(name)):
         return False
     columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
     left = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]

@@ -20,6 +20,7 @@ from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
 from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
+from twin.program.machine_file import first_feed
 from twin.program.source import Source
 
 INCH = 0.0254
@@ -52,7 +53,7 @@ class AptReader:
         self.out.change_frame(replace(self.out.modes, traori=True))
         self.unit = 1e-3
         self.feed = math.nan
-        self.first_feed = float(machine.document.get("program", {}).get("feed_mm_min", math.nan)) * 1e-3
+        self.first_feed = first_feed(machine) * 1e-3
         self.spindle = math.nan  # rev/min
         self.turn_feed: tuple[list[str], str] | None = None  # FEDRAT per revolution, which a later SPINDL changes
         self.rapid = False

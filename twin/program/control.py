@@ -22,6 +22,7 @@ from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Col
 from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
+from twin.program.machine_file import first_feed
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
 
@@ -82,7 +83,7 @@ class Control:
         self.path, self.machine = path, machine
         self.out = Collector(path, machine)
         self.motion: int | None = 1
-        self.feed = float(machine.document.get("program", {}).get("feed_mm_min", math.nan))  # till the first F
+        self.feed = first_feed(machine)  # till the first F
         self.override = 1.0  # OVR
         self.plane = 17
         self.absolute = True

@@ -13,6 +13,7 @@ from twin.program.flow import Frame, Statement
 from twin.program.iso_drilling import MOST_REPEATS
 from twin.program.iso_lines import COMMENT, OWORD, PROGRAM, between_percents, subs_of
 from twin.program.iso_motion import IsoMotion
+from twin.program.machine_file import moves_no_axis
 from twin.program.source import Folder, Unit
 
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
@@ -127,9 +128,7 @@ class IsoCalls(IsoMotion, ABC):
             raise WordError(f"O{number} is a subprogram 'O{number} sub' and is called by 'O{number} call', not by M98", column)
         unit = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))  # type: ignore[assignment]
         if unit is None:
-            program = self.machine.document.get("program", {})
-            still = [str(n).upper() for n in program.get("calls_without_motion", [])]
-            if {f"O{number}", f"O{number:04d}"}.intersection(still):
+            if moves_no_axis(self.machine, [f"O{number}", f"O{number:04d}"]):
                 self.note(f"O{number}: moves no axis, says the machine file")
                 return None
             raise WordError(

@@ -10,6 +10,7 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame, Statement
+from twin.program.machine_file import moves_no_axis
 from twin.program.sinumerik_motion import SinumerikMotion
 from twin.program.source import Folder, Unit, plain_name
 from twin.program.tables import REFUSED, SINUMERIK_NAMES
@@ -89,8 +90,7 @@ class SinumerikCalls(SinumerikMotion):
         if unit is None:
             if word.index is not None or (word.value is not None and word.name != "L"):
                 raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
-            still = self.machine.document.get("program", {})
-            if isinstance(still, dict) and name in [str(n).upper() for n in still.get("calls_without_motion", [])]:
+            if moves_no_axis(self.machine, [name]):
                 self.note(f"{name}: moves no axis, says the machine file")
                 return
             hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""

@@ -19,6 +19,7 @@ from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
+from twin.simulation.two_encoders import motor_minus_scale
 from twin.units import ARCSEC, AXIS_UNITS
 
 _PERIOD = 1e-3
@@ -106,7 +107,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
         (f"speed of {moving}\n{speed_unit}", lambda t: speed_factor * np.gradient(t.get(moving, "setpoint"), t.period)),
         (f"error less delay\n{error_unit}", lambda t: error_factor * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
         ("motor current\nA", lambda t: smoothed(t.get(axis.name, "current"), shown.smooth_s, t.period)),
-        (f"motor − scale\n{error_unit}", lambda t: error_factor * (t.get(axis.name, "motor_position") - t.get(axis.name, "position"))),
+        (f"motor − scale\n{error_unit}", lambda t: error_factor * motor_minus_scale(t, axis.name)),
     )
     grey, colour = hexadecimal(SETPOINT_COLOUR), hexadecimal(axis_colour(axis.name))
     style: Any = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+import math
 import os
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.run import PlantFace, simulate
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
-from twin.simulation.two_encoders import with_equal_means
+from twin.simulation.two_encoders import BOTH, with_equal_means
 from twin.units import ARCSEC, AXIS_UNITS
 
 COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
@@ -201,6 +202,11 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
         "current": (noise.current, 0.0),
     }.get(signal, (0.0, 0.0))
     return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
+
+
+def encoders_noise(machine: Machine, axis: Axis) -> float:
+    """Standard deviation that the sensors add to motor encoder minus scale [m, rad]."""
+    return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
 
 
 def simulated_period(machine: Machine, period: float) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
+from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 LONGEST_REST_S = 0.3
 """Time from the first sample on that is looked at, at most [s]: what comes later is no start."""
@@ -29,12 +30,12 @@ def windup_at_start(trace: Trace, machine: Machine) -> np.ndarray | None:
 
 
 def _of_axis(trace: Trace, axis: Axis) -> float:
-    if not all(trace.has(axis.name, signal) for signal in ("setpoint", "position", "motor_position")):
+    if not (trace.has(axis.name, "setpoint") and has_both(trace, axis.name)):
         return 0.0
     setpoint = trace.get(axis.name, "setpoint")[: round(LONGEST_REST_S / trace.period)]
     moved = np.flatnonzero(setpoint != setpoint[:1])
     rest = slice(0, int(moved[0]) if moved.size else len(setpoint))
-    difference = trace.get(axis.name, "motor_position")[rest] - trace.get(axis.name, "position")[rest]
+    difference = motor_minus_scale(trace, axis.name)[rest]
     if len(difference) < FEWEST_SAMPLES:
         return 0.0
     settled = difference[len(difference) // 2 :]

@@ -29,6 +29,7 @@ from twin.diagnose.view import RunView
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
+from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 FORCE_PERIOD_S = 5e-3
 """Spacing of the samples of a force balance: a fifth of the window over which its motion is smoothed."""
@@ -263,9 +264,9 @@ def _driven(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nda
 
 def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Motor position minus scale (sample,); everywhere."""
-    if not (view.trace.has(axis.name, "position") and view.trace.has(axis.name, "motor_position")):
+    if not has_both(view.trace, axis.name):
         return None
-    return trace.get(axis.name, "motor_position") - trace.get(axis.name, "position"), np.ones(len(trace.time), bool)
+    return motor_minus_scale(trace, axis.name), np.ones(len(trace.time), bool)
 
 
 def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
