@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from pathlib import Path
 import signal
@@ -15,9 +16,12 @@ import numpy as np
 import pytest
 
 from tests.builders.refused import refused
+from tests.builders.small_machine import MJCF, TOML
 from twin.errors import InputError
 from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_text
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, write_trace
+from twin.replay import write_recording
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
 ENDS_IN_S = 3.0
@@ -62,6 +66,16 @@ def test_a_full_disk_leaves_the_old_file_or_none(name: str, old: bool, tmp_path:
     assert not old or path.read_text() == "old"
     WRITERS[name](path)
     assert path.stat().st_size > 4096
+
+
+def test_a_recording_on_a_full_disk_is_removed(tmp_path: Path, mikron: Machine) -> None:
+    """The writer of recordings is a library of its own that says nothing where the disk is full."""
+    path = tmp_path / "a.rrd"
+    with full_disk(30_000), pytest.raises(InputError, match=r"a\.rrd: cannot be written"):
+        write_recording(path, mikron, {"measured": long_trace()})
+    assert list(tmp_path.iterdir()) == []
+    write_recording(path, mikron, {"measured": long_trace()})
+    assert path.stat().st_size > 30_000
 
 
 def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
@@ -173,6 +187,35 @@ def test_a_worker_ends_with_its_parent() -> None:
             break
         time.sleep(0.1)
     assert not _runs(child)
+
+
+NAMES = {"bytes": b"a\xff$x_{", "letters": "<b>&\n\u00e9\u2028".encode(), "signs": b"-x %s {0} #"}
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_names_of_any_bytes_and_a_terminal_of_ascii(kind: str, tmp_path: Path) -> None:
+    """A run in a folder of such a name is simulated, recorded and summarised; bytes that are no text, which no library takes, are refused."""
+    place, name = os.fsencode(tmp_path) + b"/" + NAMES[kind], NAMES[kind] + b".csv"
+    os.mkdir(place)
+    moves = [f"{i * 1e-3:.3f},{0.02 * (1 - math.cos(2 * math.pi * i / 50)):.6f}" for i in range(51)]
+    trace = "\n".join(["time [s],U.setpoint [mm]", *moves, ""])
+    for file, content in ((b"small.toml", TOML), (b"small.xml", MJCF), (name, trace)):
+        Path(os.fsdecode(place + b"/" + file)).write_text(content, encoding="utf-8")
+    options = [b"--machine", place + b"/small.toml", b"--out", place + b"/out"]
+
+    def done(file: bytes) -> subprocess.CompletedProcess[bytes]:
+        command = [os.fsencode(sys.executable), b"-m", b"twin", b"run", file, *options]
+        return subprocess.run(command, capture_output=True, env={**os.environ, "LC_ALL": "C", "PYTHONIOENCODING": "ascii"}, check=False)
+
+    found, missing = done(place + b"/" + name), done(place + b"/none" + name)
+    if kind == "bytes":
+        assert b"no text" in found.stderr
+    else:
+        assert (found.returncode, found.stderr) == (0, b"")
+        assert {"run.rrd", "summary.json"} <= {p.name for p in Path(os.fsdecode(place + b"/out")).iterdir()}
+    for one in (missing, *([found] if kind == "bytes" else [])):
+        assert (one.returncode, one.stderr.count(b"\n")) == (2, 1)
+        assert one.stderr.startswith(b"twin: ")
 
 
 def _runs(pid: int) -> bool:

@@ -93,3 +93,45 @@ def test_every_opening_of_a_file_is_listed() -> None:
     assert not new, f"use twin/documents.py (read_toml, read_json, named_file), or list it here with a reason: {new}"
     gone = {key: count for key, count in listed.items() if found.get(key, 0) < count}
     assert not gone, f"no longer there, take it out of ALLOWED: {gone}"
+
+
+WRITERS = {"write_text", "write_bytes", "savefig", "write_table", "write_csv", "export", "savez", "savez_compressed", "savetxt", "ParquetWriter",
+           "copyfile", "copy", "copytree", "imsave"}  # fmt: skip
+"""Names of calls that write a file; methods of `copy` count for shutil alone."""
+
+WRITES = {
+    "exam/draw.py": {
+        "write_table": 1,
+        "write_text": 1,
+    },  # apart from the package; runs before the campaign.toml that makes them count, and a truth
+    "recordings/formats/delimited.py": {"copyfile": 1},  # its own scratch files
+    "recordings/write.py": {"write_table": 1},  # a piece of a file that `beside` opened
+    "report/figure.py": {"savefig": 1},  # into memory
+    "study/evaluate.py": {"write_bytes": 2},  # scratch folders of a worker
+}
+"""File -> call -> how often it writes elsewhere than to the `partial` of `beside`, and why."""
+
+
+def writings() -> dict[tuple[str, str], int]:
+    """(file, call) -> how often something is written that is not the `partial` file of `twin.files.beside`."""
+    found: Counter[tuple[str, str]] = Counter()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute) or node.func.attr not in WRITERS:
+                continue
+            owner = ast.unparse(node.func.value)
+            if node.func.attr.startswith("copy") and owner != "shutil":
+                continue
+            names = [owner, *(ast.unparse(argument) for argument in node.args)]
+            if "partial" not in names:
+                found[file.relative_to(PACKAGE).as_posix(), node.func.attr] += 1
+    return dict(found)
+
+
+def test_every_file_is_written_beside_its_place() -> None:
+    """A full disk or a stop leaves the old file or none."""
+    listed = {(file, call): count for file, calls in WRITES.items() for call, count in calls.items()}
+    found = writings()
+    new = {key: count for key, count in found.items() if count > listed.get(key, 0)}
+    assert not new, f"write to `with beside(path) as partial` (twin/files.py), or list it here with a reason: {new}"
+    assert not {key for key, count in listed.items() if found.get(key, 0) < count}, "no longer there, take it out of WRITES"

@@ -1,5 +1,6 @@
 """Run the command line with `python -m twin`, or as `twin`; from the first moment it can be stopped."""
 
+from io import TextIOWrapper
 import sys
 
 from twin.stopping import stoppable
@@ -8,6 +9,9 @@ from twin.stopping import stoppable
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
+    for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         from twin.cli import main
 

@@ -50,7 +50,7 @@ def beside(path: str | Path) -> Iterator[Path]:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
     with beside(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8", errors="replace")  # names of files may hold bytes that are no text
 
 
 def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:
@@ -171,11 +171,22 @@ def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
     except OSError:  # a file system without locks
         file.close()
         return
+    if not _is_at(file, place / LOCK):  # its holder removed it between our opening and our locking: another one may be there
+        file.close()
+        return _hold(folder, held)
     with contextlib.suppress(OSError):
         file.truncate(0)
         file.write(f"{os.getpid()}\n")
         file.flush()
     held[place] = file
+
+
+def _is_at(file: IO[str], path: Path) -> bool:
+    """Is this open file still the one at that path?"""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
 
 
 def _finite(content: Any) -> Any:

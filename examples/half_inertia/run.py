@@ -27,6 +27,7 @@ from twin.simulation.summary import table
 from twin.study.design import machine_of, variants_of
 from twin.study.execution import carry_out, fingerprint, threads_here
 from twin.study.paths import inertia_at_motor
+from twin.study.results import rows_of
 from twin.study.spec import Study, read_study
 from twin.study.store import Row, Store
 
@@ -93,7 +94,7 @@ def simulated(study: Study, out: Path, resume: bool) -> list[Row]:
     try:
         with threads_here() as workers, Progress("designs", total=len(variants)) as bar:
             carry_out(study, variants, store, workers, bar)
-        return store.rows()
+        return rows_of(study, store)
     finally:
         store.close()
 

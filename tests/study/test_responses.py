@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from tests.builders.study_files import rows_of, write_move, write_spec
+from twin.geometry.scurve import moves_in_turn
+from twin.geometry.tool_path import contour_error, search_window, tool_path_of
 from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine, load_machine, write_machine
-from twin.recordings.trace import read_trace
+from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.simulation.run import Run, simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.study.design import machine_of
@@ -69,6 +71,37 @@ def test_drives_are_those_of_a_record_of_every_tick(tmp_path: Path) -> None:
     assert found["winding_heat_used_X"] > 1.5 * found["torque_rms_used_X"] ** 2
     assert found["inertia_ratio_X"] == pytest.approx(800.0 * x.ratio**2 / x.rotor_inertia_kg_m2, rel=1e-12)
     assert found["motor_speed_used_X"] == pytest.approx(np.abs(run.trace.get("X", "velocity")).max() / x.ratio / (120.0 * np.pi))
+
+
+def test_contours_are_those_of_a_record_of_every_tick(tmp_path: Path) -> None:
+    """Deviations of tool tip and tool axis from the path, of a record of 1 kHz against one of 125 us."""
+    signals, longest = {}, 0
+    for axis, distance in (("X", 0.02), ("Y", 0.015), ("A", 0.2), ("C", 0.3)):
+        time, way = moves_in_turn(0.0, [distance, -distance], 0.2, 2.0, 50.0, 0.06, 1e-3)
+        signals[axis, "setpoint"] = way
+        longest = max(longest, len(time))
+    signals = {key: np.pad(way, (0, longest - len(way)), mode="edge") for key, way in signals.items()}
+    trace = Trace(np.arange(longest) * 1e-3, signals, {"X": "linear", "Y": "linear", "A": "rotary", "C": "rotary"})
+    write_trace(trace, tmp_path / "move.csv")
+    found, _, machine, run = answered(tmp_path, MASS)
+    commanded, followed = (tool_path_of(run.trace, signal, machine) for signal in ("setpoint", "position"))
+    fine = contour_error(followed, commanded, search_window(machine))
+    assert found["contour_error_max_um"] == pytest.approx(fine.error.max() * 1e6, rel=0.01)
+    assert found["contour_error_rms_um"] == pytest.approx(np.sqrt(np.mean(fine.error**2)) * 1e6, rel=0.01)
+    assert found["orientation_error_max_arcsec"] == pytest.approx(np.degrees(fine.orientation.max()) * 3600.0, rel=0.01)
+    assert found["orientation_error_max_arcsec"] > 1.0
+
+
+def test_a_position_gain_raised_by_its_margin_is_on_the_edge(tmp_path: Path) -> None:
+    found, _, machine, _ = answered(tmp_path, MASS)
+    x = machine.axis("X")
+    for share, stable in ((0.99, True), (1.01, False)):
+        gain = x.loops.position_gain_per_s * 10.0 ** (found["gain_margin_position_loop_X_db"] / 20.0) * share
+        other = machine.with_values({"axis.X.loops.position_gain_per_s": gain})
+        position = next(
+            loop for loop in loops_of(other, other.axis("X"), inertia_at_motor(other, other.axis("X"))) if loop.name == "position"
+        )
+        assert margins_of(position).stable == stable
 
 
 def test_half_a_millisecond_of_clipped_voltage_is_said_and_allowed(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.cli.arguments import add_machine, machine_of
+from twin.files import beside
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
@@ -138,8 +139,8 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
                 axes[row, 1].sharey(axes[row, 0])
         figure.align_ylabels(axes[:, 0])
         figure.suptitle(f"{machine.name}: {TITLE}", x=0.01, ha="left", size=14)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=140)
+        with beside(path) as partial:
+            figure.savefig(partial, dpi=140)
         plt.close(figure)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import twin
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.files import output_folder, stamped
+from twin.files import output_folder, stamped, write_whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +114,7 @@ def carry_out(args: argparse.Namespace) -> int:
         "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
         "marks": list(marks.values()),
     }
-    (out / "exam.json").write_text(json.dumps(stamped(document, "exam"), indent=1) + "\n", encoding="utf-8")
+    write_whole(out / "exam.json", json.dumps(stamped(document, "exam"), indent=1) + "\n")
     print(summary(document))
     write_exam_report(document, out / "report.html")
     print(f"written to {out}: exam.json, report.html, truths.json")

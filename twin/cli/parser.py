@@ -89,6 +89,9 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 done, 1 a verdict that fails, 2 bad input or usage (one line on standard error)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
+        print(f"twin: {_NO_TEXT.format(one_line(ascii(unread)))}", file=sys.stderr)
+        return 2
     args = build_parser(_command_in(arguments)).parse_args(arguments)
     hold_folders()
     try:
@@ -96,6 +99,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _carried_out(args)
     except TwinError as error:
         print(f"twin: {one_line(error)}", file=sys.stderr)
+        return 2
+    except UnicodeEncodeError as error:
+        if error.reason != "surrogates not allowed":
+            raise
+        print(f"twin: {_NO_TEXT.format(one_line(ascii(error.object)))}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         return 0
@@ -107,6 +115,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(getattr(stop, "code", 130))
     finally:
         release_folders()
+
+
+_NO_TEXT = "{}: a name with bytes that are no text in UTF-8; rename the file or its folder"
+
+
+def _is_text(name: str) -> bool:
+    """Is this a text? Bytes of a name that are none stand in it as lone surrogates, which no library behind this one takes."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:

@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, positive, seed, setpoints_of_input
-from twin.errors import InputError, SimulationError
+from twin.errors import InputError, SimulationError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 from twin.recordings.trace import Trace, with_program_columns, write_trace
@@ -69,7 +69,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if warnings and args.strict:
         raise InputError(f"{source}: {warnings[0]}; slow the set points down or leave out --strict")
     for line in warnings:
-        print(f"warning: {source.name}: {line}", file=sys.stderr)
+        print(f"warning: {one_line(f'{source.name}: {line}')}", file=sys.stderr)
     out = output_folder(args.out or Path("out") / source.stem)
     period = args.sample_period_ms * 1e-3 if args.sample_period_ms else None
     machine = machine.with_feedforward(args.feedforward or (program.feedforward if program else None))

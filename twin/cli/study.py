@@ -40,7 +40,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.study.labels import label_of, titled, valued
     from twin.study.output import write_comparison, write_study
     from twin.study.report import sentences, swing_rows
-    from twin.study.results import answers_of
+    from twin.study.results import answers_of, rows_of
     from twin.study.spec import read_study
     from twin.study.store import Store
 
@@ -62,7 +62,7 @@ def carry_out(args: argparse.Namespace) -> int:
                 for _ in range(known):
                     bar(None)
                 carry_out(study, variants, store, workers, bar)
-        rows = store.rows()
+        rows = rows_of(study, store)
         if not any(responses for _, _, responses, _ in rows):
             raise InputError(f"{args.spec}: no variant could be run; the first one: {rows[0][3]}")
         answers = answers_of(study, rows)

@@ -39,7 +39,7 @@ def main() -> int:
     given.out.mkdir(parents=True, exist_ok=True)
     write_machine(diagnosis.corrected, given.out / "machine.toml")
     said = baselines_of(diagnosis.found, machine)
-    (given.out / "baselines.json").write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+    write_whole(given.out / "baselines.json", json.dumps(said, indent=1) + "\n")
     write_whole(given.out / "diagnosis.json", json.dumps(stamped(diagnosis.document(), "diagnosis"), indent=1) + "\n")  # the answer, last
     return 0
 

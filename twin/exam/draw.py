@@ -320,7 +320,9 @@ def write_campaign(
         lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
         at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
         files.append(file)
-    (folder / "campaign.toml").write_text("\n".join(lines))
+    partial = folder / "campaign.toml.partial"  # whole or not there: it says that the campaign is complete
+    partial.write_text("\n".join(lines))
+    partial.replace(folder / "campaign.toml")
     return files
 
 

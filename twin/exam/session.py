@@ -88,7 +88,7 @@ def seal(text: str, out: Path) -> str:
     file = out / SEAL
     if file.exists() and file.read_text(encoding="utf-8").strip() != digest:
         raise InputError(f"{file}: another examination was sealed here (its machines are others); give another --out")
-    file.write_text(digest + "\n", encoding="utf-8")
+    write_whole(file, digest + "\n")
     return digest
 
 
@@ -97,7 +97,7 @@ def unseal(text: str, out: Path) -> None:
     digest = hashlib.sha256(text.encode()).hexdigest()
     if (out / SEAL).read_text(encoding="utf-8").strip() != digest:
         raise InputError(f"{out / TRUTHS}: the truths are not those that were sealed; the examination is void")
-    (out / TRUTHS).write_text(text, encoding="utf-8")
+    write_whole(out / TRUTHS, text)
 
 
 def is_answered(folder: str) -> bool:
@@ -126,7 +126,7 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
             answer.mkdir(parents=True, exist_ok=True)
             write_whole(answer / "failed.txt", reason + "\n")
             return time.perf_counter() - started
-        (answer / "seconds.txt").write_text(f"{time.perf_counter() - started:.1f}\n", encoding="utf-8")
+        write_whole(answer / "seconds.txt", f"{time.perf_counter() - started:.1f}\n")
     seconds = answer / "seconds.txt"
     return float(seconds.read_text(encoding="utf-8")) if seconds.exists() else 0.0
 

@@ -165,7 +165,8 @@ def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]
         path.unlink(missing_ok=True)
         return
     fields = [("time", pa.float64()), ("channel", pa.int64()), ("block", pa.string()), ("text", pa.string()), ("run", pa.string())]
-    pyarrow.parquet.write_table(pa.Table.from_pylist(rows, schema=pa.schema(fields)), path)
+    with beside(path) as partial:
+        pyarrow.parquet.write_table(pa.Table.from_pylist(rows, schema=pa.schema(fields)), partial)
 
 
 def _record(known: Understood, trace: Written) -> Mapping[str, Any]:

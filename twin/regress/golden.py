@@ -15,6 +15,7 @@ from typing import Any
 
 from twin.documents import read_json_table
 from twin.errors import InputError
+from twin.files import beside, write_text
 from twin.recordings.trace import Trace, read_trace
 from twin.regress.outcome import Feature, Outcome, kept_trace
 from twin.regress.suite import Case
@@ -103,15 +104,11 @@ def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]
         "features": {name: asdict(feature) for name, feature in golden.features.items()},
         "events": [asdict(event) for event in golden.events],
     }
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        if golden.trace is not None:
-            write_small(golden.trace, traced)
-        else:
-            traced.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror}); check its folder") from None
+    if golden.trace is not None:
+        write_small(golden.trace, traced)
+    else:
+        traced.unlink(missing_ok=True)
+    write_text(json.dumps(document, indent=1) + "\n", file)
 
 
 def write_small(trace: Trace, path: Path) -> None:
@@ -125,9 +122,9 @@ def write_small(trace: Trace, path: Path) -> None:
     for (axis, signal), values in trace.signals.items():
         unit = trace.unit(axis, signal)
         columns[f"{axis}.{signal} [{unit}]"] = values / factor_to_si(unit, str(path))
-    pyarrow.parquet.write_table(
-        pa.table(columns), path, compression="zstd", compression_level=19, use_dictionary=False, use_byte_stream_split=True
-    )
+    packing = {"compression": "zstd", "compression_level": 19, "use_dictionary": False, "use_byte_stream_split": True}
+    with beside(path) as partial:
+        pyarrow.parquet.write_table(pa.table(columns), partial, **packing)
 
 
 def history_of(case: Case) -> list[Mapping[str, Any]]:

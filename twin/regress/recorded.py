@@ -23,6 +23,7 @@ import numpy as np
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
+from twin.files import beside, write_text
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path
 from twin.recordings.campaign import Campaign, read_campaign
@@ -112,8 +113,9 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
         run = f"moves_{i + 1}_{word.replace('+', '_')}"
         columns = columns_of(record(drawn, document, TestRun(run, "test", word, points), started_at), SIGNALS["full"])
         seen = {key: values for key, values in columns.items() if key.startswith("time") or key.split(".")[0] in case.table["moves"]}
-        pyarrow.parquet.write_table(pa.table(seen), folder / f"{run}.parquet")
+        with beside(folder / f"{run}.parquet") as partial:
+            pyarrow.parquet.write_table(pa.table(seen), partial)
         lines.append(f'[[run]]\nfile = "{run}.parquet"\nfeedforward = "{word}"\nstarted_at_s = {started_at:.3f}\n')
         started_at += wanted.duration + 1.0
-    (folder / "campaign.toml").write_text("\n".join(lines), encoding="utf-8")
+    write_text("\n".join(lines), folder / "campaign.toml")
     return read_campaign(folder, machine)

@@ -12,6 +12,7 @@ from scipy.signal import chirp
 from twin.effects import Effect, settings_of, with_effects
 from twin.effects.picture import Move
 from twin.errors import InputError
+from twin.files import beside
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
@@ -134,8 +135,8 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
         values = ", ".join(f"{n} = {readable(sizes[n], effect.parameter(n).unit(axis))}" for n in sizes)
         source = f" from {pushing.name}" if pushing else ""
         figure.suptitle(f"{effect.name} on {axis.name}{source}: {values}", x=0.01, ha="left", size=11, weight="bold")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=80)
+        with beside(path) as partial:
+            figure.savefig(partial, dpi=80)
         plt.close(figure)
     if path.suffix.lower() == ".png":
         quantised(path)

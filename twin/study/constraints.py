@@ -26,13 +26,15 @@ class Constraint:
     pattern: str
     least: float | None = None
     most: float | None = None
+    standing: bool = False
+    """Every study has it, also one whose machine has no such response."""
 
 
 def standing(least_phase_margin_deg: float, most_time_at_limit: float) -> tuple[Constraint, ...]:
     """The constraints that every study has."""
     return (
-        Constraint("phase_margin_*_deg", least=least_phase_margin_deg),
-        Constraint("time_at_*_limit_*_share", most=most_time_at_limit),
+        Constraint("phase_margin_*_deg", least=least_phase_margin_deg, standing=True),
+        Constraint("time_at_*_limit_*_share", most=most_time_at_limit, standing=True),
     )
 
 

@@ -20,6 +20,7 @@ from twin.effects.user_files import loaded_files
 from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
 from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
+from twin.study.names import check_names
 from twin.study.one_blas_thread import one_blas_thread, stay_on_one_blas_thread
 from twin.study.spec import Study
 from twin.study.store import Store
@@ -42,7 +43,7 @@ class Workers:
 
 
 def fingerprint(study: Study, variants: np.ndarray) -> str:
-    """What a folder of results is the result of; what is only answered from them (`answer`) is no part of it."""
+    """What a folder of results is the result of; what is only answered from them (`answer`, constraints) is no part of it."""
     parts: list[Any] = [
         twin.__version__,
         study.machine.document,
@@ -50,7 +51,6 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
         study.tied,
         study.recommission,
         study.retune,
-        study.constraints,
     ]
     parts += [(run.name, run.feedforward, run.part is not None) for run in study.runs]
     files = [file.read_bytes() for file in (*files_of_study(study), *loaded_files())]
@@ -58,9 +58,14 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
 
 
 def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers, progress: Callable[[None], None]) -> None:
-    """Evaluate every variant that the store lacks; each is committed as it arrives, in whatever order."""
+    """Evaluate every variant that the store lacks; each is committed as it arrives, in whatever order.
+
+    Raises:
+        InputError: no worker is left, or the study file asks for a response that the first variant shows not to exist.
+    """
     left = iter(sorted(set(range(len(variants))) - store.done()))
     shared: Any = None
+    checked = False
     pending: dict[Future[Answer], int] = {}
     while True:
         while len(pending) < AHEAD * max(1, workers.count()) and (number := next(left, None)) is not None:
@@ -84,6 +89,9 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
                     "what is done is kept: see to the workers and go on with --resume"
                 ) from None
             store.put(number, variants[number].tolist(), answer)
+            if not checked and answer.responses:
+                check_names(study, answer.responses, some_variants=True)
+                checked = True
             progress(None)
 
 

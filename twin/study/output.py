@@ -10,7 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from twin.errors import InputError
-from twin.files import write_json
+from twin.files import beside, write_json
 from twin.machine.machine import write_machine
 from twin.report import save_png
 from twin.simulation.summary import table
@@ -30,8 +30,10 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     rows = table_of(study, answers.rows)
     written = [TABLE, "table.csv", "study.json", "report.html"]
     try:
-        pyarrow.parquet.write_table(rows, out / TABLE)
-        pyarrow.csv.write_csv(rows, out / "table.csv")
+        with beside(out / TABLE) as partial:
+            pyarrow.parquet.write_table(rows, partial)
+        with beside(out / "table.csv") as partial:
+            pyarrow.csv.write_csv(rows, partial)
         write_json(answers.document(), out / "study.json", "study")
         duties = duties_of(study, answers)
         written += write_report(study, answers, duties, out)

@@ -15,8 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from twin.errors import InputError, nearest
+from twin.study.constraints import broken_by
 from twin.study.design import problem_of
 from twin.study.factors import Factor
+from twin.study.names import check_names
 from twin.study.outcomes import (
     Effect,
     Surrogate,
@@ -30,7 +32,7 @@ from twin.study.outcomes import (
     without_effect,
 )
 from twin.study.spec import Study
-from twin.study.store import Row
+from twin.study.store import Row, Store
 
 TABLE = "table.parquet"
 SHOWN = 4
@@ -139,6 +141,14 @@ def _without_numbers(reason: str) -> str:
     return re.sub(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?", "..", reason)
 
 
+def rows_of(study: Study, store: Store) -> list[Row]:
+    """All rows, with the reasons that the study's constraints give now: they may be others than when a variant ran."""
+    return [
+        (n, factors, found, "; ".join(broken_by(study.constraints, found)) or None if found else reason)
+        for n, factors, found, reason in store.rows()
+    ]
+
+
 def known_responses(rows: Sequence[Row]) -> list[str]:
     """Names of all responses, in the order in which the variants have them."""
     return list(dict.fromkeys(name for _, _, found, _ in rows for name in found))
@@ -147,11 +157,8 @@ def known_responses(rows: Sequence[Row]) -> list[str]:
 def looked_at(study: Study, rows: Sequence[Row]) -> list[str]:
     """Responses that the report is about: those of the study file, else the telling ones that vary."""
     known = known_responses(rows)
-    for key, name in (*(("answer", name) for name in study.answer), *(("pareto", name) for pair in study.pareto for name in pair)):
-        if known and name not in known:
-            raise InputError(
-                f"{study.path}: {key}: no response '{name}'; {nearest(name, known)} The variants are kept: correct it and add --resume"
-            )
+    if known:
+        check_names(study, known)
     if study.answer:
         return list(study.answer)
     ranked = sorted(known, key=lambda n: next((i for i, p in enumerate(PREFERRED) if n.startswith(p)), len(PREFERRED)))

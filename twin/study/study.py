@@ -8,7 +8,7 @@ import tempfile
 from twin.study.design import variants_of
 from twin.study.execution import carry_out, fingerprint, threads_here
 from twin.study.output import write_study
-from twin.study.results import Answers, answers_of
+from twin.study.results import Answers, answers_of, rows_of
 from twin.study.spec import read_study
 from twin.study.store import Store
 
@@ -27,7 +27,7 @@ def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Pat
         try:
             with threads_here(threads) as workers:
                 carry_out(known, variants, store, workers, lambda _done: None)
-            answers = answers_of(known, store.rows())
+            answers = answers_of(known, rows_of(known, store))
         finally:
             store.close()
         if out is not None:

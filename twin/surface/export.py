@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twin.files import beside
 from twin.surface.height_rays import HeightRays
 
 if TYPE_CHECKING:
@@ -63,24 +64,21 @@ def write_mesh(rays: HeightRays, path: Path, end: float) -> None:
 
     rays = thinned(rays)
     mesh = trimesh.Trimesh(rays.surface * 1e3, triangles(rays), vertex_colors=deviation_colours(rays.height, end), process=False)
-    mesh.export(path)
+    with beside(path) as partial:
+        mesh.export(partial)
 
 
 def write_height_map(rays: HeightRays, path: Path) -> None:
     """Write NPZ (u, v, height, point, direction; m) or CSV (u [mm], v [mm], deviation [um])."""
     if path.suffix == ".npz":
-        np.savez_compressed(
-            path,
-            u=rays.u,
-            v=rays.v,
-            height=rays.map(),
-            point=rays.point.astype(np.float32),
-            direction=rays.direction.astype(np.float32),
-        )
+        point, direction = (array.astype(np.float32) for array in (rays.point, rays.direction))
+        with beside(path) as partial:
+            np.savez_compressed(partial, u=rays.u, v=rays.v, height=rays.map(), point=point, direction=direction)
         return
     import pyarrow as pa
     import pyarrow.csv
 
     u, v = np.meshgrid(rays.u, rays.v) if rays.is_grid else (rays.point[:, 0], rays.point[:, 1])
     table = pa.table({"u [mm]": u.ravel() * 1e3, "v [mm]": v.ravel() * 1e3, "deviation [um]": rays.height * 1e6})
-    pyarrow.csv.write_csv(table, path)
+    with beside(path) as partial:
+        pyarrow.csv.write_csv(table, partial)

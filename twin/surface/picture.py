@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.files import beside
 from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
 from twin.report.figure import plain_text
 from twin.surface.export import COLOUR_MAP
@@ -88,8 +89,8 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
             subtitle += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
         figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", fontsize=14, x=0.012, ha="left", fontweight="bold")
         relief.set_title(subtitle, fontsize=10, color=QUIET, loc="left")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        plain_text(figure).savefig(path)
+        with beside(path) as partial:
+            plain_text(figure).savefig(partial)
 
 
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
@@ -125,8 +126,8 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
             ha="left",
             fontweight="bold",
         )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        plain_text(figure).savefig(path)
+        with beside(path) as partial:
+            plain_text(figure).savefig(partial)
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
@@ -146,8 +147,8 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
         figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
         ax.set_title(f"{name}: {label}", loc="left")
         ax.set_ylabel("v [mm]")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    plain_text(figure).savefig(path)
+    with beside(path) as partial:
+        plain_text(figure).savefig(partial)
 
 
 def colour_end(height: np.ndarray) -> float:
@@ -230,5 +231,5 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
         axes.set_xlabel("[mm]")
         figure.colorbar(drawn, ax=axes).set_label("deviation from nominal [um]   (below 0: cut too deep)")
         axes.set_title(f"{machining.part.name}, {one.surface.name}: {one.level.label}", loc="left", fontweight="bold")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        plain_text(figure).savefig(path)
+        with beside(path) as partial:
+            plain_text(figure).savefig(partial)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import beside
 
 SIGNATURE = b"DIGITAL SURF"
 HEAD_BYTES = 512
@@ -95,7 +96,8 @@ def write_sur(path: Path, dx: float, dy: float, height: np.ndarray) -> None:
     struct.pack_into("<i", head, 116, height.size)
     for axis, unit in (("x", b"mm"), ("y", b"mm"), ("z", b"um")):
         head[UNITS_AT[axis] : UNITS_AT[axis] + 16] = unit.ljust(16)
-    path.write_bytes(bytes(head) + numbers.astype("<i4").tobytes())
+    with beside(path) as partial:
+        partial.write_bytes(bytes(head) + numbers.astype("<i4").tobytes())
 
 
 def _metres(field: bytes, axis: str, path: Path) -> float:

@@ -1,0 +1,183 @@
+"""What commands survive: Ctrl-C at any moment, kill -9 of an examination, a disk that is full.
+
+    python devtools/measure_faults.py stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose` from the first tenth of a second on
+    python devtools/measure_faults.py exam [--kills 20] [--cases 3]    kill -9 of `twin exam` at random moments, gone on with, compared
+    python devtools/measure_faults.py disk FOLDER                      commands that write into FOLDER, a file system that is nearly full
+
+Studies: `python devtools/measure_study.py kills`. Exit code 1 where a promise of docs/promises.md is broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+from time import perf_counter, sleep
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+MOMENTS_S = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+ENDS_IN_S = 3.0
+TWIN = (sys.executable, "-m", "twin")
+
+
+def stop(campaign: Path, machine: Path | None) -> bool:
+    """Ctrl-C of a diagnosis at each moment: how long it takes to end, its exit code and what it says."""
+    fine = True
+    with tempfile.TemporaryDirectory() as folder:
+        for moment in MOMENTS_S:
+            command = [*TWIN, "diagnose", str(campaign), "--out", f"{folder}/{moment}", *(("--machine", str(machine)) if machine else ())]
+            # a group of its own, as a terminal does: all of its processes get the signal
+            with subprocess.Popen(
+                command,
+                stderr=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,
+                env={**os.environ, "TQDM_DISABLE": "1"},
+            ) as process:
+                sleep(moment)
+                begin = perf_counter()
+                os.killpg(process.pid, signal.SIGINT)
+                _, said = process.communicate(timeout=120)
+                took = perf_counter() - begin
+            left = alive(process.pid)
+            quiet = said.count("\n") <= 1 and "Traceback" not in said
+            fine &= took < ENDS_IN_S and quiet and not left
+            print(
+                f"after {moment:5.2f} s: ended in {took:.2f} s, exit code {process.returncode}, {left} processes left: {said.strip() or '-'}"
+            )
+    print(f"load average {os.getloadavg()[0]:.1f}: {'every one within' if fine else 'FAILED'} {ENDS_IN_S:g} s, one line at most")
+    return fine
+
+
+def alive(group: int) -> int:
+    """Processes of a group that still run."""
+    found = 0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        found += int(fields[2]) == group and fields[0] != "Z"
+    return found
+
+
+def exam(kills: int, cases: int) -> bool:
+    """Kill an examination until it was killed so often, going on each time; an examination that ends begins anew."""
+    draw = random.Random(6)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = [
+            *TWIN,
+            "exam",
+            "--seed",
+            "6",
+            "--cases",
+            str(cases),
+            "--short",
+            "--quick",
+            "--only",
+            "healthy",
+            "--workers",
+            "1",
+            "--out",
+        ]
+
+        def carried_out(out: Path) -> None:
+            subprocess.run([*command, str(out)], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+        begin = perf_counter()
+        carried_out(folder / "whole")
+        whole = perf_counter() - begin
+        undisturbed = results(folder / "whole")
+        killed, fine, turns = 0, bool(undisturbed), 0
+        while killed < kills:
+            out, turns, ended = folder / f"killed{turns}", turns + 1, False
+            while not ended and killed < kills:
+                with subprocess.Popen(
+                    [*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+                ) as process:
+                    sleep(draw.uniform(0.05, 1.5) * whole / cases)
+                    ended = process.poll() is not None
+                    process.send_signal(signal.SIGKILL)
+                killed += not ended
+                sleep(1.5)  # its workers see that it is gone
+                fine &= not alive(process.pid)
+            carried_out(out)
+            same = results(out) == undisturbed
+            fine &= same
+            print(f"examination {turns}: killed {killed} times so far; seal, answers and marks as without a kill: {same}", flush=True)
+        print(
+            f"{cases} cases, {whole:.0f} s undisturbed; killed -9 {killed} times, load average {os.getloadavg()[0]:.1f}: {'same results' if fine else 'FAILED'}"
+        )
+    return fine
+
+
+def results(out: Path) -> dict[str, object]:
+    """Seal, score and marks of an examination, and each answer; without its times."""
+    if not (out / "exam.json").is_file():
+        return {}
+    document = json.loads((out / "exam.json").read_text(encoding="utf-8"))
+    document.pop("seconds")
+    answers = {file.parent.parent.name: file.read_text(encoding="utf-8") for file in sorted(out.glob("cases/*/answer/diagnosis.json"))}
+    return {"exam": without_times(document), "answers": {name: without_times(json.loads(text)) for name, text in answers.items()}}
+
+
+def without_times(content: object) -> object:
+    """A document without the keys that say how long something took, or where it lies."""
+    if isinstance(content, dict):
+        return {k: without_times(v) for k, v in content.items() if not (k in ("seconds", "campaign") or str(k).endswith("_took_s"))}
+    return [without_times(v) for v in content] if isinstance(content, list) else content
+
+
+def disk(folder: Path) -> bool:
+    """Every command that writes, into a file system that fills up: refused in one line, and no half file."""
+    study = EXAMPLES / "studies" / "inertia_matching.toml"
+    commands = {
+        "run": ("run", EXAMPLES / "x_200mm.csv", "--out", folder / "run"),
+        "run, recording": ("run", EXAMPLES / "five_axis.mpf", "--out", folder / "five"),
+        "interpolate": ("interpolate", EXAMPLES / "five_axis.mpf", "--out", folder / "five.csv"),
+        "replay": ("replay", EXAMPLES / "x_200mm.csv", "--out", folder / "x.rrd"),
+        "plan": ("plan", "--out", folder / "plan"),
+        "import": ("import", EXAMPLES / "traces" / "x_feedforward_off.csv", "--map", EXAMPLES / "traces" / "map.toml", "--out", folder / "import"),
+        "study": ("study", study, "--out", folder / "study"),
+    }  # fmt: skip
+    fine = True
+    for what, arguments in commands.items():
+        done = subprocess.run(
+            [*TWIN, *map(str, arguments)], capture_output=True, text=True, check=False, env={**os.environ, "TQDM_DISABLE": "1"}
+        )
+        said = [line for line in done.stderr.splitlines() if not line.startswith(("warning: ", "note: "))]
+        half = [p.name for p in folder.rglob("*") if p.name.startswith(".") and p.name != ".twin-lock"]
+        right = done.returncode in (0, 2) and len(said) <= 1 and not half and "Traceback" not in done.stderr
+        fine &= right
+        print(f"{what}: exit code {done.returncode}, {'' if right else 'WRONG '}{' | '.join(said)[:300]}{f' left: {half}' if half else ''}")
+    return fine
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True, dest="what")
+    stopping = commands.add_parser("stop")
+    stopping.add_argument("campaign", type=Path)
+    stopping.add_argument("--machine", type=Path)
+    sitting = commands.add_parser("exam")
+    sitting.add_argument("--kills", type=int, default=20)
+    sitting.add_argument("--cases", type=int, default=3)
+    commands.add_parser("disk").add_argument("folder", type=Path)
+    args = parser.parse_args()
+    if args.what == "stop":
+        return int(not stop(args.campaign, args.machine))
+    if args.what == "exam":
+        return int(not exam(args.kills, args.cases))
+    return int(not disk(args.folder))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

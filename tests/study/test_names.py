@@ -1,0 +1,62 @@
+"""Responses that a study file asks for: unknown ones are refused at the first variant, and bounds may change without a run."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.builders.study_files import FACTOR, GRID, rows_of, write_spec
+from twin.errors import InputError
+from twin.study import execution, results
+from twin.study.design import variants_of
+from twin.study.evaluate import Answer
+from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.names import check_names
+from twin.study.spec import read_study
+from twin.study.store import Store
+
+
+def bound(pattern: str, most: float) -> str:
+    return f'[[constraint]]\nresponse = "{pattern}"\nmost = {most}\n'
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ['answer = ["cycle_tim_s"]\n', 'pareto = [["cycle_time_s", "error_um"]]\n', bound("current_limit_used", 0.8), bound("curent_*", 0.8)],
+)
+def test_an_unknown_name_is_refused_at_the_first_variant(asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A constraint that finds no response would be kept by every design."""
+    study = read_study(write_spec(tmp_path, asked + FACTOR + GRID.replace("3", "40")))
+    variants = variants_of(study)
+    monkeypatch.setattr(execution, "evaluate", lambda _work, _row: Answer({"cycle_time_s": 1.0, "current_limit_used_X": 0.5}))
+    store = Store(tmp_path / "out", fingerprint(study, variants), resume=False)
+    try:
+        with (
+            pytest.raises(InputError, match=r"no response '(cycle_tim_s|error_um|current_limit_used|curent_\*)'"),
+            threads_here(1) as workers,
+        ):
+            carry_out(study, variants, store, workers, lambda _: None)
+        assert 1 <= len(store.done()) < 10
+    finally:
+        store.close()
+
+
+def test_what_other_variants_may_have_is_waited_for(tmp_path: Path) -> None:
+    text = 'answer = ["first_mode_X_hz"]\n' + bound("torque_rms_used_*", 1.0) + bound("phase_margin_speed_*", 90.0)
+    study = read_study(write_spec(tmp_path, text + FACTOR + GRID))
+    check_names(study, ["cycle_time_s"], some_variants=True)
+    with pytest.raises(InputError, match="first_mode_X_hz"):
+        check_names(study, ["cycle_time_s"])
+
+
+def test_a_bound_may_change_and_nothing_runs_again(tmp_path: Path) -> None:
+    spec = write_spec(tmp_path)
+    before = rows_of(spec, tmp_path / "out")
+    largest = sorted(row[2]["current_max_X_a"] for row in before)
+    assert [row[3] for row in before] == [None] * 3
+    study = read_study(write_spec(tmp_path, bound("current_max_X_a", 0.5 * (largest[1] + largest[2])) + FACTOR + GRID))
+    store = Store(tmp_path / "out", fingerprint(study, variants_of(study)), resume=True)
+    after = results.rows_of(study, store)
+    store.close()
+    assert [row[:3] for row in after] == [row[:3] for row in before]
+    assert [row[3] is None for row in after] == [True, True, False]
+    assert "largest current of X is" in str(after[2][3])
