@@ -211,7 +211,8 @@ def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, .
             raise InputError(f"{where}: 'response' is missing; name a response or a pattern, e.g. current_limit_used_*")
         if "least" not in table and "most" not in table:
             raise InputError(f"{where}: has no bound; give least = .. or most = ..")
-        found.append(Constraint(table["response"], *(_bound(table, key, where) if key in table else None for key in ("least", "most"))))
+        least, most = (_bound(table, key, where) if key in table else None for key in ("least", "most"))
+        found.append(Constraint(table["response"], least, most))
     return tuple(found)
 
 
