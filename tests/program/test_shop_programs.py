@@ -192,6 +192,15 @@ def test_an_arc_that_leads_back_inside_another_makes_a_cusp(read) -> None:
     assert (read(text.format(42), "part.ngc").moves.kind == ARC).sum() > (program.moves.kind == ARC).sum()
 
 
+@pytest.mark.parametrize("before", ["G1 X-10 Y10\nX0 Y0", "G1 X-10 Y4.142136\nG2 X0 Y0 J-14.142136"])
+def test_behind_an_inside_corner_an_arc_is_cut_on_the_circle_through_its_end(read, before: str) -> None:
+    """As LinuxCNC cuts it: the start lies 9.99 mm from the centre and the end 10 mm, the tool of 2 mm begins and ends 9 mm from it."""
+    program = read(f"G21 G17 G90\nG1 X-20 Y10 F100\nG41.1 D2 {before}\nG3 X10 Y9.99 J9.99\nG1 Y20\nG40\nG1 X0\nM30\n", "part.ngc")
+    last = np.flatnonzero(program.moves.kind == ARC)[-1]
+    begins, ended = ends(program)[[last - 1, last], :2]
+    assert [np.hypot(*(begins - [0, 9.99])), np.hypot(*(ended - [0, 9.99]))] == pytest.approx([9.0, 9.0], abs=2e-6)
+
+
 def test_an_inside_corner_that_the_tool_cannot_reach_stays_an_error(read) -> None:
     text = "G21 G17 G90\nG1 X0 Y0 F100\nG41.1 D8 X10 Y0\nX20\nY{}\nX40\nG40 X50\nM30\n"
     assert len(read(text.format(20), "part.ngc").moves.kind)

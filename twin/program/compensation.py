@@ -196,13 +196,21 @@ def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
         cross = u[0] * v[1] - u[1] * v[0]
         points = [] if abs(cross) < 1e-30 else [one.a + u * (((two.a - one.a)[0] * v[1] - (two.a - one.a)[1] * v[0]) / cross)]
     elif one.centre is not None and two.centre is not None:
-        points = _circles(one.centre, float(np.hypot(*(one.b - one.centre))), two.centre, float(np.hypot(*(two.a - two.centre))))
+        points = _circles(one.centre, _radius(one), two.centre, _radius(two))
     else:
         line, arc = (two, one) if two.centre is None else (one, two)
         assert arc.centre is not None
-        end = arc.b if arc is one else arc.a  # the start of an element may have been cut, its circle is the same
-        points = _line_circle(line.a, line.direction(False), arc.centre, float(np.hypot(*(end - arc.centre))))
+        points = _line_circle(line.a, line.direction(False), arc.centre, _radius(arc))
     return sorted(points, key=lambda p: float(np.hypot(*(p - near))))
+
+
+def _radius(arc: Element) -> float:
+    """Radius [m] of the circle on which an arc is cut: through its end, since what is left of it leads there.
+
+    Centre and ends of a program are rounded, so that the start often lies some micrometres beside it. LinuxCNC cuts there, too.
+    """
+    assert arc.centre is not None
+    return float(np.hypot(*(arc.b - arc.centre)))
 
 
 def _line_circle(a: np.ndarray, t: np.ndarray, centre: np.ndarray, radius: float) -> list[np.ndarray]:
