@@ -168,3 +168,11 @@ def test_an_arc_of_turning_stands_on_edge(read) -> None:
     )
     assert np.allclose(program.moves.target[-1, :3] * 1e3, [0, 41.1, 149.9])
     assert program.moves.angle[-1] == pytest.approx(math.pi / 2)
+
+
+def test_a_shift_by_nothing_is_none(read) -> None:
+    program = read("ORIGIN/0.0,0,0\nFROM/0,0,150\nFEDRAT/600\nTRANS/0,0,0\nGOTO/10,0,150\n")
+    assert (program.moves.target[-1, :3] * 1e3).tolist() == pytest.approx([10, 0, 150])
+    for shift in ("ORIGIN/0,0,1", "TRANS/5,0,0", "ORIGIN/0,0", "COPY/0,0,0"):
+        with pytest.raises(InputError, match="not simulated"):
+            read(f"{shift}\nFROM/0,0,150\n")

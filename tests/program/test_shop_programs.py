@@ -423,6 +423,9 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
         ("part.nc", "G0 G1 X5.\nG90 G91 X6.\n", [5, 11]),
         ("part.nc", "G1 X5.\nG5 P10000\nX6.\nG5 P0\nX7.\n", [5, 6, 7]),
         ("part.nc", "G10 L12 P3 R2.\nG1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
+        ("part.nc", "#13003=2.\nG1 X5.\nG41 D3 X6. Y5.\nG1 Y20. D03\nG40 X50.\n", [5, 4, 4, 50]),
+        ("part.nc", "#13003=1.5\n#12003=9.\n#12003=#13003-1.\nG1 X5. D3\nG41 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
+        ("part.nc", "G10 L12 P3 R1.\nG10 L13 P3 R9.\nG10 L13 P3 R0.5\nG91 G10 L13 P3 R0.5\nG90 G1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
         ("part.nc", ":10 G1 X5.\n:20 T1 M6\nX6.\n", [5, 6]),
         ("part.nc", "G1 X5.\n#1=#4001\nG#1 X6.\nIF[#4003EQ90]GOTO 9\nX8.\nN9 X7.\n", [5, 6, 7]),
     ],
@@ -442,6 +445,9 @@ def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list
         ("part.ngc", "G0 G1 X3", "G0 and G1 stand in one block"),
         ("part.ngc", "M72", "M70"),
         ("part.nc", "G5 P2 X3 I1 J1", "splines"),
+        ("part.nc", "#2201=5.", "differently"),
+        ("part.nc", "G10 L12 P1 R1.\nG10 L12 P2 R2.\nG41 D1 X5 Y5\nX9 D2", "D changes the radius"),
+        ("part.mpf", "CUT3DC", "cutter radius in space"),
     ],
 )
 def test_what_would_be_read_wrongly_is_refused(read, name: str, block: str, message: str) -> None:

@@ -18,7 +18,7 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
-from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, word_and_values
+from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
 from twin.program.machine_file import first_feed
 from twin.program.source import Source
@@ -127,6 +127,8 @@ class AptReader:
         first = word.split()[0].split(",")[0]
         if word in self.words:
             self.words[word](word, values)
+        elif moves_nothing(word, values):
+            self.out.notes[f"{word}/0,0,0: a shift by nothing"] = None
         elif word in NOT_SIMULATED or first in NOT_SIMULATED:
             raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
         elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in ("PARTNO", "PPRINT", "TPRINT", "REMARK", "INSERT"):

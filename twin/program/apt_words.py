@@ -64,6 +64,14 @@ def word_and_values(text: str) -> tuple[str, str] | None:
     return None if match is None else (re.sub(r"\s*,\s*", ",", match[1]), match[2] or "")
 
 
+def moves_nothing(word: str, values: str) -> bool:
+    """Whether a shift of the part (ORIGIN/, TRANS/) is by nothing."""
+    try:
+        return word in ("ORIGIN", "TRANS") and len(listed(values)) == 3 and not any(map(float, listed(values)))
+    except ValueError:
+        return False
+
+
 def listed(values: str) -> list[str]:
     """The values of a statement, without blanks around them."""
     return [v.strip() for v in values.split(",")] if values.strip() else []

@@ -225,6 +225,8 @@ class Iso(IsoCalls):
         elif motion is not None:
             self.cycle, self.motion = None, int(motion)
         pause = self._m_before(m_codes, w)
+        if "D" in w and not self.linuxcnc:
+            self._other_radius(w.pop("D"))
         self._move_words(codes, w)
         if 9 in codes:
             self.stop(0.0)

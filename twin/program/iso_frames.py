@@ -90,10 +90,11 @@ class IsoFrames(IsoLines):
         name = f"{w.pop('P').value:g}"
         for letter in given[what]:
             if letter in w:
-                value = w.pop(letter).value * self.unit
-                self.tools.set_value(
-                    name, "radius" if what in (12, 13) or (what == 1 and letter == "R") else "length", value, wear=what in (11, 13)
-                )
+                value, wear = w.pop(letter).value * self.unit, what in (11, 13)
+                quantity = "radius" if what in (12, 13) or (what == 1 and letter == "R") else "length"
+                if not self.absolute and not self.linuxcnc:  # G91 adds on a Fanuc
+                    value += self.tools.value(name, quantity, wear=wear) or 0.0
+                self.tools.set_value(name, quantity, value, wear=wear)
 
     def _g10(self, w: dict[str, Item], column: int) -> None:
         what = int(w.pop("L").value) if "L" in w else 2

@@ -29,6 +29,7 @@ class IsoMotion(IsoDrilling):
         self.polar = False
         self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.modal_macro: tuple[Unit, int, dict] | None = None
+        self.edge: Item | None = None  # D, which a Fanuc keeps
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
@@ -175,6 +176,16 @@ class IsoMotion(IsoDrilling):
             self.note("G61: exact path, a rounding of 1 um")
         self.round_corners()
 
+    def _radius_of(self, d: Item) -> float:
+        """Radius [m] that a D word of a Fanuc names; D0 has none."""
+        return 0.0 if d.value == 0 else self.tools.radius(f"{d.value:g}", d.column)
+
+    def _other_radius(self, d: Item) -> None:
+        """D without G41 or G42 on a Fanuc: the radius of the next one; beside the contour it may only name the same one again."""
+        self.edge = d
+        if self.comp is not None and abs(self._radius_of(d)) != abs(self.comp.offset):
+            raise WordError("D changes the radius inside G41 or G42; write G40 and a move before", d.column)
+
     def _compensation(self, number: float, w: dict[str, Item], column: int) -> None:
         if number == 40:
             w.pop("D", None)
@@ -184,11 +195,12 @@ class IsoMotion(IsoDrilling):
             item = w.pop("D")
             radius = 0.5 * item.value * self.unit if number in (41.1, 42.1) else None
             if radius is None:
-                radius = 0.0 if item.value == 0 else self.tools.radius(f"{item.value:g}", item.column)
+                self.edge = item
+                radius = self._radius_of(item)
         elif number in (41.1, 42.1):
             raise WordError("G41.1 and G42.1 need D, the diameter of the tool", column)
         else:
-            radius = self.tools.radius(self.tools.name, column)
+            radius = self._radius_of(self.edge._replace(column=column)) if self.edge is not None else self.tools.radius(self.tools.name, column)
         if not radius:
             self.note("G41, G42 with radius 0: the contour is the path")
         self.compensate(1 if number < 42 else -1, radius, along_next=not self.linuxcnc)

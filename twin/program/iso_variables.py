@@ -14,6 +14,12 @@ from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
 
 
+_TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
+"""What #10001, #11001, #12001 and #13001 of a Fanuc and on hold of the tools 1 and on: the quantity, and whether it is its wear."""
+_TOOLS_OTHERWISE = range(2001, 2801)
+"""Tool tables that Fanuc and Haas number in different ways."""
+
+
 class IsoVariables(IsoFrames):
     """Values of variables and expressions."""
 
@@ -119,6 +125,13 @@ class IsoVariables(IsoFrames):
             frame.variables[key] = value
         elif self.linuxcnc and (5420 <= key <= 5428 or 5400 <= key <= 5413):
             raise WordError(f"#{key} belongs to the control and cannot be set", column)
+        elif not self.linuxcnc and key in _TOOLS_OTHERWISE:
+            raise WordError(
+                f"#{key} writes the tool table, which Fanuc and Haas number differently; use G10 L10 to L13, or #10001 to #13999", column
+            )
+        elif not self.linuxcnc and (tool := _of_tool(key)) is not None:
+            name, (what, wear) = tool
+            self.tools.set_value(name, what, value * self.unit, wear=wear)
         elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and (k := (key - 5201) % 20) <= 10:
             self._write_system(n, k, value)
         else:
@@ -169,6 +182,10 @@ class IsoVariables(IsoFrames):
         if 5161 <= key <= 5169 or 5181 <= key <= 5189:
             base = 28 if key < 5180 else 30
             return self._own(self.home[base], key - (5160 if base == 28 else 5180)) * (self.unit / 1e-3)
+        if fanuc and (tool := _of_tool(key)) is not None:
+            name, (what, wear) = tool
+            known = self.tools.value(name, what, wear=wear)
+            return known / self.unit if known is not None else 0.0 if wear else None
         if fanuc and 4001 <= key <= 4120:
             return self._modal_value(key)
         if key == 5400 and self.linuxcnc:
@@ -202,6 +219,12 @@ class IsoVariables(IsoFrames):
             "_CALL_LEVEL": lambda: float(len(self.flow.frames) - 1), "_REMAP_LEVEL": lambda: 0.0,
         }  # fmt: skip
         return values[name]() if name in values else None
+
+
+def _of_tool(key: int) -> tuple[str, tuple[str, bool]] | None:
+    """Tool and quantity of a variable of the tool table; None for another variable."""
+    entry = _TOOL_TABLE.get(key // 1000)
+    return None if entry is None or key % 1000 == 0 else (str(key % 1000), entry)
 
 
 def _system_number(number: int) -> float:

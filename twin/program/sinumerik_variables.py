@@ -249,7 +249,8 @@ class SinumerikVariables(SinumerikFrames):
             return
         value = self._value_of(word.text or "", word.text_column)
         if name == "$TC_DP6" and len(index) == 2:
-            self.tools.radii[f"{index[0]:g}" if not isinstance(index[0], str) else index[0]] = as_number(value, word.column) * self.unit
+            tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
+            self.tools.set_value(tool, "radius", as_number(value, word.column) * self.unit)
             return
         if name.startswith("$TC_DP3"):
             self.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")

@@ -25,8 +25,7 @@ class Tools:
         self.prepared = out.modes.spindle_tool_length  # of the tool that the next change brings
         self.prepared_name = self.name = ""
         self.changes_by_m6 = False
-        self.radii: dict[str, float] = {}  # that the program itself sets [m]
-        self.lengths: dict[str, float] = {}
+        self.written: dict[tuple[str, str, bool], float] = {}  # by the program itself [m]: tool, radius or length, whether it is wear
 
     def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
         """The words T, D, H, M6, G43, G49 of one block as value and column: tool and length from here on.
@@ -48,22 +47,24 @@ class Tools:
             self.out.change_frame(new)
 
     def radius(self, name: str, column: int) -> float:
-        """Radius [m] of a tool, from the program ($TC_DP6, G10) or the machine file."""
-        key = next((k for k in (name, f"T{name}") if k in self.table and "radius_m" in self.table[k]), None)
-        if name in self.radii:
-            return self.radii[name]
-        if key is None:
+        """Radius [m] of a tool with its wear, from the program ($TC_DP6, G10, #13001) or the machine file."""
+        if (radius := self.value(name, "radius")) is None:
             raise WordError(
                 f"the radius of tool {name or '?'} is not known, which G41 and G42 need; give [tool.T{name or 1}] radius_m in the machine file",
                 column,
             )
-        return float(self.table[key]["radius_m"])
+        return radius + (self.value(name, "radius", wear=True) or 0.0)
 
-    def set_value(self, name: str, what: str, value: float, *, wear: bool) -> None:
-        """A length or radius [m] that the program writes; wear comes on top of what is known."""
-        table = self.radii if what == "radius" else self.lengths
+    def value(self, name: str, what: str, *, wear: bool = False) -> float | None:
+        """The `radius` or `length` [m] of a tool, or its wear; None if neither the program nor the machine file gives it."""
+        if (name, what, wear) in self.written or wear:
+            return self.written.get((name, what, wear))
         entry = next((self.table[k] for k in (name, f"T{name}") if k in self.table), {})
-        table[name] = value + (table.get(name, entry.get(f"{what}_m", 0.0)) if wear else 0.0)
+        return float(entry[f"{what}_m"]) if f"{what}_m" in entry else None
+
+    def set_value(self, name: str, what: str, value: float, *, wear: bool = False) -> None:
+        """A `radius` or `length` [m], or its wear, that the program writes."""
+        self.written[name, what, wear] = value
 
     def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
         if "G43" in words:
@@ -87,15 +88,16 @@ class Tools:
         name, column = _name(word[0]), word[1]
         if name == "0":
             return 0.0
-        if name in self.lengths:
-            return self.lengths[name]
+        wear = self.value(name, "length", wear=True) or 0.0
+        if (name, "length", False) in self.written:
+            return self.written[name, "length", False] + wear
         if not self.table:
             self.out.notes["T, H: the machine file has no table [tool]; the tool of the model is used"] = None
-            return self.out.kinematics.tool_length
+            return self.out.kinematics.tool_length + wear
         key = name if name in self.table else f"T{name}"
         if key not in self.table:
             raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, self.table)}", column)
-        return float(self.table[key]["length_m"])
+        return float(self.table[key]["length_m"]) + wear
 
     def _edge(self, word: tuple[Value, int]) -> float:
         """Number of the cutting edge that D names, 0 for none; a tool of the table has only D1."""
