@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import PERIOD_S, found_of, group_of, no_tuning
+from tests.builders.script import script
 from twin.diagnose.budget import budget_of, document_of, noise_of
 from twin.diagnose.corrected import corrected_machine
 from twin.diagnose.fit import Fit
-from twin.diagnose.tool_point import ToolPoint
+from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
@@ -71,6 +72,15 @@ def test_a_turn_of_the_table_moves_the_tool_by_its_distance_from_the_axis():
     near, far = (tool.distance(standing(2, X=x), standing(2, X=x, C=angle), ("C",))[0] for x in (0.05, 0.15))
     reach = [np.hypot(x + near_x, y) for x in (0.05, 0.15) for near_x, y in [_from_turning_axis(tool)]]
     assert (near, far) == pytest.approx((angle * reach[0], angle * reach[1]), rel=1e-6)
+
+
+def test_a_chain_with_other_axes_counts_its_slides_alone():
+    """The columns of the transformation are X Y Z A C: B of another machine must not be taken for A."""
+    machine = script("examples/kinematics/run.py", "kinematics_example").machine_of("table_table")
+    tool, still, moved = ToolPoint(machine), dict.fromkeys("XYZBC", 0.0), {"X": 3e-6, "Y": 4e-6, "Z": 0.0, "B": 1.0, "C": 1.0}
+    base, other = (Trace(np.arange(2.0), {(a, LOAD): np.full(2, v) for a, v in at.items()}, machine.kinds) for at in (still, moved))
+    np.testing.assert_allclose(tool.distance(base, other, "XYZBC"), 5e-6)
+    assert tool.at(other, 0) == (3e-6, 4e-6, 0.0)
 
 
 def _from_turning_axis(tool):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 import importlib
 from pathlib import Path
+import re
 import sys
 
 import mujoco
@@ -12,7 +13,7 @@ import pytest
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
-from twin.program import read_program
+from twin.program import interpolate, read_program
 from twin.program.axis_path import axis_jet, frames_of
 from twin.program.orientation import inverse
 
@@ -130,6 +131,22 @@ def test_a_three_axis_mill_runs_what_leaves_its_tool_upright(tmp_path: Path, mik
     path.write_text("G1 X1 A5 F100\n")
     with pytest.raises(InputError, match="this machine has no axis A"):
         read_program(path, machine)
+
+
+def test_a_three_axis_mill_without_sites_runs_programs_and_has_no_tool_to_turn(tmp_path: Path, mikron: Machine) -> None:
+    """X Y Z are then the places of the slides; what needs a tool or a part frame says which site it lacks."""
+    given = example.machine_of("three_axis", mikron)
+    text = given.model_path.read_text()
+    bare = re.sub(r"<site [^>]*/>", "", text)
+    assert bare != text
+    (tmp_path / "bare.xml").write_text(bare)
+    machine = replace(given, model_path=tmp_path / "bare.xml")
+    path = tmp_path / "part.mpf"
+    path.write_text("G17 G54 G90\nG0 X10 Y5 Z-4\nG1 X20 F1000\nG3 X10 Y15 CR=10\n")
+    trace = interpolate(read_program(path, machine), machine)
+    assert [trace.get(axis, "setpoint")[-1] for axis in machine.axis_names] == pytest.approx([10e-3, 15e-3, -4e-3], abs=1e-9)
+    with pytest.raises(InputError, match="no site 'tool'"):
+        kinematics_of(machine)
 
 
 def test_a_slide_on_a_rotary_axis_is_refused(tmp_path: Path, mikron: Machine) -> None:

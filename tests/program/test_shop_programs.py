@@ -425,7 +425,11 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
         ("part.nc", "G10 L12 P3 R2.\nG1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
         ("part.nc", "#13003=2.\nG1 X5.\nG41 D3 X6. Y5.\nG1 Y20. D03\nG40 X50.\n", [5, 4, 4, 50]),
         ("part.nc", "#13003=1.5\n#12003=9.\n#12003=#13003-1.\nG1 X5. D3\nG41 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
-        ("part.nc", "G10 L12 P3 R1.\nG10 L13 P3 R9.\nG10 L13 P3 R0.5\nG91 G10 L13 P3 R0.5\nG90 G1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n", [5, 4, 4, 50]),
+        (
+            "part.nc",
+            "G10 L12 P3 R1.\nG10 L13 P3 R9.\nG10 L13 P3 R0.5\nG91 G10 L13 P3 R0.5\nG90 G1 X5.\nG41 D3 X6. Y5.\nG1 Y20.\nG40 X50.\n",
+            [5, 4, 4, 50],
+        ),
         ("part.nc", ":10 G1 X5.\n:20 T1 M6\nX6.\n", [5, 6]),
         ("part.nc", "G1 X5.\n#1=#4001\nG#1 X6.\nIF[#4003EQ90]GOTO 9\nX8.\nN9 X7.\n", [5, 6, 7]),
     ],

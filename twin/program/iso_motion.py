@@ -200,7 +200,9 @@ class IsoMotion(IsoDrilling):
         elif number in (41.1, 42.1):
             raise WordError("G41.1 and G42.1 need D, the diameter of the tool", column)
         else:
-            radius = self._radius_of(self.edge._replace(column=column)) if self.edge is not None else self.tools.radius(self.tools.name, column)
+            radius = (
+                self._radius_of(self.edge._replace(column=column)) if self.edge is not None else self.tools.radius(self.tools.name, column)
+            )
         if not radius:
             self.note("G41, G42 with radius 0: the contour is the path")
         self.compensate(1 if number < 42 else -1, radius, along_next=not self.linuxcnc)
