@@ -13,7 +13,6 @@ from twin.program.expressions import ISO, Expression, Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
 
-
 _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
 """What #10001, #11001, #12001 and #13001 of a Fanuc and on hold of the tools 1 and on: the quantity, and whether it is its wear."""
 _TOOLS_OTHERWISE = range(2001, 2801)
