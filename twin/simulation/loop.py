@@ -175,10 +175,28 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
     has_record = terms.start[RECORD + 1] > terms.start[RECORD]
     counts = counted.sums.shape[0] > 0
 
+    # cycles are counted, not divided for: a division costs as much as a controller
+    row, since_recorded = -1, schedule.record_ticks - 1
+    cycle, since_position = -1, schedule.position_ticks - 1
+    since_speed, since_current = (first_tick - 1) % schedule.speed_ticks, (first_tick - 1) % schedule.current_ticks
     for n in range(ticks):
         k = first_tick + n
-        recorded = n % schedule.record_ticks == 0
-        row = n // schedule.record_ticks
+        since_recorded, since_position, since_speed, since_current = (
+            since_recorded + 1,
+            since_position + 1,
+            since_speed + 1,
+            since_current + 1,
+        )
+        recorded, position_due = since_recorded == schedule.record_ticks, since_position == schedule.position_ticks
+        speed_due, current_due = since_speed == schedule.speed_ticks, since_current == schedule.current_ticks
+        if recorded:
+            since_recorded, row = 0, row + 1
+        if position_due:
+            since_position, cycle = 0, cycle + 1
+        if speed_due:
+            since_speed = 0
+        if current_due:
+            since_current = 0
 
         for a in range(axes):
             read_mechanics(a, engine, signals, k, schedule.tick)
@@ -189,10 +207,10 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
             closed_on = motor_position if drives.on_motor_encoder[a] else scale
-            if k % schedule.position_ticks == 0:
-                position_cycle(a, drives, state, terms, signals, command, n // schedule.position_ticks, closed_on)
+            if position_due:
+                position_cycle(a, drives, state, terms, signals, command, cycle, closed_on)
             differentiated = drives.mean_cycles[a] > 0
-            if k % schedule.speed_ticks == 0:
+            if speed_due:
                 if drives.dsc[a]:
                     drive_position_loop(a, drives, state, closed_on)
                 if has_drive:
@@ -204,7 +222,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
                 measured_speed = state.seen_speed[a]
-            if k % schedule.current_ticks == 0 and current_cycle(a, drives, state, terms, signals, measured_current):
+            if current_due and current_cycle(a, drives, state, terms, signals, measured_current):
                 limited[a, VOLTAGE_LIMIT] += 1
             current = state.current[a]
             if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
@@ -225,13 +243,13 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
             mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
             if counts:
-                cycle_ends = (k + 1) % schedule.position_ticks == 0
+                cycle_ends = since_position == schedule.position_ticks - 1
                 count_tick(
                     a, counted, drives, state, current, mean_current, motor_speed, cycle_ends, schedule.position_ticks, schedule.tick
                 )
 
         if has_force:
-            outside_forces(signals, command, n // schedule.position_ticks)
+            outside_forces(signals, command, cycle)
             forces_of_terms(engine, terms, signals)
         call_address_2(engine.step, engine.model, engine.data)
         if counts:
