@@ -38,6 +38,31 @@ def test_effects_of_a_product_are_its_coefficients() -> None:
     assert found["a",].high - found["a",].low < 1e-9
 
 
+def test_entries_of_a_catalogue_have_no_order() -> None:
+    """Four motors in any order of the file: the same predictions, and effects against the first one."""
+    rng = np.random.default_rng(3)
+    motor, x = rng.permutation(np.arange(40) % 4), rng.uniform(0.0, 10.0, 40)
+    level, slope = np.array([5.0, 1.0, 9.0, 2.0]), np.array([0.0, 0.1, 0.0, -0.2])
+    y = level[motor] + 2.0 * x + slope[motor] * x
+    table = np.column_stack([motor, x])
+    surrogate = surrogate_of(table, y, [0])
+    assert surrogate is not None
+    assert surrogate.error < 1e-6
+    other = np.array([2.0, 0.0, 3.0, 1.0])
+    again = surrogate_of(np.column_stack([other[motor], x]), y, [0])
+    assert again is not None
+    for entry in range(4):
+        expected = level[entry] + (2.0 + slope[entry]) * 4.0
+        assert surrogate.predict(np.array([[entry, 4.0]])) == pytest.approx(expected)
+        assert again.predict(np.array([[other[entry], 4.0]])) == pytest.approx(expected)
+    found = {e.factors: 2.0 * e.value for e in effects_of(["motor", "x"], table, y, {0: ["A", "B", "C", "D"]})}
+    middle = (x.min() + x.max()) / 2.0
+    for entry, name in ((1, "B"), (2, "C"), (3, "D")):
+        assert found[f"motor: {name} instead of A",] == pytest.approx(level[entry] - 5.0 + slope[entry] * middle)
+    assert not any(len(factors) == 2 and all(f.startswith("motor") for f in factors) for factors in found)
+    assert without_effect(["motor", "x"], [(table, y)], [0]) == []
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     table = points(30, [-1.0, -1.0], [1.0, 1.0])
     rng = np.random.default_rng(5)

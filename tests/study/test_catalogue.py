@@ -19,6 +19,7 @@ from twin.machine.machine import Machine, load_machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.study.design import machine_of
 from twin.study.holding_figure import held_axes, span_over
+from twin.study.output import rated
 from twin.study.paths import with_numbers
 from twin.study.spec import read_study
 
@@ -115,6 +116,10 @@ def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixtu
     for words in ("40x20", "of the rating", "Constraints: phase margin (all) at least 30 deg"):
         assert words in page
     assert "M100" in (out / "table.csv").read_text(encoding="utf-8")
+    # the machine file has no rating, the catalogue has that of the installed motor
+    ratings = rated(read_study(spec)).axis("X").motor
+    assert (ratings.rated_torque_nm, ratings.thermal_time_constant_s) == (18.0, 1800.0)
+    assert rated(read_study(spec)).axis("X").rotor_inertia_kg_m2 == load_machine().axis("X").rotor_inertia_kg_m2
     message = refused(capsys, "study", str(spec), "--out", str(out), "--resume", "--no-replay", "--compare", "0", "9")
     assert "--compare 9: no variant of this number" in message
 

@@ -33,6 +33,8 @@ from twin.tables import is_number, known_keys
 KINDS = ("motor", "screw", "gear")
 INERTIA = "inertia_kg_m2"
 
+RATINGS = ("rated_torque_nm", "rated_speed_rev_per_min", "max_speed_rev_per_min", "thermal_time_constant_s")
+"""What a motor may bear for ever; a machine file may leave it out."""
 _FRICTION = ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
 _REQUIRED = {
     "motor": ("torque_constant_nm_per_a", "back_emf_v_s_per_rad", "resistance_ohm", "inductance_h", INERTIA),
@@ -40,15 +42,7 @@ _REQUIRED = {
     "gear": ("gear_ratio", INERTIA),
 }
 _OPTIONAL = {
-    "motor": (
-        "peak_current_a",
-        "peak_torque_nm",
-        "bus_limit_v",
-        "rated_torque_nm",
-        "rated_speed_rev_per_min",
-        "max_speed_rev_per_min",
-        "thermal_time_constant_s",
-    ),
+    "motor": ("peak_current_a", "peak_torque_nm", "bus_limit_v", *RATINGS),
     "screw": _FRICTION,
     "gear": _FRICTION,
 }

@@ -67,9 +67,19 @@ def label_of(name: str) -> str:
     return f"{text}, run {run}" if run else text
 
 
+def is_share(name: str) -> bool:
+    """Is this response a share, which people read in percent?"""
+    return name.endswith("_share") or "_used_" in name
+
+
 def unit_of(name: str) -> str:
-    """Unit of a response; '1' for a share or a ratio."""
-    return UNITS.get(name.rsplit("_", 1)[-1], "1")
+    """Unit in which people read a response: percent for a share, '1' for a ratio."""
+    return "%" if is_share(name) else UNITS.get(name.rsplit("_", 1)[-1], "1")
+
+
+def scale_of(name: str) -> float:
+    """What a response is multiplied by to be in that unit."""
+    return 100.0 if is_share(name) else 1.0
 
 
 def titled(name: str) -> str:
@@ -80,7 +90,12 @@ def titled(name: str) -> str:
 
 def valued(name: str, value: float) -> str:
     """A value with its unit; shares in percent."""
-    if name.endswith("_share") or "_used_" in name:
+    if is_share(name):
         return f"{100.0 * value:.3g} %"
     unit = unit_of(name)
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+
+
+def changed(name: str, value: float) -> str:
+    """A difference of two values with its unit; of two shares in points of percent."""
+    return f"{100.0 * value:.3g} points of %" if is_share(name) else valued(name, value)

@@ -1,7 +1,7 @@
 """What a table of variants answers: main effects and interactions, sensitivity indices, the Pareto front, a surrogate.
 
 Main effects and interactions are coefficients of a quadratic in factors scaled to -1 .. 1, with 95 % intervals from the
-residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j. Sobol indices need the sobol design (Saltelli sampling, SALib). The
+residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j; an entry of a catalogue is a column of its own (entries.py). Sobol indices need the sobol design (Saltelli sampling, SALib). The
 surrogate is that quadratic or a thin-plate spline, whichever predicts left-out variants better; its error is that of the variants left out.
 """
 
@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 import itertools
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import t as student
+
+from twin.study.entries import columns_of
 
 FOLDS = 5
 """Parts into which the variants are divided; each is left out once."""
@@ -83,12 +86,13 @@ def _unit(low: np.ndarray, high: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.where(high > low, (2.0 * points - low - high) / np.where(high > low, high - low, 1.0), 0.0)
 
 
-def _terms(table: np.ndarray) -> list[tuple[int, ...]]:
-    """Terms of the quadratic that the rows can carry: the constant, factors, pairs, squares of factors with three levels."""
+def _terms(table: np.ndarray, factors: Sequence[int]) -> list[tuple[int, ...]]:
+    """Terms of the quadratic that the rows can carry: the constant, columns, pairs of different factors, squares of columns with three levels."""
     levels = [len(np.unique(column)) for column in table.T]
     varying = [i for i, count in enumerate(levels) if count > 1]
     terms: list[tuple[int, ...]] = [(), *((i,) for i in varying)]
-    for more in (list(itertools.combinations(varying, 2)), [(i, i) for i in varying if levels[i] > 2]):
+    pairs: list[tuple[int, ...]] = [(i, j) for i, j in itertools.combinations(varying, 2) if factors[i] != factors[j]]
+    for more in (pairs, [(i, i) for i in varying if levels[i] > 2]):
         if len(terms) + len(more) < len(table):
             terms += more
     return terms
@@ -98,8 +102,9 @@ def _columns(x: np.ndarray, terms: list[tuple[int, ...]]) -> np.ndarray:
     return np.column_stack([np.prod(x[:, list(term)], axis=1) if term else np.ones(len(x)) for term in terms])
 
 
-def _fit(table: np.ndarray, y: np.ndarray) -> _Fit:
-    terms = _terms(table)
+def _fit(table: np.ndarray, y: np.ndarray, factors: Sequence[int]) -> _Fit:
+    """The quadratic of y in columns (row, column), which belong to these factors."""
+    terms = _terms(table, factors)
     columns = _columns(_unit(table.min(axis=0), table.max(axis=0), table), terms)
     value, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
     free = len(y) - int(rank)
@@ -107,16 +112,24 @@ def _fit(table: np.ndarray, y: np.ndarray) -> _Fit:
     return _Fit(terms, value, np.sqrt(np.maximum(np.diag(np.linalg.pinv(columns.T @ columns)) * variance, 0.0)), free)
 
 
-def effects_of(names: Sequence[str], table: np.ndarray, y: np.ndarray) -> list[Effect]:
+def effects_of(
+    names: Sequence[str], table: np.ndarray, y: np.ndarray, listed: Mapping[int, Sequence[str]] = MappingProxyType({})
+) -> list[Effect]:
     """Main effects and interactions of one response (variant,), largest first.
 
+    `listed` are the names of the entries of those factors that stand for a catalogue: an effect of each against the first one.
     None changes the response by more than the variants themselves did: what does so comes from factors that the design did not vary
     apart, and is left out.
     """
-    fit, reached = _fit(table, y), float(np.ptp(y)) * (1.0 + ROUNDING)
+    columns = columns_of(table, listed)
+    said = [
+        names[i] if entry is None else f"{names[i]}: {listed[i][round(entry)]} instead of {listed[i][round(columns.first[i])]}"
+        for i, entry in columns.of
+    ]
+    fit, reached = _fit(columns.spread(table), y, columns.factors), float(np.ptp(y)) * (1.0 + ROUNDING)
     width = student.ppf(0.975, fit.free) * fit.deviation if fit.free > 0 else np.full(len(fit.terms), np.nan)
     found = [
-        Effect(tuple(names[i] for i in term), float(b), float(b - w), float(b + w))
+        Effect(tuple(said[i] for i in term), float(b), float(b - w), float(b + w))
         for term, b, w in zip(fit.terms, fit.value, width)
         if len(set(term)) == len(term) > 0 and 2.0 * abs(b) <= reached
     ]
@@ -129,8 +142,10 @@ def depends(y: np.ndarray) -> bool:
     return bool(largest > ROUNDING and np.ptp(y) > NO_EFFECT * largest)
 
 
-def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[str]:
+def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, np.ndarray]], listed: Collection[int] = ()) -> list[str]:
     """Factors that move none of the responses, each given as its factors (variant, factor) and values (variant,).
+
+    `listed` factors stand for entries of a catalogue.
 
     Where variants differ in one factor alone, what they answer decides; else the terms of the quadratic that hold it must
     stand out of the residuals. Of a factor that has one value in all variants that ran nothing is said.
@@ -140,6 +155,7 @@ def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, n
         if not depends(y):
             continue
         least = NO_EFFECT * float(np.abs(y).max())
+        columns = columns_of(table, listed)
         fit: _Fit | None = None
         for i in range(len(names)):
             if i in felt:
@@ -153,10 +169,11 @@ def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, n
                 if np.any(high - low > least):
                     felt.add(i)
                 continue
-            fit = fit or _fit(table, y)
+            fit = fit or _fit(columns.spread(table), y, columns.factors)
             if fit.free > 0:
                 bound = student.ppf(1.0 - SURE / (2.0 * len(fit.terms) * len(responses)), fit.free)
-                if any(i in t and abs(b) > max(least, bound * d) for t, b, d in zip(fit.terms, fit.value, fit.deviation)):
+                own = {k for k, factor in enumerate(columns.factors) if factor == i}
+                if any(own & {*t} and abs(b) > max(least, bound * d) for t, b, d in zip(fit.terms, fit.value, fit.deviation)):
                     felt.add(i)
             else:
                 felt.add(i)  # nothing can be said
@@ -184,14 +201,19 @@ def pareto_front(values: np.ndarray) -> np.ndarray:
     return front
 
 
-def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
-    """The better of quadratic and thin-plate spline by variants left out; None with too few of them."""
+def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = ()) -> Surrogate | None:
+    """The better of quadratic and thin-plate spline by variants (variant, factor) left out; None with too few of them.
+
+    `listed` factors stand for entries of a catalogue.
+    """
     if len(y) < LEAST_ROWS:
         return None
+    columns = columns_of(factors, listed)
+    table = columns.spread(factors)
     low, high = table.min(axis=0), table.max(axis=0)
 
     def quadratic(rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        terms = _terms(table[rows])
+        terms = _terms(table[rows], columns.factors)
         solution = np.linalg.lstsq(_columns(_unit(low, high, table[rows]), terms), y[rows], rcond=None)[0]
         return lambda points: _columns(_unit(low, high, points), terms) @ solution
 
@@ -209,7 +231,8 @@ def surrogate_of(table: np.ndarray, y: np.ndarray) -> Surrogate | None:
             left_out = np.concatenate([make(np.flatnonzero(fold != k))(table[fold == k]) - y[fold == k] for k in range(FOLDS)])
             error = float(np.sqrt(np.mean(left_out**2)))
             if np.isfinite(error) and (best is None or error < best.error):
-                best = Surrogate(kind, error, float(np.std(y)), make(np.arange(len(y))))
+                whole = make(np.arange(len(y)))
+                best = Surrogate(kind, error, float(np.std(y)), lambda points, whole=whole: whole(columns.spread(points)))
         except (np.linalg.LinAlgError, ValueError):  # too few or coinciding points for this kind
             continue
     return best

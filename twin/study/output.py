@@ -11,9 +11,10 @@ import pyarrow.parquet
 
 from twin.errors import InputError
 from twin.files import beside, write_json
-from twin.machine.machine import write_machine
+from twin.machine.machine import Machine, write_machine
 from twin.report import save_png
 from twin.simulation.summary import table
+from twin.study.catalogue import RATINGS
 from twin.study.design import machine_of
 from twin.study.duty import Duty, driven_axes, duty_of, torque_speed_figure
 from twin.study.evaluate import work_of
@@ -56,8 +57,14 @@ def duties_of(study: Study, answers: Answers) -> list[Duty]:
         return []
     work = work_of(study)
     best = machine_of(study, np.array(answers.row(answers.best)[1]))
-    found = [duty_of(work, best, "best"), duty_of(work, study.machine, "nominal")]
+    found = [duty_of(work, best, "best"), duty_of(work, rated(study), "nominal")]
     return [duty for duty in found if duty]
+
+
+def rated(study: Study) -> Machine:
+    """The machine as it is, with the ratings that a catalogue gives for what is installed."""
+    installed = [choice for factor in study.factors for choice in factor.choices if choice.name == factor.installed]
+    return study.machine.with_values({path: value for choice in installed for path, value in choice.values if path.endswith(RATINGS)})
 
 
 def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
-from twin.report.figure import AMBER, BLUE, RED, SOFT
+from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
 from twin.study.holding_figure import holding_figure
-from twin.study.labels import label_of, titled, unit_of, valued
+from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
@@ -24,6 +24,8 @@ MOST_LINES = 50
 """Rows of a table in the report; all of them are in table.csv."""
 MOST_BARS = 12
 MANY_POINTS = 200
+ENTRIES = (BLUE, AMBER, GREEN, RED, "#7a4f9a", "#3f8f9b")
+"""Colours of the entries of a catalogue."""
 COLUMNS = 3
 """Panels side by side."""
 
@@ -39,7 +41,7 @@ def sentences(answers: Answers) -> list[str]:
         text = f"{label_of(r.name)}: {valued(r.name, float(r.y.min()))} to {valued(r.name, float(r.y.max()))}"
         if r.swings:
             s = r.swings[0]
-            text += f"; {s.factor} moves it most, by {valued(r.name, s.swing)}: "
+            text += f"; {s.factor} moves it most, by {changed(r.name, s.swing)}: "
             text += f"least at {answers.said_of(s.factor, s.least_at)}, largest at {answers.said_of(s.factor, s.largest_at)}"
         elif r.surrogate:
             text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
@@ -60,7 +62,7 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
     for s in r.swings:
         moves = s.swing > ROUNDING * float(np.abs(r.y).max())
         places = [answers.said_of(s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
-        lines.append([s.factor, valued(r.name, s.swing if moves else 0.0), *places])
+        lines.append([s.factor, changed(r.name, s.swing if moves else 0.0), *places])
     return lines
 
 
@@ -77,7 +79,7 @@ def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
             (0.1, "10 %") if factor.relative else (100.0, "100 kg") if unit == "kg" else (width / 10.0, f"{width / 10.0:.3g} {unit}")
         )
         effect = change[factor.name]
-        low, value, high = (2.0 * v / width * step for v in (effect.low, effect.value, effect.high))
+        low, value, high = (2.0 * v / width * step * scale_of(r.name) for v in (effect.low, effect.value, effect.high))
         band = f"{low:+.3g} .. {high:+.3g}" if np.isfinite(low) else "-"
         lines.append([factor.name, f"{value:+.3g} {unit_of(r.name)} per {said}", band])
     return lines
@@ -85,8 +87,9 @@ def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
 
 def effect_rows(r: Response) -> list[list[str]]:
     """A line for each effect: factors, change from the low to the high end, its 95 % interval."""
+    twice = 2.0 * scale_of(r.name)
     return [
-        [" x ".join(e.factors), f"{2 * e.value:+.4g}", f"{2 * e.low:+.4g} .. {2 * e.high:+.4g}" if np.isfinite(e.low) else "-"]
+        [" x ".join(e.factors), f"{twice * e.value:+.4g}", f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-"]
         for e in r.effects[:MOST_BARS]
     ]
 
@@ -115,13 +118,19 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         words = []
         if r.surrogate:
             share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
-            words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {r.surrogate.error:.3g} RMS{share}.")
+            words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {changed(r.name, r.surrogate.error)} RMS{share}.")
             if not r.surrogate.fits:
                 words.append("That is too much to believe: it is not drawn, and no effect is given.")
         tables = (
             []
             if not r.effects
-            else [Table(["factors", "change, low to high end", "95 % interval"], effect_rows(r), caption="Main effects and interactions")]
+            else [
+                Table(
+                    ["factors", _with_unit("change, low to high end", r.name), "95 % interval"],
+                    effect_rows(r),
+                    caption="Main effects and interactions",
+                )
+            ]
         )
         if sensitivities := sensitivity_rows(study, r):
             tables.insert(
@@ -176,8 +185,8 @@ def _of(rows: Sequence[Any]) -> list[str]:
     return [f"The first {MOST_LINES} of {len(rows)}; all are in table.csv."] if len(rows) > MOST_LINES else []
 
 
-def _numbers(values: Sequence[float]) -> list[str]:
-    return [f"{v:.4g}" for v in values]
+def _with_unit(text: str, name: str) -> str:
+    return text if unit_of(name) == "1" else f"{text} [{unit_of(name)}]"
 
 
 def _varies(answers: Answers, pair: Sequence[str]) -> bool:
@@ -187,29 +196,48 @@ def _varies(answers: Answers, pair: Sequence[str]) -> bool:
 
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:
     rows = sorted((answers.row(n) for n in front), key=lambda row: row[2][pair[0]])
-    lines = [[str(n), *answers.shown(factors), *_numbers([found[k] for k in pair])] for n, factors, found, _ in rows[:MOST_LINES]]
+    lines = [
+        [str(n), *answers.shown(factors), *(f"{scale_of(k) * found[k]:.4g}" for k in pair)] for n, factors, found, _ in rows[:MOST_LINES]
+    ]
     said = " and ".join(map(label_of, pair))
     words = [f"{len(rows)} variants are beaten by no other one in both {said}; each is to be small.", *_of(rows)]
     return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.headings, *map(titled, pair)], lines)])
 
 
 def factors_figure(study: Study, r: Response) -> Any:
-    """The response against each factor, with the surrogate along it."""
+    """The response against each factor, with the surrogate along it; where a factor is a catalogue, in a colour for each of its entries."""
     count = len(study.factors)
     columns = min(count, COLUMNS)
     figure, axes = new_figure(-(-count // columns), columns, width=min(1.2 + 3.6 * columns, 12.0), height=3.0, sharey=True)
     panels = axes.ravel()
     for panel in panels[count:]:
         panel.set_visible(False)
-    middle = middle_of(r.table, [i for i, f in enumerate(study.factors) if f.choices])
+    listed = [i for i, f in enumerate(study.factors) if f.choices]
+    middle, scale = middle_of(r.table, listed), scale_of(r.name)
+    groups = [("", BLUE, AMBER, np.ones(len(r.y), bool), middle)]
+    if listed and len(names := [c.name for c in study.factors[listed[0]].choices]) <= len(ENTRIES):
+        groups = []
+        for entry, (name, colour) in enumerate(zip(names, ENTRIES)):
+            here = r.table[:, listed[0]] == entry
+            groups.append((name, colour, colour, here, np.where(np.arange(count) == listed[0], entry, middle)))
     for i, (factor, panel) in enumerate(zip(study.factors, panels)):
-        panel.plot(r.table[:, i], r.y, ".", color=BLUE, alpha=0.7, markersize=6 if len(r.y) < MANY_POINTS else 3, markeredgewidth=0)
+        for _, colour, line, here, at in groups:
+            panel.plot(
+                r.table[here, i],
+                scale * r.y[here],
+                ".",
+                color=colour,
+                alpha=0.7,
+                markersize=6 if len(r.y) < MANY_POINTS else 3,
+                markeredgewidth=0,
+            )
+            if factor.choices or r.surrogate is None or not r.surrogate.fits or not here.any() or not np.ptp(r.table[:, i]) > 0:
+                continue
+            points = np.tile(at, (120, 1))
+            points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
+            panel.plot(points[:, i], scale * r.surrogate.predict(points), color=line, linewidth=2.0)
         if factor.choices:
             panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
-        elif r.surrogate is not None and r.surrogate.fits and np.ptp(r.table[:, i]) > 0:
-            points = np.tile(middle, (120, 1))
-            points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
-            panel.plot(points[:, i], r.surrogate.predict(points), color=AMBER, linewidth=2.0)
         panel.set_xlabel(factor.titled)
     for row in axes:
         row[0].set_ylabel(titled(r.name))
@@ -217,13 +245,14 @@ def factors_figure(study: Study, r: Response) -> Any:
 
 
 def _swings_figure(r: Response) -> Any:
-    swings = r.swings[:MOST_BARS]
-    error = r.surrogate.error if r.surrogate else 0.0
+    swings, scale = r.swings[:MOST_BARS], scale_of(r.name)
+    error = scale * r.surrogate.error if r.surrogate else 0.0
     figure, axes = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(swings))
     panel = axes[0][0]
     for i, s in enumerate(reversed(swings)):
-        panel.barh(i, s.swing, color=BLUE, height=0.6)
-        panel.plot([max(s.swing - error, 0.0), s.swing + error], [i, i], color=RED, linewidth=1.6)
+        swing = scale * s.swing
+        panel.barh(i, swing, color=BLUE, height=0.6)
+        panel.plot([max(swing - error, 0.0), swing + error], [i, i], color=RED, linewidth=1.6)
     panel.set_yticks(range(len(swings)), [s.factor for s in reversed(swings)])
     panel.set_xlabel(f"moved by: {titled(r.name)}")
     return figure
@@ -239,7 +268,11 @@ def _pareto_figure(answers: Answers, pair: tuple[str, str], front: Sequence[int]
         ({"color": AMBER, "markersize": 5}, "breaks a constraint", lambda n, reason: reason is not None),
         ({"color": RED, "markersize": 8}, "on the front", lambda n, reason: n in on),
     ):
-        points = [(found[a], found[b]) for n, _, found, reason in answers.rows if a in found and b in found and take(n, reason)]
+        points = [
+            (scale_of(a) * found[a], scale_of(b) * found[b])
+            for n, _, found, reason in answers.rows
+            if a in found and b in found and take(n, reason)
+        ]
         if points:
             panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
     panel.set_xlabel(titled(a))

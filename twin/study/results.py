@@ -174,7 +174,7 @@ def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
 def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
     """Answer a study from its rows; raises InputError where `answer` names no response."""
     names = tuple(f.name for f in study.factors)
-    listed = [i for i, f in enumerate(study.factors) if f.choices]
+    listed = {i: [choice.name for choice in f.choices] for i, f in enumerate(study.factors) if f.choices}
     looked = looked_at(study, rows)
     kept = [row for row in rows if row[3] is None]  # what a variant at its limits answers is the limit's doing, not the factor's
     responses = []
@@ -182,13 +182,13 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         table, y = values_of(kept, name)
         if len(y) < 2 or not depends(y):
             continue
-        surrogate = surrogate_of(table, y)
+        surrogate = surrogate_of(table, y, listed)
         responses.append(
             Response(
                 name,
                 table,
                 y,
-                effects_of(names, table, y) if surrogate is None or surrogate.fits else [],
+                effects_of(names, table, y, listed) if surrogate is None or surrogate.fits else [],
                 surrogate,
                 swings_of(names, table, y, surrogate, listed) if surrogate else [],
                 sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
@@ -200,7 +200,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         factors=names,
         rows=rows,
         responses=responses,
-        without_effect=without_effect(names, [values_of(kept, name) for name in known_responses(kept)]) if len(kept) > 1 else [],
+        without_effect=without_effect(names, [values_of(kept, name) for name in known_responses(kept)], listed) if len(kept) > 1 else [],
         pareto=_front(kept, looked),
         fronts={pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))},
         minimised=looked[0] if looked else "",
@@ -229,8 +229,8 @@ def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:
     return pa.table(columns).replace_schema_metadata({"factors": "\n".join(f.name for f in study.factors)})
 
 
-def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, float]], tuple[float, float]]:
-    """The surrogate of a finished study: a function of a value for each factor that returns (value, its error).
+def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, float | str]], tuple[float, float]]:
+    """The surrogate of a finished study: a function of a value, or the name of an entry, for each factor that returns (value, its error).
 
     It goes through the variants that keep the constraints, as all answers do.
     """
@@ -243,21 +243,34 @@ def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, 
         raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")
     columns = np.column_stack([table.column(name).to_numpy() for name in [*names, response]])
     kept = columns[np.isfinite(columns[:, -1]) & table.column("reason").is_null().to_numpy()]
-    surrogate = surrogate_of(kept[:, :-1], kept[:, -1])
+    entries = {
+        i: dict(zip(table.column(f"{name}: choice").to_pylist(), columns[:, i].tolist()))
+        for i, name in enumerate(names)
+        if f"{name}: choice" in table.column_names
+    }
+    surrogate = surrogate_of(kept[:, :-1], kept[:, -1], entries)
     if surrogate is None:
         raise InputError(f"{path}: {len(kept)} variants are too few for a surrogate of '{response}'; add some")
 
-    def predict(factors: Mapping[str, float]) -> tuple[float, float]:
+    def predict(factors: Mapping[str, float | str]) -> tuple[float, float]:
         for name in factors:
             if name not in names:
                 raise InputError(f"{path}: no factor '{name}'; {nearest(name, names)}")
         missing = [name for name in names if name not in factors]
         if missing:
             raise InputError(f"{path}: factor '{missing[0]}' is missing; give a value for each of {', '.join(names)}")
+        row = []
         for i, name in enumerate(names):
+            value = factors[name]
+            if isinstance(value, str) or i in entries:
+                if value not in (known := entries.get(i, {})):
+                    raise InputError(f"{path}: {name} = {value!r} was not simulated; {nearest(str(value), known)}")
+                row.append(known[str(value)])
+                continue
             low, high = kept[:, i].min(), kept[:, i].max()
-            if not low <= factors[name] <= high:
-                raise InputError(f"{path}: {name} = {factors[name]:g} lies outside what was simulated ({low:g} to {high:g})")
-        return float(surrogate.predict(np.array([[factors[name] for name in names]]))[0]), surrogate.error
+            if not low <= value <= high:
+                raise InputError(f"{path}: {name} = {value:g} lies outside what was simulated ({low:g} to {high:g})")
+            row.append(value)
+        return float(surrogate.predict(np.array([row]))[0]), surrogate.error
 
     return predict
