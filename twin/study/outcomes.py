@@ -224,6 +224,9 @@ def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = (
         )
         return lambda points: inner(_unit(low, high, points))
 
+    def of_factors(inner: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda points: inner(columns.spread(points))
+
     fold = np.random.default_rng(0).permutation(len(y)) % FOLDS
     best: Surrogate | None = None
     for kind, make in (("quadratic", quadratic), ("thin-plate spline", spline)):
@@ -231,8 +234,7 @@ def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = (
             left_out = np.concatenate([make(np.flatnonzero(fold != k))(table[fold == k]) - y[fold == k] for k in range(FOLDS)])
             error = float(np.sqrt(np.mean(left_out**2)))
             if np.isfinite(error) and (best is None or error < best.error):
-                whole = make(np.arange(len(y)))
-                best = Surrogate(kind, error, float(np.std(y)), lambda points, whole=whole: whole(columns.spread(points)))
+                best = Surrogate(kind, error, float(np.std(y)), of_factors(make(np.arange(len(y)))))
         except (np.linalg.LinAlgError, ValueError):  # too few or coinciding points for this kind
             continue
     return best
