@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import math
 from pathlib import Path
 import random
 import time
@@ -57,6 +58,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", metavar="KIND")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="longest time of one case")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="recordings of real machines, where they are")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="end after so long, whatever is left")
     parser.add_argument("--list", action="store_true", help="name the kinds and end")
     args = parser.parse_args()
     known = kinds(args.data.resolve())
@@ -64,10 +66,10 @@ def main() -> int:
         print("\n".join(known))
         return 0 if args.list else 2
     begin = time.monotonic()
-    tally = fuzz(
-        {k: v for k, v in known.items() if k in (args.only or known)}, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds
-    )
-    print(f"{tally.total} cases in {time.monotonic() - begin:.0f} s: {tally.cases}; {len(tally.faults)} faults")
+    chosen = {k: v for k, v in known.items() if k in (args.only or known)}
+    tally = fuzz(chosen, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds, args.minutes)
+    took = time.monotonic() - begin
+    print(f"{tally.total} cases in {took:.0f} s, {60.0 * tally.total / took:.0f} a minute: {tally.cases}; {len(tally.faults)} faults")
     return 1 if tally.faults else 0
 
 

@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterator, Mapping
 import contextlib
 from dataclasses import dataclass, field
 import io
+import math
 import multiprocessing
 import os
 from pathlib import Path
 import signal
 import tempfile
+import time
 import traceback
 from typing import Any
 import warnings
@@ -77,13 +79,15 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
     return code, ""
 
 
-def fuzz(kinds: Mapping[str, Case], cases: int, seed: int, say: Callable[[str], Any] = print, seconds: float = SECONDS) -> Tally:
-    """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended."""
-    tally, at, names = Tally(), seed, list(kinds)
+def fuzz(
+    kinds: Mapping[str, Case], cases: int, seed: int, say: Callable[[str], Any] = print, seconds: float = SECONDS, minutes: float = math.inf
+) -> Tally:
+    """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended; at most for so long."""
+    tally, at, names, end = Tally(), seed, list(kinds), time.monotonic() + 60.0 * minutes
     context = multiprocessing.get_context("spawn" if os.name == "nt" else "fork")
-    while at < seed + cases:
+    while at < seed + cases and time.monotonic() < end:
         mine, theirs = context.Pipe(duplex=False)
-        child = context.Process(target=_carry_out, args=(kinds, at, seed + cases, theirs, seconds), daemon=False)
+        child = context.Process(target=_carry_out, args=(kinds, at, seed + cases, theirs, seconds, end), daemon=False)
         child.start()
         theirs.close()
         for done, fault in _messages(mine):
@@ -131,8 +135,8 @@ _PEAK_LOADED = 600_000_000
 """Memory of a process that has all rooms loaded."""
 
 
-def _carry_out(kinds: Mapping[str, Case], start: int, end: int, pipe: Any, seconds: float) -> None:
-    """The child: cases one after the other, each reported when it is done."""
+def _carry_out(kinds: Mapping[str, Case], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
+    """The child: cases one after the other until the moment `last`, each reported when it is done."""
     with contextlib.suppress(ImportError, ValueError):
         import resource
 
@@ -140,6 +144,8 @@ def _carry_out(kinds: Mapping[str, Case], start: int, end: int, pipe: Any, secon
         resource.setrlimit(resource.RLIMIT_AS, (24_000_000_000, resource.RLIM_INFINITY))
     names = list(kinds)
     for seed in range(start, end):
+        if time.monotonic() >= last:
+            break
         pipe.send((seed, one_case(kinds[names[seed % len(names)]], seed, seconds)))
     pipe.close()
 
