@@ -1,7 +1,7 @@
 """One loop for all fuzzers: seeded cases in a process of their own, with limits on time and memory; what is no refusal in one line is a fault.
 
 A kind is a name and a function `case(seed, folder) -> fault or ""`. The loop draws the kinds in turn. The child process writes which case it is
-at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS`, memory above
+at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS` of processor time, memory above
 `BYTES`, a file outside the folder of the case, a process that ends.
 """
 
@@ -23,6 +23,8 @@ from typing import Any
 import warnings
 
 SECONDS = 60.0
+STANDS_STILL = 5.0
+"""On a computer with other work a case gets a share of a core; one that waits takes no processor time at all."""
 BYTES = 2_000_000_000
 """Memory that a case may take beside what the process has when all is loaded."""
 LONGEST_LINE = 420
@@ -160,21 +162,24 @@ def _messages(pipe: Any) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def _watch(seconds: float) -> Iterator[None]:
-    """Raise TooLong after a time, where the system can."""
+    """Raise TooLong after so much processor time, or `STANDS_STILL` times as long by the clock, where the system can."""
     if not hasattr(signal, "setitimer"):
         yield
         return
+    clocks = ((signal.SIGPROF, signal.ITIMER_PROF, seconds), (signal.SIGALRM, signal.ITIMER_REAL, STANDS_STILL * seconds))
 
     def ring(*_: object) -> None:
         raise TooLong
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = [signal.signal(number, ring) for number, _, _ in clocks]
+    for _, timer, most in clocks:
+        signal.setitimer(timer, most)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        for (number, timer, _), handler in zip(clocks, before):
+            signal.setitimer(timer, 0.0)
+            signal.signal(number, handler)
 
 
 def _peak() -> int | None:
