@@ -20,6 +20,8 @@ import sys
 import tempfile
 from time import perf_counter, sleep
 
+from devtools.measure_study import write_example
+
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 MOMENTS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """From when the interpreter has started, which is before any line of ours: Python itself ends with a traceback until then."""
@@ -138,28 +140,35 @@ def without_times(content: object) -> object:
 
 
 def disk(folder: Path) -> bool:
-    """Every command that writes, into a file system that fills up: refused in one line, and no half file."""
-    study = EXAMPLES / "studies" / "inertia_matching.toml"
-    commands = {
+    """Every command that writes much, into a file system that fills up: refused in one line, and no half file."""
+    with tempfile.TemporaryDirectory() as name:
+        commands = disk_commands(folder, write_example(Path(name), 8, seconds=0.4))
+        ended = [written(folder, what, arguments) for what, arguments in commands.items()]  # all of them, also behind a wrong one
+        return all(ended)
+
+
+def disk_commands(folder: Path, study: Path) -> dict[str, tuple[object, ...]]:
+    """Commands by name; each fills the disk a little more."""
+    traces, recorded = EXAMPLES / "traces", ("x_feedforward_off.csv", "x_velocity_feedforward.xml")
+    return {
         "run": ("run", EXAMPLES / "x_200mm.csv", "--out", folder / "run"),
-        "run, recording": ("run", EXAMPLES / "five_axis.mpf", "--out", folder / "five"),
+        "run, five axes": ("run", EXAMPLES / "five_axis.mpf", "--out", folder / "five"),
         "interpolate": ("interpolate", EXAMPLES / "five_axis.mpf", "--out", folder / "five.csv"),
         "replay": ("replay", EXAMPLES / "x_200mm.csv", "--out", folder / "x.rrd"),
-        "plan": ("plan", "--out", folder / "plan"),
-        "import": ("import", EXAMPLES / "traces" / "x_feedforward_off.csv", "--map", EXAMPLES / "traces" / "map.toml", "--out", folder / "import"),
+        "import": ("import", *(traces / name for name in recorded), "--map", traces / "map.toml", "--out", folder / "import"),
         "study": ("study", study, "--out", folder / "study"),
     }  # fmt: skip
-    fine = True
-    for what, arguments in commands.items():
-        done = subprocess.run(
-            [*TWIN, *map(str, arguments)], capture_output=True, text=True, check=False, env={**os.environ, "TQDM_DISABLE": "1"}
-        )
-        said = [line for line in done.stderr.splitlines() if not line.startswith(("warning: ", "note: "))]
-        half = [p.name for p in folder.rglob("*") if p.name.startswith(".") and p.name != ".twin-lock"]
-        right = done.returncode in (0, 2) and len(said) <= 1 and not half and "Traceback" not in done.stderr
-        fine &= right
-        print(f"{what}: exit code {done.returncode}, {'' if right else 'WRONG '}{' | '.join(said)[:300]}{f' left: {half}' if half else ''}")
-    return fine
+
+
+def written(folder: Path, what: str, arguments: tuple[object, ...]) -> bool:
+    """Carry one command out and say how it ended: done, or refused in one line with nothing half written."""
+    quiet = {**os.environ, "TQDM_DISABLE": "1"}
+    done = subprocess.run([*TWIN, *map(str, arguments)], capture_output=True, text=True, check=False, env=quiet)
+    said = [line for line in done.stderr.splitlines() if not line.startswith(("warning: ", "note: "))]
+    half = [p.name for p in folder.rglob("*") if p.name.startswith(".") and p.name != ".twin-lock"]
+    right = done.returncode in (0, 2) and len(said) <= 1 and not half and "Traceback" not in done.stderr
+    print(f"{what}: exit code {done.returncode}, {'' if right else 'WRONG '}{' | '.join(said)[:300]}{f' left: {half}' if half else ''}")
+    return right
 
 
 def main() -> int:

@@ -60,7 +60,7 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess:
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(PACKAGE.parent), **environment},
+        env={**{k: v for k, v in os.environ.items() if k != compiled_functions._SAID}, "PYTHONPATH": str(PACKAGE.parent), **environment},
         check=True,
     )
 

@@ -19,9 +19,7 @@ from tests.builders.refused import refused
 from tests.builders.small_machine import MJCF, TOML
 from twin.errors import InputError
 from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_text
-from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, write_trace
-from twin.replay import write_recording
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
 ENDS_IN_S = 3.0
@@ -68,14 +66,24 @@ def test_a_full_disk_leaves_the_old_file_or_none(name: str, old: bool, tmp_path:
     assert path.stat().st_size > 4096
 
 
-def test_a_recording_on_a_full_disk_is_removed(tmp_path: Path, mikron: Machine) -> None:
-    """The writer of recordings is a library of its own that says nothing where the disk is full."""
-    path = tmp_path / "a.rrd"
-    with full_disk(30_000), pytest.raises(InputError, match=r"a\.rrd: cannot be written"):
-        write_recording(path, mikron, {"measured": long_trace()})
-    assert list(tmp_path.iterdir()) == []
-    write_recording(path, mikron, {"measured": long_trace()})
-    assert path.stat().st_size > 30_000
+ON_A_FULL_DISK = """
+    import resource, signal, sys
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
+    from twin.cli import main
+    sys.exit(main(["replay", *sys.argv[1:]]))
+"""
+
+
+def test_a_recording_on_a_full_disk_is_removed(tmp_path: Path) -> None:
+    """The writer of recordings is a library of its own, which goes on as if nothing were wrong, with lines of its own."""
+    write_trace(long_trace(), tmp_path / "a.csv")
+    (tmp_path / "out").mkdir()
+    command = [sys.executable, "-c", textwrap.dedent(ON_A_FULL_DISK), str(tmp_path / "a.csv"), "--out", str(tmp_path / "out" / "a.rrd")]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "TQDM_DISABLE": "1"}, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "a.rrd: cannot be written" in done.stderr
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ trace + machine -> scene, poses, tool paths, curves, events -> recording (.rrd) 
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -20,6 +21,10 @@ _HOMES = {
     "write_side_by_side": "side_by_side",
     **dict.fromkeys(("open_viewer", "screenshot", "serve"), "viewer"),
 }
+
+
+# the library says on its own what it cannot write, in lines of its own; the closing table of a recording is looked for instead (`recording_to`)
+os.environ.setdefault("RUST_LOG", "error,re_log_encoding=off,re_sdk=off")
 
 
 def __getattr__(name: str) -> Any:
