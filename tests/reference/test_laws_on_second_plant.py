@@ -54,6 +54,11 @@ def cases(machine: Machine) -> dict[str, tuple[list[dict], dict[str, float], flo
             {"speed_lag": 4e-3},
             0.2e-6,
         ),
+        "inverter": (
+            [law("current loop", "voltage", "current", "saturation", height=-15.0, scale=0.2)],
+            {"dead_time_v": 15.0},
+            0.1e-6,
+        ),
         "late record": ([law("measurement", "current", "current", "dead time", time_s=4e-3)], {"skew_s": 4e-3}, 0.05e-6),
         "hardening": (
             [compliance(k, b), law("transmission", "force", "windup", "power", height=k * REACH, reach=REACH, n=3.0)],
@@ -68,7 +73,7 @@ def cases(machine: Machine) -> dict[str, tuple[list[dict], dict[str, float], flo
     }
 
 
-@pytest.mark.parametrize("name", ["notch", "smoothing", "late record", "hardening", "two stages"])
+@pytest.mark.parametrize("name", ["notch", "smoothing", "inverter", "late record", "hardening", "two stages"])
 def test_twin_and_second_plant_agree(mikron: Machine, name: str) -> None:
     effects, there, allowed = cases(mikron)[name]
     machine = fine_measuring(mikron)

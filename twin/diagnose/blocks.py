@@ -122,7 +122,7 @@ def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
     """Recorded current minus the one that the controller would command for the recorded speeds (sample,) [A], without what its integrator
     drifts by: it sums up all that lies between the samples of the speed."""
     error = trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace)
-    return error - _moving_mean(error, round(view.thresholds.drift_s / view.trace.period))
+    return error - moving_mean(error, round(view.thresholds.drift_s / view.trace.period))
 
 
 def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:
@@ -222,8 +222,8 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
     period = view.trace.period
     s = view.trace.get(name, "setpoint")
     window = max(5, round(0.01 / period) | 1)
-    v = _moving_mean(np.gradient(s, period), window)
-    a = _moving_mean(np.gradient(v, period), window)
+    v = moving_mean(np.gradient(s, period), window)
+    a = moving_mean(np.gradient(v, period), window)
     axis = view.machine.axis(name)
     moving = view.reference(name)[2]
     turned = np.zeros(len(s), bool)
@@ -269,7 +269,8 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
     return regressors
 
 
-def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
+def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """Mean over `window` samples around each (sample,)."""
     window = max(1, min(window | 1, len(values) - 1 + len(values) % 2))
     return np.convolve(np.pad(values, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(values)]
 

@@ -13,22 +13,51 @@ e in axis units a second; q the measuring system that closes the loop.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+import math
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from twin.diagnose.view import RunView
+from twin.effects import Setting
+from twin.effects.law import NAME as LAW
+from twin.effects.law import law_of
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.gap import SAME_PERIOD
 from twin.simulation.in_force import closed_on
 from twin.units import AXIS_UNITS
 
+Characteristic = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""What a position controller adds to its law (sample,) for a following error and a speed set point (sample,), SI."""
 
-def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.ndarray | None:
+
+def characteristic_of(settings: Sequence[Setting], axis: Axis) -> Characteristic | None:
+    """What effects and unlisted laws make of the position controller of an axis, as a function of its inputs; None where nothing does."""
+    own = [s for s in settings if s.axis == axis.name]
+    more = (math.prod(s.factor_on("position_gain_per_s") for s in own) - 1.0) * axis.loops.position_gain_per_s
+    laws = [(law_of(s.table(), "a measured law"), s) for s in own if s.effect.name == LAW and s.effect.block == "position controller"]
+    laws = [(law, s) for law, s in laws if law.output == "speed" and law.variable in INPUTS and not law.shape.is_filter]
+    if more == 0.0 and not laws:
+        return None
+
+    def added(following_error: np.ndarray, speed_setpoint: np.ndarray) -> np.ndarray:
+        x = dict(zip(INPUTS, (following_error, speed_setpoint)))
+        return sum((law.values(x[law.variable], s.parameters, axis) for law, s in laws), more * following_error)
+
+    return added
+
+
+INPUTS = ("following_error", "speed_setpoint")
+"""What the law of a position controller that nobody listed may be a characteristic of."""
+
+
+def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | None = None) -> np.ndarray | None:
     """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it.
 
-    `gain` is the factor by which the position gain of a simulated trace is off. That one is fed with the measured position, as the
-    block is cut: where an axis came to rest by chance, e is that of where it really was.
+    `added` is what a simulated controller adds to the law. That one is fed with the measured position, as the block is cut: where an
+    axis came to rest by chance, e is that of where it really was.
     """
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
@@ -38,8 +67,11 @@ def law_error(trace: Trace, view: RunView, axis: Axis, gain: float = 1.0) -> np.
     position = trace.get(name, signal)
     wanted = command + axis.loops.position_gain_per_s * (delayed - position)
     if measured.has(name, "velocity_setpoint"):
-        fed = (gain - 1.0) * axis.loops.position_gain_per_s * (position - measured.get(name, signal))
-        return (trace.get(name, "velocity_setpoint") - wanted + fed)[:: _cycle_samples(view, axis)]
+        error = trace.get(name, "velocity_setpoint") - wanted
+        if added is not None:
+            real = measured.get(name, signal)
+            error += added(delayed - real, command + axis.loops.position_gain_per_s * (delayed - real)) - added(delayed - position, wanted)
+        return error[:: _cycle_samples(view, axis)]
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)

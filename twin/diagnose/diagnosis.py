@@ -20,7 +20,7 @@ from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import LEAST_CLOSED, Law, Laws
-from twin.diagnose.law.step import ALL_BUT, LOUD, laws_beside, predictions_with
+from twin.diagnose.law.step import ALL_BUT, keeps_its_gap, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, on_threads
@@ -41,9 +41,6 @@ from twin.simulation.gap import COMPARED, Prediction, SignalGap, gap_of
 UNDECIDED = 6.0
 """Gap over noise, on runs left out, above which a diagnosis that finds no effect is no answer; a control that interpolates in its own way between
 its cycles leaves 3."""
-
-HARDLY_LOUD = 2.0
-"""Gap over noise, on runs left out, above which effects that leave most of an axis' gap are no answer."""
 
 
 @dataclass
@@ -146,10 +143,8 @@ class Diagnosis:
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def keeps_its_gap(self, axis: str) -> bool:
-        """Is an axis loud after correction, and with more than a tenth of its gap left? Or hardly loud, with most of it?"""
-        before, after = (max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for which in ("before", "after"))
-        level = self.axis_level("after", axis)
-        return (level > LOUD and after > ALL_BUT * before) or (level > HARDLY_LOUD and after > 0.5 * before)
+        """Does correction leave so much of an axis' gap that effects are no answer?"""
+        return keeps_its_gap(self.axis_level("before", axis), self.axis_level("after", axis))
 
     @property
     def axes(self) -> list[str]:
@@ -359,11 +354,11 @@ def diagnose(
         held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
     settings = named(found)
     corrected = corrected_machine(machine, found)
-    levels = held_out.levels(machine, campaign.runs)
+    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
     laws: Laws | None = None
     best = without_laws = held_out.left(machine, campaign.runs)
     with ThreadPoolExecutor(threads) as workers:
-        for tried in laws_beside(found, levels, machine_without, corrected, folds, on_threads(workers), say):
+        for tried in laws_beside(found, before, after, machine_without, corrected, folds, on_threads(workers), say):
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
                 if with_laws is None:
@@ -378,8 +373,8 @@ def diagnose(
     if laws is not None:
         corrected, held_out = laws.corrected, predicted
         settings = kept_in(corrected, settings)
-    after = held_out.traces
-    runs = at_rest_without_zeros(runs, machine_without, after, {axis for axis, _ in offsets})
+    traces = held_out.traces
+    runs = at_rest_without_zeros(runs, machine_without, traces, {axis for axis, _ in offsets})
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
     campaign = replace(campaign, runs=runs)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
@@ -412,7 +407,7 @@ def diagnose(
         diagnosis.proposal = propose(machine, found, verdict) if found else diagnosis.proposal
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
         diagnosis.verdict = verdict = "law"
-    left = [positions_left(run.trace, after[run.name], machine) for run in runs]
+    left = [positions_left(run.trace, traces[run.name], machine) for run in runs]
     say("what each effect is worth")
     noise = noise_of(gaps["before"], machine)
     with ThreadPoolExecutor(threads) as pool:

@@ -19,14 +19,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import functools
-import math
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
-from twin.diagnose.control_law import between_cycles, law_error, law_model_error, law_sigma
+from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.tolerance import normal_slip, with_added
 from twin.diagnose.view import RunView, rests
@@ -118,7 +117,9 @@ class Group:
         """
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
-        gains = {axis: math.prod(s.factor_on("position_gain_per_s") for s in settings if s.axis == axis) for axis in axes}
+        known = self.views[0].machine
+        all_settings = settings_of(with_added(known if machine_of is None else machine_of(known), settings))
+        added = {a: found for a in axes if (found := characteristic_of(all_settings, known.axis(a))) is not None}
         mine = [channel for channel in self.channels if channel.axis in axes]
 
         def simulated(run: int) -> dict[tuple[str, str], np.ndarray]:
@@ -126,7 +127,7 @@ class Group:
             moving = tuple(a for a in axes if view.moves(a))
             noise = noise_seed(self.seed, run) if shaken else None
             trace = simulate_group(view, moving, machine_of, settings, noise_seed=noise).without_noise
-            return channels_of(trace, view, moving, gains)
+            return channels_of(trace, view, moving, added)
 
         runs = sorted({channel.run for channel in mine})
         of_run = dict(zip(runs, mapper(simulated, runs)))
@@ -215,15 +216,15 @@ def simulate_group(
 
 
 def channels_of(
-    trace: Trace, view: RunView, axes: Sequence[str], gains: Mapping[str, float] | None = None
+    trace: Trace, view: RunView, axes: Sequence[str], added: Mapping[str, Characteristic] | None = None
 ) -> dict[tuple[str, str], np.ndarray]:
-    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,); `gains` are those of `law_error`, by axis."""
+    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,); `added` are those of `law_error`, by axis."""
     out = {}
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace
         moving = view.reference(name)[2]
-        error = None if name in view.pushed else law_error(trace, view, axis, (gains or {}).get(name, 1.0))
+        error = None if name in view.pushed else law_error(trace, view, axis, (added or {}).get(name))
         if error is not None:
             out[name, "controller"] = error
         if has_both(measured, name) and moving.sum() > view.thresholds.enough_samples:

@@ -36,6 +36,7 @@ QUANTITIES = {
     "time": ("s", "s"),
     "frequency": ("Hz", "Hz"),
     "current": ("A", "A"),
+    "voltage": ("V", "V"),
     "torque": ("Nm", "Nm"),
     "angle": ("rad", "rad"),
     "metre": ("m", "m"),

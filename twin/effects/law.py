@@ -33,7 +33,7 @@ from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, fi
 from twin.effects.picture import Picture
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
-from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED
+from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE
 
 NAME = "law"
 
@@ -90,7 +90,10 @@ OUTPUTS: dict[str, dict[str, Output]] = {
         "displacement": Output("length", "scale minus load position, from the start of a run"),
         "current": Output("current", "added to the recorded current, which the control does not see"),
     },
-    "current loop": {"torque": Output("torque", "torque added to the motor's")},
+    "current loop": {
+        "torque": Output("torque", "torque added to the motor's"),
+        "voltage": Output("voltage", "added to the voltage that the current controller gives"),
+    },
     "speed controller": {"current": Output("current", "added to the current set point")},
     "position controller": {
         "speed": Output("speed", "added to the speed set point"),
@@ -278,6 +281,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         "force": (FORCE, law_terms.spring_law if law.block == "transmission" else law_terms.force_law),
         "friction": (FORCE, law_terms.friction_law),
         "torque": (FORCE, law_terms.torque_law),
+        "voltage": (VOLTAGE, law_terms.voltage_law),
         "current": (RECORD, law_terms.record_law) if law.block == "measurement" else (CURRENT, law_terms.current_law),
         "speed": (SPEED, law_terms.speed_law),
         "received_speed": (DRIVE, law_terms.speed_law),
@@ -289,6 +293,8 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         raise InputError(
             f"law on axis {axis.name}: a law over the windup needs a spring; give the axis a transmission_compliance or backlash, too"
         )
+    if law.output == "voltage" and not axis.has_current_loop:
+        raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; this axis takes its {axis.effort} as a command")
     cycle = cycle_of(law, machine)
     head = [0.0] * law_terms.HEAD
     head[law_terms.P_VARIABLE], head[law_terms.P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
@@ -312,7 +318,7 @@ def cycle_of(law: Law, machine: Machine) -> float:
         return machine.speed_cycle
     if law.block == "position controller":
         return machine.position_cycle
-    return machine.current_cycle if law.block == "speed controller" else machine.base_tick
+    return machine.current_cycle if law.block == "speed controller" or law.output == "voltage" else machine.base_tick
 
 
 def _at_rest(law: Law, numbers: Mapping[str, float], source: Axis, position: float, started_at: float) -> float:

@@ -33,6 +33,7 @@ from twin.simulation.loop_terms import (
     X_STEP,
     X_TIME,
     X_TRANSMISSION_ERROR,
+    X_VOLTAGE,
     arrays,
     term,
 )
@@ -140,6 +141,13 @@ def torque_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def
     """T += y."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_MOTOR_TORQUE] += law_value(p, s, x, axis, True)
+
+
+@term
+def voltage_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """u += y."""
+    p, s, x = arrays(parameters, state, signals)
+    x[axis, X_VOLTAGE] += law_value(p, s, x, axis, False)
 
 
 @term

@@ -61,6 +61,7 @@ def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
         "force": ("N" if linear else "Nm", 1.0),
         "torque": ("Nm", 1.0),
         "current": (axis.effort_unit, 1.0),
+        "voltage": ("V", 1.0),
         "angle": ("deg", math.degrees(1.0)),
         "time": ("s", 1.0),
         "number": ("", 1.0),

@@ -39,6 +39,7 @@ from twin.simulation.loop_terms import (
     RECORD,
     SETPOINT,
     SPEED,
+    VOLTAGE,
     X_CURRENT,
     X_CURRENT_SETPOINT,
     X_FOLLOWING_ERROR,
@@ -62,6 +63,7 @@ from twin.simulation.loop_terms import (
     X_SPEED_SETPOINT,
     X_STEP,
     X_TIME,
+    X_VOLTAGE,
     TermTable,
 )
 
@@ -347,13 +349,19 @@ def received_by_drive(a, drives, state, terms, signals):  # type: ignore[no-unty
 
 @compiled(inline=True)
 def current_cycle(a, drives, state, terms, signals, measured_current):  # type: ignore[no-untyped-def]
-    """The current controller of axis `a`, its set point through the terms; True where the voltage limit is met."""
+    """The current controller of axis `a`, its set point and voltage through the terms; True where the voltage limit is met."""
     current_setpoint = state.current_setpoint[a]
     if terms.start[CURRENT + 1] > terms.start[CURRENT]:
         signals[a, X_CURRENT_SETPOINT] = current_setpoint
         call_axis_terms(terms, CURRENT, signals, a)
         current_setpoint = signals[a, X_CURRENT_SETPOINT]
-    return current_controller(a, drives, state, current_setpoint, measured_current)
+    limited = current_controller(a, drives, state, current_setpoint, measured_current)
+    if terms.start[VOLTAGE + 1] > terms.start[VOLTAGE]:
+        signals[a, X_CURRENT] = state.current[a]
+        signals[a, X_VOLTAGE] = state.voltage[a]
+        call_axis_terms(terms, VOLTAGE, signals, a)
+        state.voltage[a] = signals[a, X_VOLTAGE]
+    return limited
 
 
 @compiled(inline=True)

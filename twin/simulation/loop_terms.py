@@ -1,4 +1,4 @@
-"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at seven places.
+"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at eight places.
 
 A term is a C function `void law(parameters*, state*, signals*, axis)` made by `@term` from a function whose first line
 is `p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals (and may read
@@ -9,6 +9,7 @@ the rows of other axes). The loop keeps one table of active terms and knows none
     SPEED     every position cycle  the speed set point that the position controller made
     DRIVE     every speed cycle     the speed set point as the speed controller gets it
     CURRENT   every current cycle   the current set point
+    VOLTAGE   every current cycle   the voltage that the current controller gives
     FORCE     every tick            LOAD_FORCE, ROTOR_FORCE, MOTOR_TORQUE, FRICTION_LEVEL
     RECORD    every tick            the current as it is recorded
 """
@@ -24,8 +25,8 @@ import numpy as np
 
 from twin.compiled_functions import compiled, compiled_callback
 
-MEASURE, SETPOINT, SPEED, DRIVE, CURRENT, FORCE, RECORD = range(7)
-STAGES = 7
+MEASURE, SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE, FORCE, RECORD = range(8)
+STAGES = 8
 
 # columns of the signals, one row an axis; positions in m or rad, forces at the axis in N or Nm
 (
@@ -54,8 +55,9 @@ STAGES = 7
     X_TRANSMISSION_ERROR,  # how far the transmission carries the load ahead of a rotor on a joint of its own; the coupling takes it
     X_TRANSMISSION_ERROR_SPEED,
     X_RECORDED_CURRENT,  # current as it is recorded, A
-) = range(25)
-SIGNAL_COUNT = 25
+    X_VOLTAGE,  # voltage at the winding, V
+) = range(26)
+SIGNAL_COUNT = 26
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
 """Numbers of a term's state; a dead time remembers its last cycles there."""

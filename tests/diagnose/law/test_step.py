@@ -15,7 +15,11 @@ def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, mon
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
     monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
-    list(step.laws_beside([replace(found_of(group), unknown=True)], {"X": 9.0, "Y": 9.0}, mikron, mikron, [[0]], map, print))
+    list(
+        step.laws_beside(
+            [replace(found_of(group), unknown=True)], {"X": 9.0, "Y": 9.0}, {"X": 9.0, "Y": 9.0}, mikron, mikron, [[0]], map, print
+        )
+    )
     assert asked == [["X"], ["X"]]
 
 

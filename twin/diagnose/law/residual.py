@@ -9,6 +9,7 @@ both, so that the rest is what the twin does not know:
     spring                force of the motor that does not accelerate its rotor, beside the drive train's spring [N, Nm]
     position controller   speed set point beside the control law                                          [m/s, rad/s]
     speed controller      current beside the one that the controller would command for the recorded speeds  [A]
+    current loop          the same, sample after sample: a voltage that the loop was not asked for shows there as the loop lets it through
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ import math
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import lfilter, savgol_filter
+from scipy.signal import cont2discrete, lfilter, savgol_filter
 
-from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, shows_speed_controller
+from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
@@ -40,6 +41,9 @@ OTHER_PERIOD_S = 4e-3
 MOST_SAMPLES = 800
 """Samples of an axis in a run, about: more of them only take time."""
 
+MOST_IN_A_ROW = 8000
+"""Samples of an axis in a run of a block whose samples follow one another without gaps."""
+
 LEAST_SAMPLES = 50
 """Samples of an axis in a run below which the run says nothing about it."""
 
@@ -49,6 +53,40 @@ NOISE_SEED = 977
 MECHANICS = "mechanics"
 SPRING = "spring"
 """The part of the transmission that a spring makes."""
+
+CURRENT_LOOP = "current loop"
+
+
+@dataclass(frozen=True)
+class VoltageToCurrent:
+    """What a current loop lets through of a voltage that it was not asked for, sampled as the record is.
+
+    i / u = s / (L s^2 + (R + Kp) s + Kp / Tn): the integrator takes away what lasts. As in the current's residual, what is slower than
+    `window` samples is taken out.
+    """
+
+    numerator: np.ndarray
+    denominator: np.ndarray
+    window: int
+
+    def current(self, voltage: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """Current [A] of voltages [V] (sample, n); `first` (sample,) is the index at which the run of each sample begins."""
+        out = np.empty_like(voltage)
+        begins = np.unique(first)
+        for begin, end in zip(begins, [*begins[1:], len(first)]):
+            run = lfilter(self.numerator, self.denominator, voltage[begin:end] - voltage[begin], axis=0)
+            out[begin:end] = np.column_stack([column - moving_mean(column, self.window) for column in run.T])
+        return out
+
+
+def voltage_to_current(view: RunView, axis: Axis) -> VoltageToCurrent:
+    """That of an axis, at the samples of a run; between them a voltage is a straight line, for the loop is faster than the record."""
+    motor, loops, period = axis.motor, axis.loops, view.trace.period
+    gain, integral = loops.current_gain_v_per_a, loops.current_gain_v_per_a / loops.current_integral_time_s
+    numerator, denominator, _ = cont2discrete(
+        ([1.0, 0.0], [motor.inductance_h, motor.resistance_ohm + gain, integral]), period, method="foh"
+    )
+    return VoltageToCurrent(np.ravel(numerator), denominator, round(view.thresholds.drift_s / period))
 
 
 @dataclass(frozen=True)
@@ -71,7 +109,8 @@ class Samples:
 
     `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has what
     `_motion` finds; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
-    is the index of the sample at which the run of each sample begins. `passed` is what a control block makes of its inputs, run by run.
+    is the index of the sample at which the run of each sample begins. `passed` is what a control block makes of its inputs, run by run;
+    `through` what a current loop makes of a voltage.
     """
 
     axis: str
@@ -84,6 +123,7 @@ class Samples:
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     passed: tuple[Passed, ...] = ()
+    through: VoltageToCurrent | None = None
 
     def __len__(self) -> int:
         return len(self.y)
@@ -109,6 +149,7 @@ class _Piece:
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]]
     passed: tuple[Passed, ...] = ()
+    through: VoltageToCurrent | None = None
 
 
 def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
@@ -140,6 +181,7 @@ def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
             for other in sorted(names)
         },
         tuple(passed for p in pieces for passed in p.passed),
+        pieces[0].through,
     )
 
 
@@ -162,6 +204,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             (SPRING, _spring_force, FORCE_PERIOD_S),
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
+            (CURRENT_LOOP, _current_in_a_row, 0.0),
         ):
             measured = None if name in view.pushed and block != "transmission" else law(actual, axis, view.trace)
             if measured is None:
@@ -172,7 +215,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             keep = np.flatnonzero(measured[1] & expected[1])
             step = max(1, round(period / view.trace.period))
             index = keep[keep % step == 0] if period else keep
-            index = index[:: max(1, len(index) // MOST_SAMPLES)]
+            index = index[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
             if len(index) < LEAST_SAMPLES:
                 continue
             beside = measured[0] - expected[0]
@@ -183,6 +226,10 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
                 passed = (_passed_by_position_controller(view, motion, beside, level),)
             elif block == "speed controller":
                 passed = _passed_by_speed_controller(actual, axis, twin.without_noise, beside, level)
+            own = motion
+            if block == CURRENT_LOOP:  # at rest the noise of a current about zero would turn a voltage to and fro
+                moving = view.reference(name)[2]
+                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], _window(view)))}
             pieces.append(
                 _Piece(
                     r,
@@ -190,9 +237,10 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
                     block,
                     beside[index],
                     noise,
-                    {key: values[index] for key, values in motion.items()},
+                    {key: values[index] for key, values in own.items()},
                     {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
                     passed,
+                    voltage_to_current(actual, axis) if block == CURRENT_LOOP else None,
                 )
             )
     return pieces
@@ -308,6 +356,12 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
 def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Current beside the one that the controller would command (sample,), while the axis moves."""
     return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
+
+
+def _current_in_a_row(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """The same at every sample, of an axis with a current loop."""
+    found = _current(view, axis, trace) if axis.has_current_loop else None
+    return None if found is None else (found[0], np.ones(len(trace.time), bool))
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:

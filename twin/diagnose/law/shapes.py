@@ -196,7 +196,8 @@ def _search_space(
     if shape.name == "bending":
         return ["knee"], [tuple(reach * np.geomspace(0.6, 6.0, 8))], [True], {}
     if shape.name == "dead band":
-        return ["band"], [tuple(reach * np.geomspace(0.003, 0.7, 12))], [True], {}
+        # by how often it was met: without feedforward a following error is a thousand times a band
+        return ["band"], [tuple(np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16)))], [True], {}
     return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
 
 

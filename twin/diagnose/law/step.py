@@ -24,10 +24,21 @@ ALL_BUT = 0.1
 LOUD = 3.0
 """Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
 
+HARDLY_LOUD = 2.0
+"""The same where effects explain less than half of the gap: they are no answer."""
+
+
+def keeps_its_gap(before: float, after: float) -> bool:
+    """Of gaps over noise on runs left out: is an axis loud after correction, and with more than a tenth of its gap left? Or hardly loud,
+    with most of it?"""
+    whole, left = (max(level**2 - 1.0, 0.0) for level in (before, after))
+    return (after > LOUD and left > ALL_BUT * whole) or (after > HARDLY_LOUD and left > 0.5 * whole)
+
 
 def laws_beside(
     found: Sequence[Found],
-    levels: Mapping[str, float],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
     machine: Machine,
     corrected: Machine,
     folds: Sequence[Sequence[int]],
@@ -36,10 +47,11 @@ def laws_beside(
 ) -> Iterator[Laws]:
     """Laws of the axes of groups that the search left unknown, and of those that are loud still: an answer, and one by other weights.
 
-    `machine` is the nominal one, `levels` are gaps over noise after correction on runs left out.
+    `machine` is the nominal one, `before` and `after` correction: gaps over noise of axes on runs left out.
     """
     few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
-    axes = [axis for f in found for axis in _recorded(f) if f.unknown or (levels.get(axis, 0.0) > LOUD and axis in few)]
+    loud = [axis for axis in few if after.get(axis, 0.0) > LOUD or keeps_its_gap(before.get(axis, 0.0), after.get(axis, 0.0))]
+    axes = [axis for f in found for axis in _recorded(f) if f.unknown or axis in loud]
     if not axes:
         return
     without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]

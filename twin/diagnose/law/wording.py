@@ -82,6 +82,9 @@ def sentence(law: Law, machine: Machine) -> str:
         return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the motion, which turns over within {_value(law, 'length', axis, source)} of travel"
     if described.variable == "slack":
         return f"{head} of {_value(law, 'height', axis, source)} to either side, which turns over within {_value(law, 'length', axis, source)} of travel"
+    if described.output == "voltage" and name in ("saturation", "stage"):
+        width = _value(law, "scale" if name == "saturation" else "width", axis, source)
+        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the current, which turns over within {width}"
     if name == "sine":
         return f"{head} that swings by {_value(law, 'amplitude', axis, source)} each {_value(law, 'period', axis, source)} of the {over}"
     numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source)}" for n in described.shape.numbers if n.name in p)

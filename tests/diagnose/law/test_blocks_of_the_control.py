@@ -1,0 +1,91 @@
+"""Laws of the control: a voltage that the inverter loses, a dead band of the position controller, and where they are held against."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.builders.other_structures import slides
+from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_measure import COUNT, RUNS, M, samples_of
+from twin.diagnose.control_law import characteristic_of, law_error
+from twin.diagnose.law.measure import measured_laws
+from twin.diagnose.law.residual import CURRENT_LOOP, residuals_of
+from twin.diagnose.law.shapes import described
+from twin.diagnose.law.step import keeps_its_gap
+from twin.diagnose.observe import in_turn
+from twin.diagnose.view import view_of
+from twin.effects import apply_effects, settings_of, with_effects
+from twin.errors import InputError
+from twin.simulation.run import simulate
+
+INVERTER = {
+    "name": "law", "axis": "X", "block": "current loop", "output": "voltage", "variables": ["current"],
+    "formula": "saturation", "height": -14.0, "scale": 0.2,
+}  # fmt: skip
+BAND = {
+    "name": "law", "axis": "X", "block": "position controller", "output": "speed", "variables": ["following_error"],
+    "formula": "dead band", "band": 6e-6,
+}  # fmt: skip
+AXIS = X.axes[0]
+
+
+def test_a_voltage_is_measured_through_the_current_loop():
+    """The loop of the twin makes the record, tick by tick; the transfer function of the cut reads the voltage back from its samples."""
+    views = [view_of(X, run) for run in runs_of([INVERTER])]
+    samples = next(s for s in residuals_of(views, lambda m: m, ("X",), in_turn) if s.block == CURRENT_LOOP)
+    curve = measured_laws(samples, AXIS)[0]
+    assert (curve.candidate.output, curve.candidate.variable) == ("voltage", "current")
+    best = described(samples, curve, AXIS)
+    assert best.shape == "saturation"
+    assert best.numbers["height"] == pytest.approx(-14.0, rel=0.15)
+    assert 0.1 < best.numbers["scale"] < 0.4  # noise of the current blurs it; the closed loop decides
+
+
+def test_a_voltage_needs_a_current_loop(tmp_path):
+    machine = slides(tmp_path)  # X takes a voltage as its command
+    with pytest.raises(InputError, match="a voltage needs a current loop"):
+        apply_effects(with_effects(machine, [INVERTER]))
+
+
+def test_a_dead_band_is_found_beside_following_errors_a_thousand_times_as_large():
+    gain = AXIS.loops.position_gain_per_s
+    rng = np.random.default_rng(5)
+    error = 8e-6 * rng.standard_normal(RUNS * COUNT)
+    error[:COUNT] = 5e-3 * np.sin(np.linspace(0.0, 20.0, COUNT))  # a run without feedforward
+    motion = {**M, "following_error": error, "speed_setpoint": gain * error}
+    samples = samples_of(-gain * np.clip(error, -6e-6, 6e-6), motion, "position controller", 3e-7)
+    curve = measured_laws(samples, AXIS)[0]
+    assert curve.candidate.variable == "following_error"
+    best = described(samples, curve, AXIS)
+    assert best.shape == "dead band"
+    assert best.numbers["band"] == pytest.approx(6e-6, rel=0.02)
+
+
+def test_a_law_of_the_controller_is_held_against_the_record_at_the_measured_position():
+    """Inside a dead band an axis rests where chance left it: the error of the law there is that of the measured place, not of the simulated one."""
+    machine = with_effects(X, [BAND])
+    run = runs_of([BAND])[0]
+    view = view_of(X, run)
+    elsewhere = simulate(machine, view.setpoints, sample_period=1e-3, noise_seed=99).trace
+    added = characteristic_of(settings_of(machine), AXIS)
+    measured, simulated, unfed = (
+        law_error(view.trace, view, AXIS),
+        law_error(elsewhere, view, AXIS, added),
+        law_error(elsewhere, view, AXIS),
+    )
+    largest = np.abs(measured).max()
+    assert np.abs(simulated - measured).max() < 0.02 * largest
+    assert np.abs(unfed - measured).max() > 0.1 * largest
+
+
+def test_a_controller_without_effects_adds_nothing():
+    assert characteristic_of([], AXIS) is None
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "keeps"),
+    [(9.0, 1.2, False), (9.0, 4.0, True), (30.0, 4.0, False), (2.6, 2.4, True), (9.0, 2.4, False), (1.5, 1.4, False)],
+)
+def test_which_axes_keep_their_gap(before: float, after: float, keeps: bool):
+    assert keeps_its_gap(before, after) is keeps
