@@ -23,7 +23,7 @@ from typing import Any
 import warnings
 
 SECONDS = 60.0
-STANDS_STILL = 5.0
+STANDS_STILL = 20.0
 """On a computer with other work a case gets a share of a core; one that waits takes no processor time at all."""
 BYTES = 2_000_000_000
 """Memory that a case may take beside what the process has when all is loaded."""

@@ -144,7 +144,7 @@ def thousand(variants: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         spec = write_example(Path(folder), variants)
         command = [sys.executable, "-m", "twin", "study", str(spec), "--out", f"{folder}/out", "--no-replay"]
-        begin = perf_counter()
+        begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
         sizes: list[tuple[float, float]] = []
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             page = resource.getpagesize()
@@ -153,11 +153,12 @@ def thousand(variants: int) -> None:
                 if len(fields) > 1:
                     sizes.append((perf_counter() - begin, int(fields[1]) * page / 2**20))
                 sleep(0.25)
-            took = perf_counter() - begin
+            took, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
             text = process.stdout.read() if process.stdout else ""
         rows = pyarrow.parquet.read_table(f"{folder}/out/table.parquet").num_rows
     print(text.splitlines()[0])
     print(f"{rows} variants of a {MOVE_S:g} s move in {took:.1f} s, load average {os.getloadavg()[0]:.1f}: the whole command")
+    print(f"processor time {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s")
     running = [m for t, m in sizes if 0.15 * took < t < 0.9 * took]
     print(
         f"resident memory while variants run: {min(running):.0f} to {max(running):.0f} MB; {running[-1] - running[0]:+.1f} MB from first to last"

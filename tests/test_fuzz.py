@@ -62,7 +62,7 @@ def test_the_watch_sees_time_memory_strays_and_tracebacks(monkeypatch: pytest.Mo
         time.sleep(30.0)
         return ""
 
-    assert "takes longer" in one_case(waits, 0, seconds=0.2)
+    assert "takes longer" in one_case(waits, 0, seconds=0.05)
     assert "wrote outside its folder: stray.txt" in one_case(strays, 0)
     monkeypatch.setattr(fuzz_loop, "BYTES", 100_000_000)
     monkeypatch.setattr(fuzz_loop, "_PEAK_LOADED", 0)
