@@ -3,7 +3,7 @@
 from io import TextIOWrapper
 import sys
 
-from twin.stopping import stoppable
+from twin.stopping import ended, stoppable
 
 
 def run() -> int:
@@ -15,7 +15,7 @@ def run() -> int:
     try:
         from twin.cli import main
 
-        return main()
+        return ended(main())
     except KeyboardInterrupt as stop:  # before the command itself was there
         from twin.stopping import say
 

@@ -70,6 +70,25 @@ def _end(read: socket.socket, _: socket.socket) -> None:
     os._exit(128 + number)
 
 
+_left_behind = False
+
+
+def leave_behind() -> None:
+    """A thread of a library waits for ever (a disk is full): the command must not wait for it when it ends."""
+    global _left_behind
+    _left_behind = True
+
+
+def ended(code: int) -> int:
+    """The exit code of a command that is done; where something was left behind, the process ends here."""
+    if _left_behind:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    return code
+
+
 def end_with_parent() -> None:
     """A worker leaves Ctrl-C to the process that began it, and ends when that process is gone."""
     with contextlib.suppress(ValueError):  # not in a main thread

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of
+from twin.stopping import leave_behind
 
 SOLID_WIDTH, THIN_WIDTH, DASH_WIDTH = 1.75, 0.4, 1.25
 """Widths of lines [points of the screen]: the first run, the later ones, and the dashes over these."""
@@ -36,6 +38,10 @@ POSES_PER_SECOND = 50.0
 CURVE_POINTS_PER_MINUTE = 100_000
 """Points of all curves together: at 25 bytes each half of the 5 MB that a minute may take."""
 LEAST_CURVE_POINTS = 15_000
+
+
+STALLED_S = 5.0
+"""A writer whose file has not grown for so long writes no more [s]."""
 
 
 @dataclass(frozen=True)
@@ -136,15 +142,45 @@ def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
     with beside(path) as partial:
         recording = rr.RecordingStream(APPLICATION)
         recording.set_log_time_enabled(False)
-        recording.save(partial)
+        try:
+            recording.save(partial)
+        except RuntimeError:
+            _abandon(recording)
+            raise InputError(f"{path}: cannot be written (is the disk full?); free the disk or give another place") from None
         recording.send_recording_name(name)
         try:
             yield recording
         finally:
-            with suppress(RuntimeError):  # the disk is full: said below
-                recording.flush()
-            recording.disconnect()
+            if _flushed(recording, partial):
+                recording.disconnect()
+            else:
+                _abandon(recording)
         _check_whole(partial, Path(path))
+
+
+_STALLED: list[rr.RecordingStream] = []
+"""Recordings whose writer is gone: to disconnect or to delete one would wait for it for ever."""
+
+
+def _abandon(recording: rr.RecordingStream) -> None:
+    """Keep a recording whose writer is gone, and end without waiting for it."""
+    _STALLED.append(recording)
+    atexit.unregister(rr.rerun_shutdown)
+    leave_behind()
+
+
+def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
+    """Wait for the writer as long as the file grows: on a full disk it may be gone without a word. True where all is written."""
+    before = -1
+    while True:
+        try:
+            recording.flush(timeout_sec=STALLED_S)
+            return True
+        except (RuntimeError, ValueError, TimeoutError, OSError):  # what is missing is said by `_check_whole`
+            size = partial.stat().st_size if partial.exists() else 0
+            if size == before:
+                return False
+            before = size
 
 
 def _check_whole(written: Path, path: Path) -> None:
