@@ -330,7 +330,7 @@ def test_a_minute_of_five_axes_is_a_few_hundred_messages_and_five_megabytes(
     trace = minute()
     written: Written = write_recording(tmp_path / "minute.rrd", machine, {"simulated": trace})
     print(f"\na minute of five axes at 1 kHz: {messages[0]} messages, {rows[0]} rows, {written.size / 1e6:.2f} MB")
-    assert messages[0] < 300
+    assert messages[0] < 500  # 373 as it is; a message for each sample would be 3 millions
     assert rows[0] < 300_000
     assert written.size < 5e6
     two = write_recording(tmp_path / "two.rrd", machine, {"before": trace, "after": minute(1.5)})
