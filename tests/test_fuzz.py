@@ -35,6 +35,14 @@ def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> N
     assert (code, fault) == (0, "")
 
 
+ONCE_FAULTS = [("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275)]
+
+
+@pytest.mark.parametrize(("kind", "seed"), ONCE_FAULTS)
+def test_what_was_found_stays_mended(kind: str, seed: int) -> None:
+    assert one_case(fuzz_files.case_of(kind), seed) == ""
+
+
 def ends(seed: int, _: Path) -> str:
     if seed == 1:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -26,6 +26,9 @@ SETTLED = 0.5
 SAME_TARGET = 1e-6
 """Targets closer than this are one [m or rad]."""
 
+LARGEST = 1e9
+"""A reading in um, mm or degrees lies below it."""
+
 
 def is_table(path: Path, first: str = "direction") -> bool:
     """Is this a CSV table of readings, not a trace?"""
@@ -141,6 +144,6 @@ def _number(row: dict[str, str], name: str, path: Path, line: int) -> float:
         value = float(row[name])
     except (TypeError, ValueError):
         raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is no number; correct it") from None
-    if not math.isfinite(value):
-        raise InputError(f"{path}: line {line}: {name} = {value}: no finite number; correct or remove the line")
+    if not abs(value) < LARGEST:
+        raise InputError(f"{path}: line {line}: {name} = {value:g}: no reading of a machine; correct or remove the line")
     return value

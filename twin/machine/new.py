@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import warnings
 
 import mujoco
 import numpy as np
@@ -86,7 +87,8 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
 def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Path) -> list[JointFacts]:
     """Slides and hinges of a model with what they move, in the order of the tree."""
     try:
-        model = spec.compile()
+        with warnings.catch_warnings(action="ignore"):  # of masses: the checks that follow name the body
+            model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct it there") from None
     if model.njnt == 0:

@@ -198,8 +198,8 @@ def _check_tolerances(case: Case) -> None:
     """Every compared quantity has a tolerance with a reason, every tolerance is well formed."""
     needed = (*case.compared, *NEEDED_TOLERANCES.get(case.kind, ("summary",)))
     for quantity in case.compared:
-        if quantity not in SIGNAL_UNITS:
-            raise InputError(f"{case.where}: compare: no signal '{quantity}'; {nearest(quantity, SIGNAL_UNITS)}")
+        if not isinstance(quantity, str) or quantity not in SIGNAL_UNITS:
+            raise InputError(f"{case.where}: compare: no signal '{quantity}'; {nearest(str(quantity), SIGNAL_UNITS)}")
     for quantity in needed:
         if quantity not in case.tolerance:
             example = " ".join(f"{key} = ..." for key in _keys_of(quantity))

@@ -49,6 +49,8 @@ def sweep(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     free = [name for name in scene.joints if name not in scene.mimics]
     if not free:
         raise InputError(f"{scene.name}: the model has no slide or hinge to move; give a model with joints")
+    if "" in free:
+        raise InputError(f"{scene.name}: a joint has no name; give each joint its own")
     time = np.arange(round(len(free) * SWEEP_SECONDS * SWEEP_RATE) + 1) / SWEEP_RATE
     size = float(np.linalg.norm(np.subtract(*scene_bounds(scene))))
     joints = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+import warnings
 
 from twin.files import beside
 
@@ -84,5 +85,6 @@ def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> N
     from matplotlib import rc_context
 
     path = Path(path)
-    with rc_context(STYLE), beside(path) as partial:
+    # a name may leave no room for the panels: drawn all the same
+    with rc_context(STYLE), beside(path) as partial, warnings.catch_warnings(action="ignore", category=UserWarning):
         plain_text(figure).savefig(partial, dpi=dots_per_inch)

@@ -270,7 +270,7 @@ def _run(table: Any, path: Path, where: str, part: Path | None) -> StudyRun:
 
 def _design(table: Any, where: str) -> Design:
     kind = table.get("kind") if isinstance(table, Mapping) else None
-    if kind not in DESIGNS:
+    if not isinstance(kind, str) or kind not in DESIGNS:
         raise InputError(f"{where}: kind = {kind!r}; use one of {', '.join(DESIGNS)}")
     known_table(table, ("kind", *DESIGNS[kind]), f"{where} of kind {kind}")
 
