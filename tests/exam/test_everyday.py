@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+import json
 import math
+from pathlib import Path
+import subprocess
 import tomllib
 
 import numpy as np
@@ -14,7 +17,7 @@ from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
 from twin.exam.budget import budget_of, groups_of
 from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of, truth_toml
-from twin.exam.mark import mark_answer
+from twin.exam.mark import mark, mark_answer
 from twin.exam.mark_budget import mark_budget
 from twin.exam.plant.effects import LIBRARY, DrawContext, draw_effect
 from twin.exam.plant.parameters import AXES, Richness, settings_of, unit_factors
@@ -23,6 +26,9 @@ from twin.exam.programme import TestRun
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import score
+from twin.exam.session import draw, sit
+from twin.machine.machine import default_machine_path, load_machine, write_machine
+from twin.recordings.campaign import read_campaign
 
 MACHINE = tomllib.loads(SHIPPED_MACHINE.read_text())
 SCALE = {"constant_force": "force", "cyclic_error": "amplitude", "lead_error": "fraction", "thermal_drift": "rate"}
@@ -250,6 +256,39 @@ def test_probabilities_are_asked_of_every_candidate_that_can_be_known() -> None:
     m = mark_budget(TRUTH, said({("thermal_drift", "X"): 200.0}, tried))
     # named: 0.9 of what is there; tried and not there: 0.3; hidden below noise: not asked; three others that must be seen: 0
     assert sorted(m["candidates"]) == [[0.0, True]] * 4 + [[0.3, False], [0.9, True]]
+
+
+@pytest.mark.usefixtures("drawn_only")
+def test_an_everyday_machine_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn with its budget, recorded, answered, marked: with a background on X alone, one run, and an answer that is written here."""
+    monkeypatch.setattr(drawing, "BACKGROUND", tuple(b for b in BACKGROUND if b[1] == "X"))
+    monkeypatch.setattr(drawing, "MOST_MAIN", 0)
+    monkeypatch.setitem(drawing.RUN_SETS, "short", ("acceleration",))
+    monkeypatch.setitem(drawing.RUN_SETS, "exam", ("exam_five_axis",))
+    (question,) = questions_of(3, 1, short=True, only="everyday")
+    machine_file = str(default_machine_path())
+    case = draw(question, machine_file, "off")
+    assert isinstance(case, Case)
+    budget = {(row["effect"], row["axis"]): row["times_noise"] for row in case.budget}
+    assert set(budget) == {(e["name"], "X") for e in case.effects}
+    largest = next(iter(budget))
+
+    def candidate(command: list[str], **_: object) -> subprocess.CompletedProcess:
+        campaign, machine, answer = map(Path, command[3:6])
+        assert [run.name for run in read_campaign(campaign, load_machine(machine)).runs] == ["acceleration"]
+        answer.mkdir(parents=True)
+        write_machine(load_machine(machine), answer / "machine.toml")
+        (answer / "baselines.json").write_text("{}", encoding="utf-8")
+        (answer / "diagnosis.json").write_text(json.dumps(said({largest: 1.1 * budget[largest], ("inertia", "X"): 5.0})), encoding="utf-8")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr("twin.exam.session.subprocess.run", candidate)
+    sit(question, case, str(tmp_path), machine_file, True)
+    m = mark(question, case, str(tmp_path), machine_file)
+    assert m["budget"]["precision"] == [1, 2]
+    assert m["budget"]["contributions"][0]["said"] == pytest.approx(1.1 * m["budget"]["contributions"][0]["true"])
+    assert m["gap"]["after"] == pytest.approx(m["gap"]["before"])  # the answer's machine is the nominal one
+    assert 0.5 < m["gap"]["before"] / m["gap"]["floor"] < 20.0
 
 
 def marked(answer: dict) -> dict:
