@@ -6,6 +6,7 @@ A new effect needs nothing here: its row is made from its usual sizes. The laws 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import functools
 import math
 from pathlib import Path
 
@@ -87,6 +88,7 @@ def short_move(axis: str) -> np.ndarray:
     return there_and_back(0.06, 0.8, 20.0, 2000.0)
 
 
+@functools.cache
 def moved(name: str, **values: float):
     """The trace of a row's axis (all driven axes move alike) with the row's parameters, some replaced."""
     row = ROWS[name]
@@ -97,9 +99,14 @@ def moved(name: str, **values: float):
 
 
 def bare(name: str):
-    row = ROWS[name]
-    machine = MACHINE.with_axes([row.axis, *row.with_axes])
-    return simulate(machine, Setpoints(np.column_stack([short_move(row.axis)] * len(machine.axes)), 1e-3)).trace
+    return on_axes(ROWS[name].axis, ROWS[name].with_axes)
+
+
+@functools.cache
+def on_axes(axis: str, with_axes: str):
+    """The trace of a row's axis without an effect."""
+    machine = MACHINE.with_axes([axis, *with_axes])
+    return simulate(machine, Setpoints(np.column_stack([short_move(axis)] * len(machine.axes)), 1e-3)).trace
 
 
 def equal(one, two) -> bool:
