@@ -14,13 +14,17 @@ ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
 
 
-LONG_ROOMS = ("recovery", "exam", "identify", "diagnose")
-"""Rooms whose files take longest: they begin first, so that no process is left with one of them at the end."""
+LONG_ROOMS = ("recovery", "exam", "identify", "diagnose", "surface")
+"""Rooms whose files take longest, the longest first: they begin first, so that no process is left with one of them at the end."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long rooms first; the order inside a file stays."""
-    items.sort(key=lambda item: item.path.parent.name not in LONG_ROOMS)
+    """Long rooms first; the order inside a room stays."""
+
+    def turn(item: pytest.Item) -> int:
+        return next((i for i, room in enumerate(LONG_ROOMS) if room in item.path.parts), len(LONG_ROOMS))
+
+    items.sort(key=turn)
 
 
 @pytest.fixture(scope="session")

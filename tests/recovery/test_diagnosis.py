@@ -51,7 +51,7 @@ def travel(axis):
     if axis == "A":
         return run_of("travel", {"A": ([0.5, -1.2, 0.7], 0.5), "C": ([3.0, 3.0, -6.0], 1.5)})
     one = 1.0 if axis in "XYZ" else 16.0
-    return run_of("travel", {axis: ([0.12 * one, -0.12 * one, 0.2 * one, -0.2 * one], 0.08 * one)})
+    return run_of("travel", {axis: ([0.2 * one, -0.2 * one], 0.08 * one)})
 
 
 def campaign_of(folder, kind, effect, axis, runs, richness=RIGID):
