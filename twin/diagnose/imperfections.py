@@ -28,7 +28,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     """The tuning with the normal imperfections that `residual` (row,) shows, each linear about its size.
 
     An imperfection is tried only where a channel shows more than noise: elasticity in motor minus scale (in position or current if one
-    of the two encoders was not recorded), slip in the position.
+    of the two encoders was not recorded), slip in position, speed or current.
     """
     if not tuning.nuisances:
         return tuning
@@ -39,7 +39,9 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if (a, "position") in dirty]
+    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [
+        Nuisance(a, "slip", t) for a in group.axes if dirty & {(a, "position"), (a, "velocity"), (a, "current")}
+    ]
     current = plain
     for nuisance in wanted:
         trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)

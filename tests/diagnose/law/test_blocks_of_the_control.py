@@ -12,7 +12,6 @@ from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws
 from twin.diagnose.law.residual import CURRENT_LOOP, residuals_of
 from twin.diagnose.law.shapes import described
-from twin.diagnose.law.step import keeps_its_gap
 from twin.diagnose.observe import in_turn
 from twin.diagnose.view import view_of
 from twin.effects import apply_effects, settings_of, with_effects
@@ -81,11 +80,3 @@ def test_a_law_of_the_controller_is_held_against_the_record_at_the_measured_posi
 
 def test_a_controller_without_effects_adds_nothing():
     assert characteristic_of([], AXIS) is None
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "keeps"),
-    [(9.0, 1.2, False), (9.0, 4.0, True), (30.0, 4.0, False), (2.6, 2.4, True), (9.0, 2.4, False), (1.5, 1.4, False)],
-)
-def test_which_axes_keep_their_gap(before: float, after: float, keeps: bool):
-    assert keeps_its_gap(before, after) is keeps
