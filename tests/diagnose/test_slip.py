@@ -30,7 +30,7 @@ def test_noise_in_the_loop_is_no_error_of_the_control_law(group):
     answer = group.response(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)
     rows = np.concatenate([np.arange(group.size)[c.rows] for c in group.channels if c.name == "controller"])
     assert rows.size
-    assert not answer[rows].any()
+    assert np.abs(answer[rows]).max() < 1e-3 * np.abs(answer).max()
     assert answer.any()
 
 

@@ -126,15 +126,22 @@ class Group:
             view = self.views[run]
             moving = tuple(a for a in axes if view.moves(a))
             noise = noise_seed(self.seed, run) if shaken else None
-            trace = simulate_group(view, moving, machine_of, settings, noise_seed=noise).without_noise
-            return channels_of(trace, view, moving, added)
+            run_of = simulate_group(view, moving, machine_of, settings, noise_seed=noise)
+            found = channels_of(run_of.without_noise, view, moving, added)
+            if shaken:  # the law of a controller is held against what it saw, with noise and rounding
+                seen = channels_of(run_of.trace, view, moving, added)
+                found |= {key: values for key, values in seen.items() if key[1] == "controller"}
+            return found
 
         runs = sorted({channel.run for channel in mine})
         of_run = dict(zip(runs, mapper(simulated, runs)))
         for channel in mine:
             key = (channel.axis, channel.name)
             if shaken and channel.name == "controller":
-                continue  # what the controller saw is in the record; here it saw noise and rounding of its own
+                out[channel.rows] = of_run[channel.run][
+                    key
+                ]  # held against the law as it saw it: nothing of the nominal twin's noise is in there
+                continue
             out[channel.rows] = of_run[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights
 

@@ -179,7 +179,8 @@ class ClosedLoop:
 
     def left(self, state: State) -> np.ndarray:
         """What a state leaves of the measured runs (row,), weighted, beside the constants of each run that are zeros of encoders."""
-        change = self.group.response(state.machine_of, axes=self.axes, mapper=self.mapper)
+        creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in state.settings)  # that shows in shaken simulations alone
+        change = self.group.response(state.machine_of, axes=self.axes, shaken=creeps, mapper=self.mapper)
         rest: np.ndarray = (self.group.residual - change)[self.rows] * self.root
         return rest - self.zeros @ (self.zeros.T @ rest)
 
