@@ -20,7 +20,7 @@ from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import LEAST_CLOSED, Law, Laws
-from twin.diagnose.law.step import ALL_BUT, keeps_its_gap, laws_beside, predictions_with
+from twin.diagnose.law.step import ALL_BUT, explained_by_many, keeps_its_gap, laws_beside, predictions_with
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal, propose
 from twin.diagnose.observe import axis_groups, observe, on_threads
@@ -352,9 +352,10 @@ def diagnose(
     if any(harmed := [held_out.worse(f.group.axes, machine, campaign.runs) for f in found]):
         found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
         held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
+    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
+    found = [replace(f, unknown=f.unknown and not explained_by_many(f, before, after)) for f in found]
     settings = named(found)
     corrected = corrected_machine(machine, found)
-    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
     laws: Laws | None = None
     best = without_laws = held_out.left(machine, campaign.runs)
     with ThreadPoolExecutor(threads) as workers:

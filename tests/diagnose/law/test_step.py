@@ -7,7 +7,8 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose.law import step
-from twin.diagnose.law.laws import _settings
+from twin.diagnose.law.laws import MOST_EFFECTS, _settings
+from twin.effects import EFFECTS, Setting
 
 
 def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, monkeypatch):
@@ -21,6 +22,16 @@ def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, mon
         )
     )
     assert asked == [["X"], ["X"]]
+
+
+def test_many_effects_that_leave_noise_alone_are_an_answer():
+    group = group_of([np.full(50, 3.0)], "X")
+    effects = [Setting(EFFECTS[name], "X", {}) for name in list(EFFECTS)[: MOST_EFFECTS + 1]]
+    many, few = (SimpleNamespace(group=group, fit=SimpleNamespace(settings=some)) for some in (effects, effects[:3]))
+    assert step.explained_by_many(many, {"X": 90.0}, {"X": 1.1})
+    assert not step.explained_by_many(many, {"X": 90.0}, {"X": 1.6})
+    assert not step.explained_by_many(few, {"X": 90.0}, {"X": 1.1})
+    assert not step.explained_by_many(many, {"X": 1.0}, {"X": 1.0})
 
 
 def test_play_is_also_fitted_from_the_travel_that_its_height_says(mikron):

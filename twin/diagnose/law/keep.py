@@ -40,7 +40,7 @@ PRIOR_WEIGHT_ROWS = 60.0
 DAMPINGS = (0.0, 0.3, 3.0)
 """Levenberg-Marquardt dampings that are tried in turn, as multiples of the normal matrix' diagonal."""
 
-CONVERGED = 1e-3
+CONVERGED = 2e-4
 """Relative gain of the loss below which the fit has converged."""
 
 

@@ -24,6 +24,9 @@ ALL_BUT = 0.1
 LOUD = 3.0
 """Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
 
+QUIET = 1.3
+"""The same up to which an axis is at its noise, as nearly as runs left out say."""
+
 HARDLY_LOUD = 2.0
 """The same where effects explain less than half of the gap: they are no answer."""
 
@@ -33,6 +36,17 @@ def keeps_its_gap(before: float, after: float) -> bool:
     with most of it?"""
     whole, left = (max(level**2 - 1.0, 0.0) for level in (before, after))
     return (after > LOUD and left > ALL_BUT * whole) or (after > HARDLY_LOUD and left > 0.5 * whole)
+
+
+def explained_by_many(found: Found, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Do many effects of each loud axis of a group explain runs left out down to noise?
+
+    What is missing beside many small effects bends the sizes of the others: that they differ between runs is then no sign of a law.
+    """
+    loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > QUIET]
+    return bool(loud) and all(
+        after.get(axis, 0.0) <= QUIET and before[axis] > LOUD and _effects(found, axis) > MOST_EFFECTS for axis in loud
+    )
 
 
 def laws_beside(
