@@ -223,7 +223,10 @@ def _from(
         fitted = new
     if laws:
         fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
-        fitted = _without_idle(loop, fitted, idle, tolerance)
+        # what an effect that came back explains no law needs to stand in for
+        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance)
+        kept = {s.key for s in fitted.state.settings}
+        laws = [law for law in laws if law.setting.key in kept]
     # sizes of all laws are those of the last fit
     settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
     at = [settings[law.setting.key] for law in laws]
