@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.diagnosis import folds_of
-from twin.diagnose.law import laws as laws_module
-from twin.diagnose.law.keep import ClosedLoop, state_of, with_law
+from twin.diagnose.law.keep import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, laws_of
 from twin.diagnose.observe import in_turn, observe
 from twin.diagnose.view import view_of
@@ -98,19 +97,14 @@ def observe_once(runs):
     return observe([view_of(X, run) for run in runs], ("X",))
 
 
-def test_a_law_that_an_effect_makes_superfluous_goes(monkeypatch):
-    """A wave of each motor turn is found as a law; the effect that it stood in for comes back, and the law has nothing left to say."""
+def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
+    """A wave of each motor turn is found as a law; the effect that it stands in for takes its place."""
     wave = {"name": "cyclic_error", "axis": "X", "amplitude": 4e-6, "phase_rad": 0.5}
     there = settings_of(with_effects(X, [wave]))
     group = observe_once(runs_of([wave]))
     loop = ClosedLoop(group, ("X",), folds_of(len(group.views)), in_turn)
     start = state_of(X, X, ("X",), group.thresholds)
     assert _from(loop, start, "X", X, lambda _: None).laws
-    monkeypatch.setattr(
-        laws_module,
-        "_with_those_that_earn",
-        lambda loop, fitted, back, *_: loop.fit(with_law(fitted.state, back[0]), X.parameter_tolerance, like=fitted),
-    )
     both = _from(loop, start, "X", X, lambda _: None, back=there)
     assert both.laws == []
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
