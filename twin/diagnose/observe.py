@@ -138,9 +138,7 @@ class Group:
         for channel in mine:
             key = (channel.axis, channel.name)
             if shaken and channel.name == "controller":
-                out[channel.rows] = of_run[channel.run][
-                    key
-                ]  # held against the law as it saw it: nothing of the nominal twin's noise is in there
+                out[channel.rows] = of_run[channel.run][key]  # the nominal twin leaves nothing of a law that is held against what it saw
                 continue
             out[channel.rows] = of_run[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
         return out * self.weights

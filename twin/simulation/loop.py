@@ -183,12 +183,10 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
     since_speed, since_current = (first_tick - 1) % schedule.speed_ticks, (first_tick - 1) % schedule.current_ticks
     for n in range(ticks):
         k = first_tick + n
-        since_recorded, since_position, since_speed, since_current = (
-            since_recorded + 1,
-            since_position + 1,
-            since_speed + 1,
-            since_current + 1,
-        )
+        since_recorded += 1
+        since_position += 1
+        since_speed += 1
+        since_current += 1
         recorded, position_due = since_recorded == schedule.record_ticks, since_position == schedule.position_ticks
         speed_due, current_due = since_speed == schedule.speed_ticks, since_current == schedule.current_ticks
         if recorded:

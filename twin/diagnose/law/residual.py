@@ -80,7 +80,7 @@ class VoltageToCurrent:
 
 
 def voltage_to_current(view: RunView, axis: Axis) -> VoltageToCurrent:
-    """That of an axis, at the samples of a run; between them a voltage is a straight line, for the loop is faster than the record."""
+    """What the current loop of an axis lets through, at the samples of a run; between them a voltage is a straight line, for the loop is faster than the record."""
     motor, loops, period = axis.motor, axis.loops, view.trace.period
     gain, integral = loops.current_gain_v_per_a, loops.current_gain_v_per_a / loops.current_integral_time_s
     numerator, denominator, _ = cont2discrete(
@@ -359,7 +359,7 @@ def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nd
 
 
 def _current_in_a_row(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """The same at every sample, of an axis with a current loop."""
+    """Current beside the one that the controller would command (sample,), at every sample; None of an axis without current loop."""
     found = _current(view, axis, trace) if axis.has_current_loop else None
     return None if found is None else (found[0], np.ones(len(trace.time), bool))
 

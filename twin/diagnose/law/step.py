@@ -32,8 +32,10 @@ HARDLY_LOUD = 2.0
 
 
 def keeps_its_gap(before: float, after: float) -> bool:
-    """Of gaps over noise on runs left out: is an axis loud after correction, and with more than a tenth of its gap left? Or hardly loud,
-    with most of it?"""
+    """Is an axis loud after correction, with more than a tenth of its gap left, or hardly loud, with most of it?
+
+    `before` and `after` correction: its gap over noise on runs left out.
+    """
     whole, left = (max(level**2 - 1.0, 0.0) for level in (before, after))
     return (after > LOUD and left > ALL_BUT * whole) or (after > HARDLY_LOUD and left > 0.5 * whole)
 
