@@ -44,6 +44,9 @@ LEAST_CLOSED = 0.05
 LEAST_OF_ALL = 0.02
 """The same share of what the corrected twin left before any law."""
 
+LEAST_BESIDE = 0.002
+"""The same share that an effect which was found without the laws must close beside them to stay."""
+
 LITTLE_LEFT = 0.02
 """Share of that from which on nothing more is looked for."""
 
@@ -225,7 +228,8 @@ def _from(
         fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
         # what an effect explains no law needs to stand in for
         fitted = _named_instead(loop, fitted, laws, back, tolerance)
-        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance)
+        least = LEAST_BESIDE * _above(loop, first)
+        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance, least)
         kept = {s.key for s in fitted.state.settings}
         laws = [law for law in laws if law.setting.key in kept]
     # sizes of all laws are those of the last fit
@@ -263,7 +267,7 @@ def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effect
     return fitted
 
 
-def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float) -> Fitted:
+def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float, least: float) -> Fitted:
     """The fit without those of the effects that no longer earn their place, or have a size that no machine has, the least needed first."""
     waiting = {s.key for s in idle}
     small = {s.key for s in fitted.state.settings if s.key in waiting and not is_plausible(s, fitted.state.machine)}
@@ -274,7 +278,7 @@ def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tol
             tried.append((loop.fit(state, tolerance, steps=2, like=fitted), key))
         best = min(((f, key) for f, key in tried if f is not None), key=lambda t: (t[1] not in small, t[0].held_out), default=None)
         if best is None or (
-            best[1] not in small and best[0].held_out > fitted.held_out + LEAST_EVIDENCE * _inflation(loop, fitted.held_out)
+            best[1] not in small and best[0].held_out > fitted.held_out + max(least, LEAST_EVIDENCE * _inflation(loop, fitted.held_out))
         ):
             break
         fitted = best[0]
