@@ -18,7 +18,7 @@ import pytest
 from tests.builders.refused import refused
 from tests.builders.small_machine import MJCF, TOML
 from twin.errors import InputError
-from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_text
+from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_whole
 from twin.recordings.trace import Trace, write_trace
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
@@ -46,7 +46,7 @@ def long_trace() -> Trace:
 
 
 WRITERS = {
-    "a.json": lambda path: write_text("x" * 100_000, path),
+    "a.json": lambda path: write_whole(path, "x" * 100_000),
     "a.parquet": lambda path: write_trace(long_trace(), path),
     "a.csv": lambda path: write_trace(long_trace(), path),
 }

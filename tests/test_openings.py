@@ -5,6 +5,7 @@ What a file of somebody else names is opened through `named_file` and `outer_fil
 
 import ast
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "twin"
@@ -86,12 +87,16 @@ def openings() -> dict[tuple[str, str], int]:
     return dict(found)
 
 
-def test_every_opening_of_a_file_is_listed() -> None:
-    listed = {(file, call): count for file, calls in ALLOWED.items() for call, count in calls.items()}
-    found = openings()
+def differences(table: Mapping[str, Mapping[str, int]], found: Mapping[tuple[str, str], int]) -> tuple[dict, dict]:
+    """What is found more often than a table lists it, and what less often, by (file, call)."""
+    listed = {(file, call): count for file, calls in table.items() for call, count in calls.items()}
     new = {key: count for key, count in found.items() if count > listed.get(key, 0)}
+    return new, {key: count for key, count in listed.items() if found.get(key, 0) < count}
+
+
+def test_every_opening_of_a_file_is_listed() -> None:
+    new, gone = differences(ALLOWED, openings())
     assert not new, f"use twin/documents.py (read_toml, read_json, named_file), or list it here with a reason: {new}"
-    gone = {key: count for key, count in listed.items() if found.get(key, 0) < count}
     assert not gone, f"no longer there, take it out of ALLOWED: {gone}"
 
 
@@ -130,8 +135,6 @@ def writings() -> dict[tuple[str, str], int]:
 
 def test_every_file_is_written_beside_its_place() -> None:
     """A full disk or a stop leaves the old file or none."""
-    listed = {(file, call): count for file, calls in WRITES.items() for call, count in calls.items()}
-    found = writings()
-    new = {key: count for key, count in found.items() if count > listed.get(key, 0)}
+    new, gone = differences(WRITES, writings())
     assert not new, f"write to `with beside(path) as partial` (twin/files.py), or list it here with a reason: {new}"
-    assert not {key for key, count in listed.items() if found.get(key, 0) < count}, "no longer there, take it out of WRITES"
+    assert not gone, f"no longer there, take it out of WRITES: {gone}"

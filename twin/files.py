@@ -48,7 +48,11 @@ def beside(path: str | Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file whole or not at all, and the folders to it that are not there.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
     with beside(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="replace")  # names of files may hold bytes that are no text
 
@@ -67,16 +71,7 @@ def write_json(content: Mapping[str, Any], path: Path, schema: str) -> None:
     Raises:
         InputError: the place cannot be written to.
     """
-    write_text(json.dumps(_finite(stamped(content, schema)), indent=2, allow_nan=False) + "\n", path)
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write a text file, and the folders to it that are not there.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    write_whole(path, text)
+    write_whole(path, json.dumps(_finite(stamped(content, schema)), indent=2, allow_nan=False) + "\n")
 
 
 def shipped_example(path: str | Path) -> Path:

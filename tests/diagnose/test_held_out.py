@@ -63,8 +63,9 @@ def test_a_correction_that_makes_the_gap_larger_is_seen(monkeypatch, after, wors
         corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(level[which], level[which], 1.0, "um")}}
     )
     held_out = corrected.HeldOut({which: {run.name: which for run in RUNS} for which in level}, [])
-    assert held_out.worse("X", "nominal", RUNS) is worse
-    assert not held_out.worse("Y", "nominal", RUNS)
+    levels = [held_out.levels("nominal", RUNS, which) for which in level]
+    assert corrected.is_worse("X", *levels) is worse
+    assert not corrected.is_worse("Y", *levels)
 
 
 def test_axes_that_correction_makes_worse_stay_as_the_file_says(mikron):

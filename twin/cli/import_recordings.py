@@ -9,7 +9,7 @@ from pathlib import Path
 import tempfile
 
 from twin.errors import InputError
-from twin.files import output_folder, write_text
+from twin.files import output_folder, write_whole
 from twin.progress import Progress
 from twin.recordings.formats.by_ending import READERS, read_recording
 from twin.recordings.mapping import Map, RunMap, read_map, runs_of
@@ -139,7 +139,7 @@ def _proposed(files: Sequence[Path], out: Path) -> Path:
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
         raise InputError(f"{path}: holds a map already that is not the one proposed now; use it with --map {path}, or remove it")
     output_folder(out)
-    write_text(text, path)
+    write_whole(path, text)
     if not proposal.axes:
         reason = proposal.left_out[0] if proposal.left_out else "no name of a column is known"
         raise InputError(

@@ -261,7 +261,7 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
     """A ballbar's circle as a campaign of two scales, one run a direction; what no scale shows is printed."""
-    from twin.files import write_text
+    from twin.files import write_whole
     from twin.iso230.two_scales import two_scales
     from twin.recordings.trace import write_trace
 
@@ -278,6 +278,6 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
         name = f"circle_{test.name.lower()}_{direction}.parquet"
         write_trace(trace, folder / name)
         lines += ["", "[[run]]", f'file = "{name}"', *([f'feedforward = "{feedforward}"'] if feedforward else [])]
-    write_text("\n".join([*lines, ""]), folder / "campaign.toml")
+    write_whole(folder / "campaign.toml", "\n".join([*lines, ""]))
     print(f"no scale shows (k = 2): {slopes}")
     print(f"written: {folder}, a campaign for twin diagnose")

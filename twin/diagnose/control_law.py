@@ -22,7 +22,7 @@ from scipy.ndimage import maximum_filter1d
 from twin.diagnose.view import RunView
 from twin.effects import Setting
 from twin.effects.law import NAME as LAW
-from twin.effects.law import law_of
+from twin.effects.law import law_in
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.gap import SAME_PERIOD
@@ -37,7 +37,7 @@ def characteristic_of(settings: Sequence[Setting], axis: Axis) -> Characteristic
     """What effects and unlisted laws make of the position controller of an axis, as a function of its inputs; None where nothing does."""
     own = [s for s in settings if s.axis == axis.name]
     more = (math.prod(s.factor_on("position_gain_per_s") for s in own) - 1.0) * axis.loops.position_gain_per_s
-    laws = [(law_of(s.table(), "a measured law"), s) for s in own if s.effect.name == LAW and s.effect.block == "position controller"]
+    laws = [(law_in(s), s) for s in own if s.effect.name == LAW and s.effect.block == "position controller"]
     laws = [(law, s) for law, s in laws if law.output == "speed" and law.variable in INPUTS and not law.shape.is_filter]
     if more == 0.0 and not laws:
         return None

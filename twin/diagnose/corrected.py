@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import itertools
 from typing import Any
@@ -97,14 +97,6 @@ class HeldOut:
         """RMS of the gap over noise of each axis before or after correction, over runs and signals."""
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in self._squares(machine, runs, which).items()}
 
-    def worse(self, axes: Sequence[str], machine: Machine, runs: Sequence[MeasuredRun]) -> bool:
-        """Has correction made the gap of these axes larger, by more than chance?"""
-        before, after = (
-            float(np.hypot.reduce([level for axis, level in self.levels(machine, runs, which).items() if axis in axes] or [0.0]))
-            for which in ("before", "after")
-        )
-        return after > before + CHANCE
-
     def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, list[float]]:
         """Squares of the gap over noise before or after correction: of each axis those of its runs and signals."""
         found: dict[str, list[float]] = {}
@@ -112,6 +104,12 @@ class HeldOut:
             for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
                 found.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in signals.values() if g.noise > 0.0)
         return {axis: squares for axis, squares in found.items() if squares}
+
+
+def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Has correction made the gap of these axes larger, by more than chance? `before` and `after` it: gap over noise by axis."""
+    was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
+    return now > was + CHANCE
 
 
 def held_out_gaps(

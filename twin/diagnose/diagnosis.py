@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, normal_imperfections
+from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, is_worse, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
@@ -349,10 +349,11 @@ def diagnose(
     say("simulating the runs left out")
     motions = [view.motion for view in views]
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-    if any(harmed := [held_out.worse(f.group.axes, machine, campaign.runs) for f in found]):
+    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
+    if any(harmed := [is_worse(f.group.axes, before, after) for f in found]):
         found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
         held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
+        after = held_out.levels(machine, campaign.runs, "after")
     found = [replace(f, unknown=f.unknown and not explained_by_many(f, before, after)) for f in found]
     settings = named(found)
     corrected = corrected_machine(machine, found)

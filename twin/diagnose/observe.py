@@ -118,19 +118,21 @@ class Group:
         axes = tuple(axes) or self.axes
         out = np.zeros(self.size)
         known = self.views[0].machine
-        all_settings = settings_of(with_added(known if machine_of is None else machine_of(known), settings))
-        added = {a: found for a in axes if (found := characteristic_of(all_settings, known.axis(a))) is not None}
+        effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
+        added = {a: found for a in axes if (found := characteristic_of(effects, known.axis(a))) is not None}
         mine = [channel for channel in self.channels if channel.axis in axes]
 
         def simulated(run: int) -> dict[tuple[str, str], np.ndarray]:
             view = self.views[run]
             moving = tuple(a for a in axes if view.moves(a))
             noise = noise_seed(self.seed, run) if shaken else None
-            run_of = simulate_group(view, moving, machine_of, settings, noise_seed=noise)
-            found = channels_of(run_of.without_noise, view, moving, added)
-            if shaken:  # the law of a controller is held against what it saw, with noise and rounding
-                seen = channels_of(run_of.trace, view, moving, added)
-                found |= {key: values for key, values in seen.items() if key[1] == "controller"}
+            simulation = simulate_group(view, moving, machine_of, settings, noise_seed=noise)
+            found = channels_of(simulation.without_noise, view, moving, added)
+            for a in moving if shaken else ():  # the law of a controller is held against what it saw, with noise and rounding
+                if (a, "controller") in found:
+                    seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
+                    assert seen is not None
+                    found[a, "controller"] = seen
             return found
 
         runs = sorted({channel.run for channel in mine})

@@ -13,7 +13,7 @@ from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_figures import as_image, budget_figure, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
 from twin.effects import EFFECTS
-from twin.files import write_text
+from twin.files import write_whole
 from twin.report.stamp import made_line
 from twin.units import ARCSEC
 
@@ -23,7 +23,7 @@ STRETCHES_SHOWN = 3
 
 def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
     """Write the page; an unwritable place is an InputError."""
-    write_text(report_page(diagnosis, document), path)
+    write_whole(path, report_page(diagnosis, document))
 
 
 def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:

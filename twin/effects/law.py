@@ -31,6 +31,7 @@ from twin.effects.effect import FROM_TABLE, Effect, Parameter
 from twin.effects.law_filters import filter_row
 from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, values_of
 from twin.effects.picture import Picture
+from twin.effects.setting import Setting
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE
@@ -187,6 +188,11 @@ def law_of(table: Mapping[str, Any], where: str) -> Law:
             raise InputError(f"{where}: law: a {shape.name} is a filter of {pairs}; not of {output} over {variable} in the {block}")
         return Law(block, output, variable, shape)
     return Law(block, output, variable, CURVE, *_points_of(table, f"{where}: law"))
+
+
+def law_in(setting: Setting) -> Law:
+    """The law that a setting of a machine is."""
+    return law_of(setting.table(), f"axis {setting.axis}")
 
 
 def _points_of(table: Mapping[str, Any], where: str) -> tuple[tuple[tuple[float, float], ...], str, float]:

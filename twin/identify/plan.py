@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import write_json, write_text
+from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, phases_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
@@ -248,12 +248,12 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
         trace = Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds)
         write_trace(trace, out / f"{run.name}.parquet")
         files.append(out / f"{run.name}.parquet")
-        write_text(siemens_program(run, machine), out / f"{run.name}.mpf")
+        write_whole(out / f"{run.name}.mpf", siemens_program(run, machine))
         files.append(out / f"{run.name}.mpf")
     # a folder that `twin identify` reads as soon as the recordings lie in it
     lines = [f'machine = "{machine.path.stem if machine.path else machine.name}"']
     lines += [f'\n[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "{run.feedforward}"' for run in plan.runs]
-    write_text("\n".join(lines) + "\n", out / "recordings" / "campaign.toml")
+    write_whole(out / "recordings" / "campaign.toml", "\n".join(lines) + "\n")
     files.append(out / "recordings" / "campaign.toml")
     document = {
         "machine": machine.name,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.files import output_folder, write_json, write_text
+from twin.files import output_folder, write_json, write_whole
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common, signal_unit
@@ -33,7 +33,7 @@ def write_evidence(
 ) -> Path:
     """Write the folder of a failed case; returns it."""
     output_folder(folder)
-    write_text(text + "\n", folder / "sentence.txt")
+    write_whole(folder / "sentence.txt", text + "\n")
     write_json({"checks": [check_table(c) for c in checks]}, folder / "checks.json", "checks")
     if golden.trace is None or outcome.trace is None or outcome.machine is None:
         _plot_numbers(checks, text, folder / "plot.png")

@@ -15,7 +15,7 @@ from typing import Any
 
 from twin.documents import read_json_table
 from twin.errors import InputError
-from twin.files import beside, write_text
+from twin.files import beside, write_whole
 from twin.recordings.trace import Trace, read_trace
 from twin.regress.outcome import Feature, Outcome, kept_trace
 from twin.regress.suite import Case
@@ -108,7 +108,7 @@ def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]
         write_small(golden.trace, traced)
     else:
         traced.unlink(missing_ok=True)
-    write_text(json.dumps(document, indent=1) + "\n", file)
+    write_whole(file, json.dumps(document, indent=1) + "\n")
 
 
 def write_small(trace: Trace, path: Path) -> None:

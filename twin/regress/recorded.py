@@ -23,7 +23,7 @@ import numpy as np
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.files import beside, write_text
+from twin.files import beside, write_whole
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path
 from twin.recordings.campaign import Campaign, read_campaign
@@ -117,5 +117,5 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
             pyarrow.parquet.write_table(pa.table(seen), partial)
         lines.append(f'[[run]]\nfile = "{run}.parquet"\nfeedforward = "{word}"\nstarted_at_s = {started_at:.3f}\n')
         started_at += wanted.duration + 1.0
-    write_text("\n".join(lines), folder / "campaign.toml")
+    write_whole(folder / "campaign.toml", "\n".join(lines))
     return read_campaign(folder, machine)

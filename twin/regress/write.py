@@ -12,7 +12,7 @@ import re
 from typing import Any
 from xml.etree import ElementTree
 
-from twin.files import stamped, write_text
+from twin.files import stamped, write_whole
 from twin.regress.evidence import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
@@ -122,7 +122,7 @@ def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path,
         (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
         (json_file, json.dumps(stamped(document(verdicts, seconds), "regress"), indent=1, allow_nan=False) + "\n"),
     ):
-        write_text(text, path)
+        write_whole(path, text)
 
 
 def _plain(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin.effects import Setting, check_setting, settings_of
-from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, Law, cycle_of, law_of
+from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, Law, cycle_of, law_in
 from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure, save_png
@@ -93,7 +93,7 @@ def draw_laws(machine: Machine, path: Path) -> Path:
     shown = laws_shown(machine)
     figure, places = new_figure(len(shown), 1, 8.6, 2.8)
     for place, setting in zip(places[:, 0], shown):
-        axis, law = machine.axis(setting.axis), law_of(setting.table(), "twin effects law")
+        axis, law = machine.axis(setting.axis), law_in(setting)
         source = machine.axis(setting.from_axis) if setting.from_axis else axis
         place.set_title(f"law on axis {axis.name}, {law.block}: {law.definition().get('formula', 'through points')}")
         if law.shape.is_filter:

@@ -24,8 +24,7 @@ _INSIDE: list[Any] = []
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
     """BLAS of this process on one thread until the last of all threads that are inside leaves."""
-    with _COUNTING:
-        _INSIDE.append(_INSIDE[0] if _INSIDE else _libraries().limit(limits=1, user_api="blas"))
+    _enter()
     try:
         yield
     finally:
@@ -38,6 +37,10 @@ def one_blas_thread() -> Iterator[None]:
 @functools.cache
 def stay_on_one_blas_thread() -> None:
     """BLAS of this process on one thread from now on."""
+    _enter()
+
+
+def _enter() -> None:
     with _COUNTING:
         _INSIDE.append(_INSIDE[0] if _INSIDE else _libraries().limit(limits=1, user_api="blas"))
 

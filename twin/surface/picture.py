@@ -89,8 +89,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
             subtitle += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
         figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", fontsize=14, x=0.012, ha="left", fontweight="bold")
         relief.set_title(subtitle, fontsize=10, color=QUIET, loc="left")
-        with beside(path) as partial:
-            plain_text(figure).savefig(partial)
+        _save(figure, path)
 
 
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
@@ -126,8 +125,7 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
             ha="left",
             fontweight="bold",
         )
-        with beside(path) as partial:
-            plain_text(figure).savefig(partial)
+        _save(figure, path)
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
@@ -147,6 +145,11 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
         figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
         ax.set_title(f"{name}: {label}", loc="left")
         ax.set_ylabel("v [mm]")
+    _save(figure, path)
+
+
+def _save(figure: Any, path: Path) -> None:
+    """Write a figure in the style in which it was drawn; the style of reports would draw its ticks anew."""
     with beside(path) as partial:
         plain_text(figure).savefig(partial)
 
@@ -231,5 +234,4 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
         axes.set_xlabel("[mm]")
         figure.colorbar(drawn, ax=axes).set_label("deviation from nominal [um]   (below 0: cut too deep)")
         axes.set_title(f"{machining.part.name}, {one.surface.name}: {one.level.label}", loc="left", fontweight="bold")
-        with beside(path) as partial:
-            plain_text(figure).savefig(partial)
+        _save(figure, path)

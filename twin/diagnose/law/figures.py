@@ -10,7 +10,7 @@ import numpy as np
 from twin.diagnose.law.laws import Law
 from twin.diagnose.law.measure import variable_of
 from twin.diagnose.law.wording import BAND
-from twin.effects.law import OUTPUTS, VARIABLES, law_of
+from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
 from twin.simulation.law_picture import draw_response, shown_in, small_length
@@ -25,7 +25,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
     for place, law in zip(places[:, 0], laws):
         axis = machine.axis(law.axis)
         source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
-        table = law_of(law.setting.table(), "a measured law")
+        table = law_in(law.setting)
         curve = law.measured.curve
         place.set_title(f"axis {law.axis}, {law.block}")
         if table.shape.is_filter:

@@ -129,6 +129,9 @@ class Samples:
         return len(self.y)
 
 
+_Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
+
+
 def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
     """Residuals of all blocks of these axes beside the corrected twin; `machine_of` turns a run's nominal machine into it."""
     runs = mapper(functools.partial(_of_run, views, machine_of, tuple(axes)), range(len(views)))
@@ -198,24 +201,23 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
         axis = actual.machine.axis(name)
         motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
+        cut = functools.cache(functools.partial(_cut, actual, axis, (view.trace, twin.without_noise, noisy)))  # two blocks are cut alike
         for block, law, period in (
             (MECHANICS, _forces, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
             (SPRING, _spring_force, FORCE_PERIOD_S),
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
-            (CURRENT_LOOP, _current_in_a_row, 0.0),
+            *([(CURRENT_LOOP, _current, 0.0)] if axis.has_current_loop else []),
         ):
-            measured = None if name in view.pushed and block != "transmission" else law(actual, axis, view.trace)
-            if measured is None:
+            found = None if name in view.pushed and block != "transmission" else cut(law)
+            if found is None:
                 continue
-            expected, shaken = law(actual, axis, twin.without_noise), law(actual, axis, noisy)
-            if expected is None or shaken is None:
-                continue
+            measured, expected, shaken = found
             keep = np.flatnonzero(measured[1] & expected[1])
             step = max(1, round(period / view.trace.period))
             index = keep[keep % step == 0] if period else keep
-            index = index[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
+            index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
             if len(index) < LEAST_SAMPLES:
                 continue
             beside = measured[0] - expected[0]
@@ -244,6 +246,12 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
                 )
             )
     return pieces
+
+
+def _cut(view: RunView, axis: Axis, traces: Sequence[Trace], law: _Block) -> list[tuple[np.ndarray, np.ndarray]] | None:
+    """What a block is off by in each of the traces (sample,), and where that is known; None where the record does not show it."""
+    found = [off for trace in traces if (off := law(view, axis, trace)) is not None]
+    return found if len(found) == len(traces) else None
 
 
 def _passed_by_position_controller(view: RunView, motion: dict[str, np.ndarray], beside: np.ndarray, noise: float) -> Passed:
@@ -356,12 +364,6 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
 def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Current beside the one that the controller would command (sample,), while the axis moves."""
     return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
-
-
-def _current_in_a_row(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Current beside the one that the controller would command (sample,), at every sample; None of an axis without current loop."""
-    found = _current(view, axis, trace) if axis.has_current_loop else None
-    return None if found is None else (found[0], np.ones(len(trace.time), bool))
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:

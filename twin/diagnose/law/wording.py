@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose.law.known_physics import Known, looks_like
 from twin.diagnose.law.laws import Law
-from twin.effects.law import OUTPUTS, VARIABLES, law_of
+from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
@@ -44,7 +44,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis) -> str:
 
 def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
     """Unit for people of a number of the shape."""
-    described = law_of(law.setting.table(), "a measured law")
+    described = law_in(law.setting)
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
     if of == "output":
         quantity = OUTPUTS[described.block][described.output].quantity
@@ -58,7 +58,7 @@ def sentence(law: Law, machine: Machine) -> str:
     """The law in one sentence: 'a friction on X that is (485 +- 2) N lower below (9.0 +- 0.1) mm/s'."""
     axis = machine.axis(law.axis)
     source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
-    described = law_of(law.setting.table(), "a measured law")
+    described = law_in(law.setting)
     p = law.setting.parameters
     what = {"force": "force", "friction": "friction", "torque": "torque", "displacement": "displacement"}.get(
         described.output, described.output
