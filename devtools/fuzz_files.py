@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VALUES = (
     "[]", "{}", '""', "[[1]]", "[1, 2]", '["X"]', '{ a = 1 }', "true", "false", "nan", "inf", "-inf", "0", "-1", "1e308", "-1e308", "1e-308",
     "1e9", "1e-9", "1e15", "9223372036854775807", "1" + "0" * 30, "1979-05-27", "07:32:00", '"\\u0000"', '"../../x"', '"/etc/hostname"', '"."',
-    '"$x_{"', '"<b>&"', '"a/b"', '"' + "x" * 400 + '"', '"é\\n"', "12345678901234567890123", "0.5", "3", "1000000000", '"X"', '"nan"',
+    '"$x_{"', '"<b>&"', '"a/b"', '"' + "x" * 400 + '"', '"é\\n"', "12345678901234567890123", "0.5", "3", "1000000000", '"X"', '"-nan"',
 )  # fmt: skip
 """What a value of a TOML file becomes."""
 WORDS = (
@@ -306,6 +306,32 @@ def options(seed: int, folder: Path) -> str:
     return f"twin {' '.join(command)}: {fault}" if fault else ""
 
 
+@functools.cache
+def places() -> list[tuple[str, str, int, str]]:
+    """(kind, file, line, value): every value that no code expects in the place of every value of every TOML file, in an order that mixes them."""
+    files = [(kind, next(iter(files))) for kind, files in samples().items() if next(iter(files)).endswith(".toml")]
+    found = []
+    for kind, name in files:
+        for i, line in enumerate(samples()[kind][name].decode().split("\n")):
+            if re.match(r"\s*[\w.\"*]+\s*=", line):
+                found += [(kind, name, i, value) for value in VALUES]
+    random.Random(0).shuffle(found)
+    return found
+
+
+def every_value(seed: int, folder: Path) -> str:
+    """One of `places`: seeds 0 to len(places()) - 1 are all of them."""
+    kind, name, i, value = places()[seed % len(places())]
+    for other, content in samples()[kind].items():
+        (folder / other).write_bytes(content)
+    lines = (folder / name).read_text(encoding="utf-8").split("\n")
+    lines[i] = lines[i].split("=", 1)[0] + "= " + value
+    (folder / name).write_text("\n".join(lines), encoding="utf-8")
+    command = commands(kind, folder, random.Random(f"every value {seed}"))
+    _, fault = called(command)
+    return f"{name}: {lines[i][:80]}: twin {command[0]}: {fault}" if fault else ""
+
+
 def all_kinds() -> dict[str, Case]:
     """Every kind of file, and the options."""
-    return {**{kind: case_of(kind) for kind in samples()}, "options": options}
+    return {**{kind: case_of(kind) for kind in samples()}, "options": options, "every_value": every_value}

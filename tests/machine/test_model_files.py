@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+import re
 import shutil
+import warnings
 
 import pytest
 
@@ -14,6 +16,7 @@ from twin.machine import model_limits
 from twin.machine.machine import load_machine, write_machine
 from twin.machine.model_file import check_mjcf, check_safe, files_of
 from twin.machine.model_limits import compiles
+from twin.machine.new import new_machine
 from twin.machine.urdf_file import check_urdf
 from twin.machine.urdf_visuals import read_visuals
 from twin.simulation.plant_spec import build_plant, load_spec
@@ -229,6 +232,32 @@ def test_a_model_on_which_the_engine_ends_is_refused(tmp_path: Path, monkeypatch
     monkeypatch.setattr(model_limits, "TRIAL", "import sys; sys.exit(3)")
     with pytest.raises(InputError, match="needs more than 6 GB"):
         compiles(tmp_path / "m.xml", root)
+
+
+def test_a_joint_without_inertia_is_named_and_no_log_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The engine would write a warning to standard error and into a file of the current folder."""
+    joints = '<joint name="A" type="hinge" axis="0 0 1"/><joint name="B" type="hinge" axis="0 0 1"/>'
+    (tmp_path / "m.xml").write_text(
+        f'<mujoco><worldbody><body name="plate"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{joints}</body></worldbody></mujoco>'
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="joint 'A' of body 'plate' moves no inertia"):
+        new_machine(Path("m.xml"), tmp_path / "out" / "m.toml")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.xml"]
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("coordinate", [1e30, 5e9])
+def test_a_mesh_beyond_any_machine(tmp_path: Path, coordinate: float) -> None:
+    """Whole numbers of the mesh library overflow there, with a warning among the results."""
+    corners = f"vertex 0 0 0\nvertex 1 0 0\nvertex 0 {coordinate:g} 0"
+    (tmp_path / "a.stl").write_text(f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}\nendloop\nendfacet\nendsolid a\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=re.escape(f"lies at {coordinate:.3g}, the limit is")):
+            load_mesh(tmp_path / "a.stl", process=True)
 
 
 @pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "ebcdic-cp-be", "bogus"])

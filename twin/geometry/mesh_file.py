@@ -6,11 +6,15 @@ import io
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from twin.errors import InputError
 
 ENDINGS = (".stl", ".obj", ".ply", ".dae")
 LARGEST_BYTES = 300_000_000
 """About six million triangles of a binary STL [bytes]."""
+LARGEST_COORDINATE = 1e9
+"""A thousand kilometres in mm: nearest corners are found in whole numbers, which end at 9e10."""
 
 
 def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) -> Any:
@@ -19,7 +23,6 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
     Raises:
         InputError: the file is too large, is no mesh of one of these endings, or holds no triangle or a corner that is no number.
     """
-    import numpy as np
     import trimesh
 
     ending = path.suffix.lower()
@@ -32,7 +35,7 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
         if ending == ".dae":
             _check_xml(content)
         # read from memory and without a resolver, so that no material, texture or buffer is looked for
-        mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", process=process)
+        mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", process=False)
         faces = len(mesh.faces)
     except InputError:
         raise
@@ -41,9 +44,18 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
         raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from None
     if not faces:
         raise InputError(f"{path}: the mesh has no triangle; export it again")
-    if not np.all(np.isfinite(mesh.vertices)):
-        raise InputError(f"{path}: a vertex of the mesh is no finite number; export it again")
+    check_corners(mesh.vertices, str(path))
+    if process:
+        mesh.process()
     return mesh
+
+
+def check_corners(corners: np.ndarray, where: str) -> None:
+    """Refuse corners (corner, 3) that are no number, or further away than any machine is large."""
+    if not np.all(np.isfinite(corners)):
+        raise InputError(f"{where}: a vertex of the mesh is no finite number; export it again")
+    if (farthest := float(np.max(np.abs(corners), initial=0.0))) > LARGEST_COORDINATE:
+        raise InputError(f"{where}: a vertex of the mesh lies at {farthest:.3g}, the limit is {LARGEST_COORDINATE:g}; correct its scale")
 
 
 def _check_xml(content: bytes) -> None:

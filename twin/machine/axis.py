@@ -168,7 +168,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if not isinstance(table, dict):
         raise InputError(f"{where}: must be a table")
     kind = table.get("kind")
-    if kind not in keys.AXIS:
+    if not isinstance(kind, str) or kind not in keys.AXIS:
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
         table = sinumerik.completed(table, where)

@@ -7,6 +7,7 @@ names files or generates parts is compiled once in a process of its own, with li
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from pathlib import Path
@@ -19,6 +20,8 @@ from twin.limits import refuse_above
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+    import mujoco
 
 MOST_ELEMENTS = 20_000
 """Elements of a model with all that its <replicate> make."""
@@ -47,6 +50,34 @@ except MemoryError:
 except Exception:
     sys.exit(0)  # said by the process that asked, with its place
 """
+
+
+
+@functools.cache
+def quiet_engine() -> None:
+    """Keep the engine's own warnings off standard error and out of MUJOCO_LOG.TXT in the current folder.
+
+    They stay in `MjData.warning`, where `refuse_singular` and the bounds of a run look.
+    """
+    import mujoco
+
+    config = mujoco.MjLogConfig()
+    config.logto_console = config.logto_file = False
+    mujoco.MjLogConfig.set(config)
+
+
+def refuse_singular(model: mujoco.MjModel, data: mujoco.MjData, where: str) -> None:
+    """Refuse a state whose inertia matrix the engine could not factor, naming the joint; call it behind `mj_forward`."""
+    import mujoco
+
+    warning = data.warning[mujoco.mjtWarning.mjWARN_INERTIA]
+    if warning.number:
+        joint = model.joint(int(model.dof_jntid[warning.lastinfo]))
+        raise InputError(
+            f"{where}: joint '{joint.name}' of body '{model.body(model.jnt_bodyid[joint.id]).name}' moves no inertia of its own "
+            "(two joints of one axis, or a mass far too small beside others); correct it"
+        )
+
 
 _GENERATING = ("replicate", "composite", "flexcomp", "attach")
 _TABLES = {

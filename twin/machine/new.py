@@ -22,6 +22,7 @@ from twin.machine.check import ASSUMED
 from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
+from twin.machine.model_limits import refuse_singular
 from twin.machine.sinumerik import DATA, control_cycles, plain_values, read_machine_data
 from twin.machine.urdf import JointLimits, spec_of_urdf
 from twin.simulation.plant_spec import load_spec
@@ -99,6 +100,7 @@ def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Pa
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_forward(model, data)
+    refuse_singular(model, data, str(path))
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     out = []

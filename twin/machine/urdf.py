@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
+from twin.machine.model_limits import quiet_engine
 from twin.machine.urdf_file import check_urdf, read_urdf
 
 MOST_FACES = 2000
@@ -46,6 +47,7 @@ def spec_of_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, JointLimits]]:
     robot = read_urdf(path)
     joints, links = robot.joint_map, robot.link_map
     _check_moving_masses(joints, links, path)
+    quiet_engine()
     spec = mujoco.MjSpec()
     spec.modelname = robot.robot.name or path.stem
     spec.compiler.degree = False

@@ -14,8 +14,9 @@ import mujoco
 import numpy as np
 
 from twin.errors import InputError
-from twin.geometry.mesh_file import load_mesh
+from twin.geometry.mesh_file import check_corners, load_mesh
 from twin.geometry.shape import Shape
+from twin.machine.model_limits import quiet_engine
 from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 
 _GREY = (160, 164, 170, 255)
@@ -40,6 +41,7 @@ class Visuals:
 def read_visuals(path: Path) -> Visuals:
     """Read a URDF file; one that cannot be read or lacks a mesh is an InputError."""
     robot = read_urdf(path)
+    quiet_engine()
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     children = {joint.child for joint in robot.joint_map.values()}
@@ -115,7 +117,10 @@ def _mesh(mesh: Any, link: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
     file = mesh_of_urdf(str(mesh.filename or ""), path, f"{path}: link '{link}'")
     read = load_mesh(file, process=False)
     scale = 1.0 if mesh.scale is None else np.asarray(mesh.scale, float)
-    return np.asarray(read.vertices, float) * scale, np.asarray(read.faces, np.int64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        corners = np.asarray(read.vertices, float) * scale
+    check_corners(corners, f"{path}: link '{link}'")
+    return corners, np.asarray(read.faces, np.int64)
 
 
 def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:

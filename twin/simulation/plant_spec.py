@@ -19,7 +19,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.model_file import check_safe, state_of_model
-from twin.machine.model_limits import compiles
+from twin.machine.model_limits import compiles, quiet_engine, refuse_singular
 
 Answer = TypeVar("Answer")
 
@@ -56,6 +56,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=8)
 def _parsed(path: Path, _state: bytes) -> mujoco.MjSpec:
+    quiet_engine()
     compiles(path, check_safe(path))
     try:
         return mujoco.MjSpec.from_file(str(path))
@@ -213,6 +214,7 @@ def home_inertia_at_motor(machine: Machine) -> np.ndarray:
     plant = build_plant(machine)
     plant.data.qpos[:] = 0.0
     mujoco.mj_forward(plant.model, plant.data)
+    refuse_singular(plant.model, plant.data, str(machine.model_path))
     inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof]
     return inertia * np.array([axis.ratio for axis in machine.axes]) ** 2
 
