@@ -35,7 +35,8 @@ def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> N
     assert (code, fault) == (0, "")
 
 
-ONCE_FAULTS = [("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275)]
+ONCE_FAULTS = [("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275),
+               ("urdf", 740200), ("model_new", 742817), ("machine", 9102514), ("sinumerik", 9102713)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "seed"), ONCE_FAULTS)

@@ -19,6 +19,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+import math
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ from twin.limits import refuse_above
 from twin.recordings.grid import MOST_ROWS
 from twin.recordings.signals import How, Recording, Signal, date_of, starts_with
 
+MOST_NUMBERED = 1e15
+"""Intervals from a first to a last sample that can be numbered; a record holds far fewer."""
 NO_NUMBER = 9.2e18
 """Values above are the bit patterns of NaN and infinity, which the control prints as whole numbers."""
 
@@ -105,8 +108,8 @@ def _begin(samples: dict[str, _Samples], given: Mapping[str, str], path: Path) -
         key, name, interval = given["id"], given["name"], float(given["interval"])
     except KeyError as missing:
         raise InputError(f"{path}: a <dataSignal> has no {missing}; this is not the layout of a SINUMERIK trace") from None
-    if not interval > 0.0:
-        raise InputError(f"{path}: signal '{name}': interval = {interval:g}; it must be above 0")
+    if not 0.0 < interval < math.inf:
+        raise InputError(f"{path}: signal '{name}': interval = {interval:g}; it must be a number above 0")
     count = given.get("datapointCount")
     samples[key] = _Samples(name, given.get("description", ""), interval, int(count) if count else None)
 
@@ -114,7 +117,7 @@ def _begin(samples: dict[str, _Samples], given: Mapping[str, str], path: Path) -
 def _record(samples: dict[str, _Samples], given: Mapping[str, str], path: Path, last: float) -> float:
     """One record: its time, and the values that changed."""
     time = float(given["time"])
-    if time <= last:
+    if not last < time < math.inf:
         raise InputError(f"{path}: time does not increase at {time:g} s; the file is damaged, export it again")
     for key, text in given.items():
         if key == "time" or (one := samples.get(key)) is None:
@@ -132,6 +135,8 @@ def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], p
     times, values = np.array(one.times), np.array(one.values)
     if len(times) == 0:
         return Signal(one.name, values, times, "", one.description), f"'{one.name}' holds no value"
+    if (last := float(times[-1] - times[0]) / one.interval) > MOST_NUMBERED:
+        raise InputError(f"{path}: signal '{one.name}': {last:.3g} intervals of {one.interval:g} s; the file is damaged, export it again")
     at = (times - times[0]) / one.interval
     number = np.rint(at).astype(int)
     if np.abs(at - number).max() > 0.1 or (len(number) > 1 and np.diff(number).min() < 1):
