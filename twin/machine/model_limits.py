@@ -52,7 +52,6 @@ except Exception:
 """
 
 
-
 @functools.cache
 def quiet_engine() -> None:
     """Keep the engine's own warnings off standard error and out of MUJOCO_LOG.TXT in the current folder.
