@@ -14,6 +14,7 @@ TOML = {
     "thousands of digits": ("x = " + "9" * 5000, "not a valid TOML file"),
     "beyond a float": ("x = 1" + "0" * 400, "a whole number of 401 digits"),
     "beyond 64 bits": ("x = [1, 9223372036854775808]", "x: a whole number of 19 digits"),
+    "beyond any quantity": ("[a]\nx = [0.0, -1e308]", "a.x = -1e+308: no quantity is so large"),
     "NUL in a text": ('file = "a\\u0000b"', "file: the text 'a\\x00b' holds the character NUL"),
     "NUL in a name": ('"a\\u0000b" = 1', "holds the character NUL"),
     "Latin-1": (b'name = "Fr\xe4se"', "save it as UTF-8"),
@@ -56,9 +57,9 @@ def test_json_that_nothing_behind_can_take(case: str, tmp_path: Path) -> None:
 
 
 def test_what_is_in_order_is_read(tmp_path: Path) -> None:
-    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbf[a.b]\nc = [1, 2.5, true]\n")
+    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbf[a.b]\nc = [1, 2.5, true, inf, 1e99]\n")
     (tmp_path / "x.json").write_bytes(b'\xef\xbb\xbf{"a": [1, 2.5, null, true]}')
-    assert read_toml(tmp_path / "x.toml") == {"a": {"b": {"c": [1, 2.5, True]}}}
+    assert read_toml(tmp_path / "x.toml") == {"a": {"b": {"c": [1, 2.5, True, float("inf"), 1e99]}}}
     assert read_json(tmp_path / "x.json") == {"a": [1, 2.5, None, True]}
 
 

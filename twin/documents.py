@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import json
+import math
 from pathlib import Path
 import tomllib
 from typing import Any
@@ -22,6 +23,8 @@ DEEPEST = 40
 """Tables within tables, lists within lists."""
 LARGEST_INTEGER = 2**63
 """Whole numbers lie below it, as TOML demands; a float64 holds them."""
+LARGEST_NUMBER = 1e100
+"""Larger numbers of a TOML file are no quantity of anything; their products overflow. Infinity is a word of its own."""
 
 
 def read_toml(path: Path, what: str = "a valid TOML file") -> dict[str, Any]:
@@ -37,7 +40,7 @@ def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str,
         raise InputError(f"{where}: not {what}: nested too deeply; write it flat") from None
     except ValueError as error:  # also a whole number of thousands of digits, which TOMLDecodeError does not cover
         raise InputError(f"{where}: not {what}: {error}; correct it there") from None
-    _check(document, where)
+    _check(document, where, LARGEST_NUMBER)
     return document
 
 
@@ -114,8 +117,10 @@ def _text(path: Path, largest: int, what: str) -> str:
         raise InputError(f"{str(path)!r}: no name of a file; correct it") from None
 
 
-def _check(document: Any, where: str) -> None:
-    """Refuse nesting, whole numbers and names that nothing behind the readers can take."""
+def _check(document: Any, where: str, largest: float = math.inf) -> None:
+    """Refuse nesting, numbers and names that nothing behind the readers can take."""
+    # a recording in JSON has millions of floats, and no largest one
+    looked_at = (dict, list, str, int) if largest == math.inf else (dict, list, str, int, float)
     waiting: list[tuple[Any, str, int]] = [(document, "", 0)]
     while waiting:
         value, key, depth = waiting.pop()
@@ -125,13 +130,16 @@ def _check(document: Any, where: str) -> None:
             for name, inner in value.items():
                 if "\0" in name:
                     raise InputError(f"{where}: the name {_short(repr(name))} holds the character NUL; remove it")
-                if isinstance(inner, dict | list | str | int):
+                if isinstance(inner, looked_at):
                     waiting.append((inner, f"{key}.{name}" if key else name, depth + 1))
         elif isinstance(value, list):
-            waiting += [(inner, key, depth + 1) for inner in value if isinstance(inner, dict | list | str | int)]
+            waiting += [(inner, key, depth + 1) for inner in value if isinstance(inner, looked_at)]
         elif isinstance(value, str):
             if "\0" in value:
                 raise InputError(f"{where}: {_short(key)}: the text {_short(repr(value))} holds the character NUL; remove it")
+        elif isinstance(value, float):
+            if largest < abs(value) < math.inf:
+                raise InputError(f"{where}: {_short(key)} = {value:g}: no quantity is so large; give less than {largest:g}")
         elif abs(value) >= LARGEST_INTEGER:
             raise InputError(f"{where}: {_short(key)}: a whole number of {len(str(abs(value)))} digits; give one below 2^63, or write 1e20")
 

@@ -11,6 +11,9 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.units import UNITS
 
+SMALLEST = 1e-100
+"""A positive number below is none: its inverse overflows."""
+
 
 def is_number(value: object) -> bool:
     """A finite number; true and false are none."""
@@ -42,7 +45,7 @@ def number(table: Mapping[str, Any], key: str, where: str, default: float | None
 def positive(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
     """A number above 0 of a table."""
     value = _given(table, key, where, default)
-    if not is_number(value) or value <= 0.0:
+    if not is_number(value) or value < SMALLEST:
         raise InputError(f"{where}: {key} = {value!r} is no number above 0; correct it")
     return float(value)
 

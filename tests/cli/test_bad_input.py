@@ -135,6 +135,14 @@ MACHINES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     ),
     "impossible mass": (lambda t: t.replace("kg = 700.0", "kg = -700.0"), ("moving_mass_kg = -700", "impossible", "above 0")),
     "zero resistance": (lambda t: t.replace("resistance_ohm = 0.5", "resistance_ohm = 0", 1), ("[axis.X.motor]", "resistance_ohm = 0")),
+    "a lead of atoms": (
+        lambda t: t.replace("screw_lead_m_per_rev = ", "screw_lead_m_per_rev = 1e-30 # ", 1),
+        ("1e-30: no machine has such a number",),
+    ),
+    "a cycle of hours": (
+        lambda t: t.replace("position_cycle_us = 2000", "position_cycle_us = 2e12"),
+        ("position_cycle_us", "no cycle of a control"),
+    ),
     "infinite gain": (lambda t: t.replace("speed_gain_nm_s_per_rad = 3.4", "speed_gain_nm_s_per_rad = inf"), ("impossible",)),
     "text for a number": (lambda t: t.replace("kg = 700.0", 'kg = "heavy"'), ("moving_mass_kg = 'heavy'", "a number")),
     "travel turned round": (lambda t: t.replace("[-0.355, 0.355]", "[0.355, -0.355]"), ("travel_m", "below the second")),

@@ -25,6 +25,10 @@ ADDED = ("effect", "driven_axes", "identified", "frame", "tool", "variables", "p
 """Of those, what `changed` may add."""
 
 
+LONGEST_CYCLE, MOST_TICKS = 1.0, 1_000_000
+"""No control is slower [s]; and no cycle has more ticks of the shortest one: their matrices are multiplied so often."""
+
+
 def check_document(document: Mapping[str, Any], where: str) -> None:
     """Every table but those of the axes: keys known, numbers possible. Raises InputError with table, key and remedy."""
     keys.check_table(document, keys.TOP, where, TABLES)
@@ -85,6 +89,11 @@ def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str
     cycles = cycles_of(document)
     shortest = min(cycles[name] for name in ("current_cycle", "speed_cycle", "position_cycle"))
     for name in ("current_cycle", "speed_cycle", "position_cycle"):
+        if not LONGEST_CYCLE / MOST_TICKS <= cycles[name] <= LONGEST_CYCLE:
+            raise InputError(
+                f"{where}: [control]: {name}_us = {cycles[name] * 1e6:g} is no cycle of a control; "
+                f"give {LONGEST_CYCLE / MOST_TICKS * 1e6:g} to {LONGEST_CYCLE * 1e6:g}"
+            )
         if abs(cycles[name] / shortest - round(cycles[name] / shortest)) > 1e-6:
             raise InputError(f"{where}: [control]: {name}_us is no whole multiple of the shortest cycle ({shortest * 1e6:g} us); change it")
 

@@ -38,6 +38,9 @@ EFFORTS = {
 
 TOP = {"gravity_m_per_s2": not_negative(), "parameter_tolerance": Key(0.0, 1.0, required=False)}
 
+SMALLEST, LARGEST = 1e-18, 1e18
+"""No number of a machine is smaller or larger, whatever its unit; squares and quotients of such numbers are still numbers."""
+
 CONTROL = {
     "current_cycle_us": positive(required=False),  # required where an axis has a current loop
     "speed_cycle_us": positive(),
@@ -101,7 +104,7 @@ def tables_of_axis(
     if structure != STRUCTURES[0]:
         actuator = table.get("actuator")
         command = actuator.get("command") if isinstance(actuator, dict) else "torque"
-        if command not in EFFORTS:
+        if not isinstance(command, str) or command not in EFFORTS:
             raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
         effort = EFFORTS[command]
         loops = {k: replace(v, required=k == "position_gain_per_s") for k, v in LOOPS.items() if not k.startswith(("speed_i", "current_"))}
@@ -166,3 +169,5 @@ def _check_value(value: Any, key: Key, where: str) -> None:
             low = f"above {key.low:g}" if key.above else f"at least {key.low:g}"
             bounds = " and ".join(([low] if key.low > -INFINITE else []) + ([f"at most {key.high:g}"] if key.high < INFINITE else []))
             raise InputError(f"{where} = {v:g}: impossible; give a number {bounds or 'that is finite'}")
+        if v and not SMALLEST <= abs(v) <= LARGEST:
+            raise InputError(f"{where} = {v:g}: no machine has such a number; give one between {SMALLEST:g} and {LARGEST:g}")

@@ -102,7 +102,7 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     plain = copy.deepcopy(dict(table))
     given = plain.pop("sinumerik")
     kind = plain.get("kind")
-    if not isinstance(given, Mapping) or kind not in DATA:
+    if not isinstance(given, Mapping) or not isinstance(kind, str) or kind not in DATA:
         raise InputError(f"{where[:-1]}.sinumerik]: must be a table of machine data of an axis with a kind")
     for key, value in plain_values(by_number(given, kind, f"{where[:-1]}.sinumerik]"), kind).items():
         *tables, last = key.split(".")
@@ -116,6 +116,8 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
         else:
             for name in tables:
                 target = target.setdefault(name, {})
+                if not isinstance(target, dict):
+                    raise InputError(f"{where[:-1]}.{name}]: must be a table; machine data in [sinumerik] belong into it")
             slot, present = last, last in target
         old = target[slot] if present else value
         if isinstance(old, int | float) and not math.isclose(old, value, rel_tol=_EQUAL, abs_tol=1e-12):
