@@ -35,13 +35,15 @@ def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> N
     assert (code, fault) == (0, "")
 
 
-ONCE_FAULTS = [("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275),
-               ("urdf", 740200), ("model_new", 742817), ("machine", 9102514), ("sinumerik", 9102713)]  # fmt: skip
+ONCE_FAULTS = [
+    ("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275), ("urdf", 740200), ("model_new", 742817),
+    ("machine", 9102514), ("sinumerik", 9102713), ("every_value", 42), ("every_value", 434), ("every_value", 2197), ("every_value", 4933),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "seed"), ONCE_FAULTS)
 def test_what_was_found_stays_mended(kind: str, seed: int) -> None:
-    assert one_case(fuzz_files.case_of(kind), seed) == ""
+    assert one_case(fuzz_files.all_kinds()[kind], seed) == ""
 
 
 def ends(seed: int, _: Path) -> str:

@@ -106,7 +106,7 @@ def cycles_of(document: Mapping[str, Any]) -> dict[str, float]:
     """Cycles of the control [s], those left out included: current_cycle, speed_cycle, position_cycle, interpolation_cycle."""
     control = {k: v * si_from_key(k) for k, v in document["control"].items() if k in keys.CONTROL}
     speed, position = control["speed_cycle_us"], control["position_cycle_us"]
-    current = control.get("current_cycle_us", speed / math.ceil(speed / LONGEST_TICK - 1e-9))
+    current = control.get("current_cycle_us", speed / max(math.ceil(speed / LONGEST_TICK - 1e-9), 1))
     return {
         "current_cycle": current,
         "speed_cycle": speed,

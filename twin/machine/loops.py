@@ -93,18 +93,24 @@ class Margins:
     stable: bool
 
 
+NOTHING = 1e-300
+"""Gain of a loop below which there is none."""
+
+
 def margins_of(loop: Loop, count: int = GRID) -> Margins:
     """Margins, found on a grid of so many frequencies and refined; of several crossings the one with the least margin."""
     f = loop.grid(count)
     response = loop.open_response(f)
-    crossovers = [_refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1]) for i in _changes(np.log(np.abs(response)))]
+    crossovers = [
+        _refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1]) for i in _changes(np.log(np.maximum(np.abs(response), NOTHING)))
+    ]
     # the imaginary part changes its sign on the negative real axis
     turns = [i for i in _changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
     crossings = [_refined(lambda x: _at(loop, x).imag, f[i], f[i + 1]) for i in turns]
     if response[-1].real < 0.0:
         crossings.append(0.5 / loop.period)  # half the sampling rate: L is real there
     phases = [(math.degrees(np.angle(-_at(loop, x))), x) for x in crossovers]
-    gains = [(1.0 / abs(_at(loop, x)), x) for x in crossings]
+    gains = [(1.0 / size, x) for x in crossings if (size := abs(_at(loop, x))) > NOTHING]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
     closed = np.abs(response / (1.0 + response))
