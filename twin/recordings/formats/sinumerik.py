@@ -56,7 +56,7 @@ def read(path: Path, how: How) -> Recording:
         raise InputError(f"{path}: not an XML file; give it the ending of its true format")
     samples: dict[str, _Samples] = {}
     started: datetime | None = None
-    root, frames, lost, last = "", 0, 0, float("nan")
+    root, frames, lost, last = "", 0, 0, -math.inf
     parents: list[object] = []
     try:
         for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
