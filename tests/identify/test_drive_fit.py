@@ -30,9 +30,10 @@ def recording(machine: Machine) -> MeasuredRun:
     return MeasuredRun("made", Trace(trace.time, kept, trace.kinds), "velocity", 0.0)
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 4e-3])
-def test_a_reference_model_and_a_steady_load_are_found(machine: Machine, lag_s: float) -> None:
-    there = machine.with_values({"axis.Z.loops.speed_reference_time_s": lag_s, "axis.Z.constant_torque_nm": 0.06})
+@pytest.mark.parametrize(("lag_s", "fed"), [(0.0, 0.0), (4e-3, 0.0), (1e-3, 0.8)])
+def test_how_the_drive_controls_and_a_steady_load_are_found(machine: Machine, lag_s: float, fed: float) -> None:
+    drive = {"axis.Z.loops.speed_reference_time_s": lag_s, "axis.Z.loops.drive_torque_feedforward": fed}
+    there = machine.with_values({**drive, "axis.Z.constant_torque_nm": 0.06})
     run = recording(there)
     rows = {"Z": [np.ones(len(run.trace.time), bool)]}
     start = machine.with_values({"axis.Z.loops.speed_gain_nm_s_per_rad": 0.07, "axis.Z.coulomb_friction_nm": 0.03})
@@ -40,4 +41,5 @@ def test_a_reference_model_and_a_steady_load_are_found(machine: Machine, lag_s: 
     assert found.constant_torque_nm == pytest.approx(0.06, abs=2e-3)
     assert found.loops.speed_gain_nm_s_per_rad == pytest.approx(0.05, rel=0.05)
     assert found.loops.speed_reference_time_s == pytest.approx(lag_s, rel=0.1)
+    assert found.loops.drive_torque_feedforward == pytest.approx(fed, rel=0.05)
     assert found.coulomb_friction_nm == pytest.approx(0.05, rel=0.03)

@@ -26,7 +26,7 @@ def test_unit_of_each_drive(field: str, units: tuple[str, str, str]) -> None:
 
 def test_only_plain_numbers_have_no_unit() -> None:
     plain = {p.field for p in PARAMETERS if p.key("screw") and not unit_of_key(p.key("screw"))}
-    assert plain == {"loops.velocity_feedforward", "loops.torque_feedforward", "loops.speed_mean_cycles"}
+    assert plain == {f"loops.{k}" for k in ("velocity_feedforward", "torque_feedforward", "drive_torque_feedforward", "speed_mean_cycles")}
 
 
 def test_drive_and_inertia_of_an_axis(mikron: Machine) -> None:

@@ -37,13 +37,18 @@ STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5
 
 RELATIVE_STEP = 0.02
 CLEARLY = 0.02
-"""A speed controller with a reference model is taken where it lowers the mean log RMS by more."""
+"""A speed controller with a reference model, and a torque feedforward of the drive, are taken where they lower the mean log RMS by more."""
+
+NO_FRICTION, START_FRICTION = 1e-3, 0.03
+"""A file with less Coulomb friction than this share of the largest command starts the search at that share: from next to none it never grows."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
 """Where the search for a reference model starts: the lag of the speed loop within bounds, and an integral time of at least this."""
 
-DIVERGED = 1e9
+ONE_WAY = 1e-3
+"""An axis whose set point never moves back faster than this share of its fastest moves one way only."""
+
 LEAST_RMS = 1e-10
 """Residuals below this (in units of the signal's range) count as equal."""
 
@@ -87,14 +92,18 @@ def fit_drives(
     if plain is None:
         return DriveFits(machine)
     searches = dict.fromkeys(plain.x, plain)
-    modelled = with_reference_models(machine, [n for n in plain.x if "speed_integral_time_s" in plain.work.fields[n]])
-    if modelled is not machine:
+    controlled = [n for n in plain.x if "speed_integral_time_s" in plain.work.fields[n]]
+    modelled = with_reference_models(machine, controlled)
+    fed_by_nc = any("torque" in (run.feedforward or "torque") for run in runs)
+    for richer in (modelled, machine if fed_by_nc else with_drive_feedforward(modelled, controlled)):
+        if richer == machine:
+            continue
         try:
-            other = _searched(_Work(modelled, runs, rows, known, [a.name for a in machine.axes if modelled.axis(a.name) == a]), say)
+            other = _searched(_Work(richer, runs, rows, known, [a.name for a in machine.axes if richer.axis(a.name) == a]), say)
         except SimulationError:
             other = None
         if other is not None:
-            searches |= {n: other for n in other.x if other.score[n] < plain.score[n] - CLEARLY}
+            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - CLEARLY}
     fits, values, forces = {}, {}, {}
     for n, search in searches.items():
         fits[n] = search.work.result(n, search.x[n], search.base[n], search.jacobian[n])
@@ -127,6 +136,12 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
             values[f"axis.{name}.loops.speed_gain_nm_s_per_rad"] = inertia / lag
             values[f"axis.{name}.loops.speed_integral_time_s"] = max(axis.loops.speed_integral_time_s, REFERENCE_INTEGRAL_S)
     return machine.with_values(values) if values else machine
+
+
+def with_drive_feedforward(machine: Machine, axes: Collection[str]) -> Machine:
+    """The machine whose drives feed the torque for the acceleration forward by themselves, on these axes; as it is where all do."""
+    off = [n for n in axes if machine.axis(n).loops.drive_torque_feedforward == 0.0]
+    return machine.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}) if off else machine
 
 
 def _searched(work: _Work, say: Callable[[str], None] | None) -> _Search | None:
@@ -238,7 +253,7 @@ class _Work:
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
         if axis.has_speed_integral and any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs):
             fields += ["speed_gain_nm_s_per_rad", "speed_integral_time_s"]
-            fields += ["speed_reference_time_s"] if axis.loops.speed_reference_time_s > 0.0 else []
+            fields += [f for f in ("speed_reference_time_s", "drive_torque_feedforward") if getattr(axis.loops, f) > 0.0]
         if axis.loops.dsc_delay_s > 0.0:
             fields.append("dsc_delay_s")
         return [f for f in fields if (axis.name, f) not in known]
@@ -266,7 +281,10 @@ class _Work:
             return axis.constant_force + sum(float(e["force"]) for e in listed)
         if hasattr(axis.loops, field_name):
             return float(getattr(axis.loops, field_name))
-        return max(float(getattr(axis, field_name)), 1e-6 * self._peak(name))
+        value, peak = float(getattr(axis, field_name)), self._peak(name)
+        if field_name == "coulomb_friction_nm" and value < NO_FRICTION * peak:
+            return START_FRICTION * peak
+        return max(value, 1e-6 * peak)
 
     def _peak(self, name: str) -> float:
         """Largest recorded command as a torque at the motor [Nm]."""
@@ -379,6 +397,12 @@ class _Work:
                     out.append((1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows])
         return np.concatenate(out)
 
+    def _moves_one_way(self, name: str) -> bool:
+        """Do the set points of an axis move in one direction only where it is fitted?"""
+        moving = zip(self.runs, self.used[name, self.machine.axis(name).effort])
+        steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
+        return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
+
     def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
         """Values of one axis with their deviations."""
         deviation = _deviations(jacobian, _whitened(base), self.clusters(n))
@@ -389,6 +413,12 @@ class _Work:
                 unseen.append(f)
             slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
             values[f], deviations[f] = value, float(d * slope)
+        if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
+            # what such an axis does at its stops parts friction and load a little, and no law of friction at rest is sure enough for that
+            unseen.append("coulomb_friction_nm")
+            deviations["constant_force"] = math.hypot(
+                deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
+            )
         rms = {s: _rms(v) * self.scale[n, s] for s, v in base.items()}
         return DriveFit(values, deviations, rms, tuple(unseen))
 

@@ -58,7 +58,8 @@ class Loops:
 
     `speed_mean_cycles` n > 0: the speed is not measured but differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts);
     `speed_filter_time_s`: first-order lag of the speed that the controller sees (0: none). `speed_reference_time_s`: first-order lag of the
-    speed set point that the integrator of the speed controller sees (its reference model; 0: none).
+    speed set point that the integrator of the speed controller sees (its reference model; 0: none). `drive_torque_feedforward`: weight of a
+    torque feedforward that the drive makes itself, whatever the NC has switched on (0: none).
     """
 
     position_gain_per_s: float
@@ -74,11 +75,17 @@ class Loops:
     speed_mean_cycles: int = 0
     speed_filter_time_s: float = 0.0
     speed_reference_time_s: float = 0.0
+    drive_torque_feedforward: float = 0.0
 
     @property
     def set_point_delay_s(self) -> float:
         """How late a set point acts on the axis [s]: in the NC's position controller, and on the way to a drive that closes the loop."""
         return self.position_delay_s + self.dsc_delay_s
+
+    @property
+    def acceleration_weight(self) -> float:
+        """Share of the commissioned inertia's torque that is fed forward, by NC and drive together."""
+        return self.torque_feedforward + self.drive_torque_feedforward
 
 
 @dataclass(frozen=True)

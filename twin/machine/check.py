@@ -162,7 +162,7 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             f"the load's inertia is {c.inertia_ratio:.1f} times the rotor's; above {MOST_INERTIA_RATIO:g} a drive is hard to tune",
         )
     commissioned = axis.commissioned_inertia
-    if commissioned is not None and loops.torque_feedforward and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
+    if commissioned is not None and loops.acceleration_weight and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
         yield (
             "unusual",
             f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}",

@@ -69,7 +69,7 @@ def _below(table: str, drive: str = "screw") -> dict[str, Key]:
 AXIS = {"linear": _below(""), "rotary": _below("", "gear")}
 MOTOR, LOOPS, COMMISSIONED = (_below(table) for table in ("motor", "loops", "commissioned"))
 
-SPEED_GAIN = "speed_gain_nm_s_per_rad"
+SPEED_GAIN, DRIVE_FEEDFORWARD = "speed_gain_nm_s_per_rad", "drive_torque_feedforward"
 
 DIRECT = {"torque_constant_nm_per_v": "force_constant_n_per_v", "peak_torque_nm": "peak_force_n"} | {
     p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS if p.direct and p.direct != p.screw
@@ -100,7 +100,8 @@ def tables_of_axis(
 ) -> tuple[dict[str, Key], dict[str, dict[str, Key]]]:
     """Keys of an axis table and of the tables below it, for its kind, drive and structure."""
     own = dict(AXIS[kind])
-    parts = {"motor": dict(MOTOR), "loops": dict(LOOPS), "commissioned": dict(COMMISSIONED)}
+    # a cascade down to the winding has the NC's torque feedforward alone: no fit would part it from one of the drive
+    parts = {"motor": dict(MOTOR), "loops": {k: v for k, v in LOOPS.items() if k != DRIVE_FEEDFORWARD}, "commissioned": dict(COMMISSIONED)}
     if structure != STRUCTURES[0]:
         actuator = table.get("actuator")
         command = actuator.get("command") if isinstance(actuator, dict) else "torque"

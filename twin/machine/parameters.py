@@ -131,6 +131,7 @@ PARAMETERS = (
     _same("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
     _same("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
     _same("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
+    _same("loops.drive_torque_feedforward", Key(0.0, 5.0, required=False)),
     # what the control was commissioned with; it keeps these whatever motor and load really are
     _same(
         "commissioned.torque_constant_nm_per_a",

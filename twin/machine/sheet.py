@@ -49,6 +49,11 @@ def sheet(machine: Machine) -> str:
     row("speed from", "", each(lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder"))
     row("speed filter", "ms", each(lambda a: _g(a.loops.speed_filter_time_s * 1e3) if a.loops.speed_filter_time_s else "-"))
     row("speed reference model", "ms", each(lambda a: _g(a.loops.speed_reference_time_s * 1e3) if a.loops.speed_reference_time_s else "-"))
+    row(
+        "torque feedforward of the drive",
+        "",
+        each(lambda a: _g(a.loops.drive_torque_feedforward) if a.loops.drive_torque_feedforward else "-"),
+    )
     row("loop closed on", "", each(lambda a: a.encoder))
     cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
     if "P/PI/PI" in kinds:

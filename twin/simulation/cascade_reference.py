@@ -161,7 +161,7 @@ def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.nd
         inertia = home[a] if axis.commissioned_inertia is None else axis.commissioned_inertia
         out[0, :, a] = s(t - p.position_delay_s)
         out[1, :, a] = p.velocity_feedforward * (now - before) / tp
-        out[2, :, a] = p.torque_feedforward * inertia * (now - 2.0 * before + earlier) / tp**2 / axis.ratio
+        out[2, :, a] = (p.torque_feedforward + p.drive_torque_feedforward) * inertia * (now - 2.0 * before + earlier) / tp**2 / axis.ratio
     return out[0], out[1], out[2]
 
 

@@ -232,7 +232,7 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
             axis.loops.position_delay_s,
             axis.loops.feedforward_delay_s,
             axis.loops.velocity_feedforward,
-            axis.loops.torque_feedforward * inertia,
+            axis.loops.acceleration_weight * inertia,
             axis.ratio,
             machine.setpoint_interpolation == "linear",
         )
