@@ -1,7 +1,7 @@
 """What commands survive: Ctrl-C at any moment, kill -9 of an examination, a disk that is full.
 
     python devtools/measure_faults.py stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose` from the first tenth of a second on
-    python devtools/measure_faults.py exam [--kills 20] [--cases 3]    kill -9 of `twin exam` at random moments, gone on with, compared
+    python devtools/measure_faults.py exam [--kills 20] [--cases 2]    kill -9 of `twin exam` at random moments of each stage, gone on with, compared
     python devtools/measure_faults.py disk FOLDER                      commands that write into FOLDER, a file system that is nearly full
 
 Studies: `python devtools/measure_study.py kills`. Exit code 1 where a promise of docs/promises.md is broken.
@@ -71,53 +71,47 @@ def alive(group: int) -> int:
     return found
 
 
+STAGES = (("", 0.5), ("cases/*/answer/diagnosis.json", 0.75), ("truths.json", 1.0))
+"""What must be there before a kill may come, and the share of the kills until then: draw and seal, between two diagnoses, when all is opened."""
+KILLED_WITHIN_S = (0.1, 8.0)
+"""From the start of a command, or from when what a stage waits for is there."""
+
+
 def exam(kills: int, cases: int) -> bool:
-    """Kill an examination until it was killed so often, going on each time; an examination that ends begins anew."""
+    """Kill one examination so often, early and at random moments of each stage, going on each time; then let it end and compare."""
     draw = random.Random(6)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        command = [
-            *TWIN,
-            "exam",
-            "--seed",
-            "6",
-            "--cases",
-            str(cases),
-            "--short",
-            "--quick",
-            "--only",
-            "healthy",
-            "--workers",
-            "1",
-            "--out",
-        ]
-
-        def carried_out(out: Path) -> None:
-            subprocess.run([*command, str(out)], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
+        out, whole = Path(name) / "killed", Path(name) / "whole"
+        options = ["--seed", "6", "--short", "--quick", "--only", "healthy", "--workers", "1"]
+        command = [*TWIN, "exam", *options, "--cases", str(cases), "--out"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         begin = perf_counter()
-        carried_out(folder / "whole")
-        whole = perf_counter() - begin
-        undisturbed = results(folder / "whole")
-        killed, fine, turns = 0, bool(undisturbed), 0
-        while killed < kills:
-            out, turns, ended = folder / f"killed{turns}", turns + 1, False
-            while not ended and killed < kills:
-                with subprocess.Popen(
-                    [*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-                ) as process:
-                    sleep(draw.uniform(0.05, 1.5) * whole / cases)
-                    ended = process.poll() is not None
+        subprocess.run([*command, str(whole)], check=False, **quiet)
+        undisturbed, took = results(whole), perf_counter() - begin
+        print(f"undisturbed: {cases} cases in {took:.0f} s, load average {os.getloadavg()[0]:.1f}", flush=True)
+        killed, fine = 0, bool(undisturbed)
+        for awaited, share in STAGES:
+            while killed < round(kills * share):
+                with subprocess.Popen([*command, str(out)], start_new_session=True, **quiet) as process:
+                    while awaited and process.poll() is None and not any(out.glob(awaited)):
+                        sleep(0.1)
+                    sleep(draw.uniform(*KILLED_WITHIN_S))
+                    ended = process.poll() is not None  # one that was faster is not counted, and begins its last stage again
                     process.send_signal(signal.SIGKILL)
                 killed += not ended
                 sleep(1.5)  # its workers see that it is gone
-                fine &= not alive(process.pid)
-            carried_out(out)
-            same = results(out) == undisturbed
-            fine &= same
-            print(f"examination {turns}: killed {killed} times so far; seal, answers and marks as without a kill: {same}", flush=True)
+                left = alive(process.pid)
+                fine &= not left
+                there = sorted(p.name for p in out.glob("*")) if out.is_dir() else []
+                print(
+                    f"{'ended' if ended else f'kill {killed}'}: {left} processes left, there: {', '.join(there) or 'nothing'}", flush=True
+                )
+        subprocess.run([*command, str(out)], check=False, **quiet)
+        same = results(out) == undisturbed
+        fine &= same
         print(
-            f"{cases} cases, {whole:.0f} s undisturbed; killed -9 {killed} times, load average {os.getloadavg()[0]:.1f}: {'same results' if fine else 'FAILED'}"
+            f"killed -9 {killed} times, load average {os.getloadavg()[0]:.1f}: seal, answers and marks as without a kill: {same}; "
+            f"{'all is as promised' if fine else 'FAILED'}"
         )
     return fine
 
@@ -179,7 +173,7 @@ def main() -> int:
     stopping.add_argument("--machine", type=Path)
     sitting = commands.add_parser("exam")
     sitting.add_argument("--kills", type=int, default=20)
-    sitting.add_argument("--cases", type=int, default=3)
+    sitting.add_argument("--cases", type=int, default=2)
     commands.add_parser("disk").add_argument("folder", type=Path)
     args = parser.parse_args()
     if args.what == "stop":
