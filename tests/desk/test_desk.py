@@ -16,6 +16,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
+from tests.builders.browser import browser, page
 from twin.cli import main
 from twin.desk.entries import entries_in
 from twin.desk.server import Desk, Started, twin_command
@@ -155,6 +156,28 @@ def test_two_runs_are_compared_by_ticking_them(folder: Path) -> None:
         assert status == 200
         assert "differs from" in page
     assert json.loads((folder / "compared" / "first-worn & old" / "compare.json").read_text())["errors"]
+
+
+@pytest.mark.skipif(browser() is None, reason="no Chromium on this computer")
+def test_the_desk_in_a_real_browser(folder: Path, tmp_path: Path) -> None:
+    """Two runs ticked and compared with the mouse: what the page's own policy forbids, or a redirection, is seen in a browser only."""
+    with served(folder, InThisProcess) as desk, page(tmp_path / "profile") as here:
+        here.open(desk.address)
+        assert here.ask("document.querySelectorAll('.card').length") == 5
+        assert here.ask("document.querySelectorAll('script').length") == 0
+        assert "<b>x.csv" in here.ask("document.body.innerText")  # as text, not as a tag
+        here.click("button:not(.plain)", leaves=True)
+        assert here.ask("document.querySelector('[role=alert]').innerText") == "Tick two runs, or two campaigns."
+        for path in ("first", "worn & old"):
+            here.click(f'input[value="{path}"]')
+        assert here.ask("document.querySelectorAll('input:checked').length") == 2
+        here.click("button:not(.plain)", leaves=True)
+        assert here.ask("location.pathname") == "/file/compared/first-worn%20%26%20old/report.html"
+        assert "differs from" in here.ask("document.body.innerText")
+        drawn = "[...document.querySelectorAll('svg, img')].map(e => e.getBoundingClientRect().width)"
+        assert max(here.ask(drawn)) > 300.0
+        here.open(desk.address)
+        assert here.ask("document.querySelector('.name').innerText") == "compared/first-worn & old"
 
 
 def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,9 @@ WIDE = 2.6
 THIN = 1.2
 """Line widths in points: what was asked for lies wide below what happened."""
 
+LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
+"""Of a panel: peaks nearer to each other would have their labels on each other."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -43,6 +46,8 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
     """A figure with one panel below the other over time (sample,) [s]; legends stand beside the panels, never on curves."""
     figure, grid = new_figure(len(panels), 1, height=1.7 if len(panels) > 1 else 2.6, sharex=True)
     for axes, panel in zip(grid[:, 0], panels):
+        labelled: list[tuple[float, float]] = []  # of the panel's width and height
+        reach = 2.0 * max((float(np.max(np.abs(curve.values), initial=0.0)) for curve in panel.curves), default=0.0) or 1.0
         for curve in panel.curves:
             asked = curve.colour == SETPOINT
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour))
@@ -51,10 +56,13 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
                 worst = int(np.argmax(np.abs(curve.values)))
                 at, value = float(time[worst]), float(curve.values[worst])
                 right = at > 0.85 * float(time[-1])
+                place = (at / (float(time[-1]) or 1.0), value / reach)
+                beside = sum(abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT for x, y in labelled)
+                labelled.append(place)
                 axes.annotate(
                     f"{abs(value):.3g} {panel.peaks}",
                     (at, value),
-                    (-8 if right else 8, 0),
+                    (-8 if right else 8, beside * (11 if value < 0 else -11)),  # below one that is there
                     textcoords="offset points",
                     ha="right" if right else "left",
                     va="bottom" if value < 0 else "top",
