@@ -56,11 +56,13 @@ MODULE = "from twin.compiled_functions import compiled\n@compiled\ndef square(x)
 
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess:
+    # an interpreter that finds its libraries by PYTHONPATH keeps them
+    path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
     return subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        env={**{k: v for k, v in os.environ.items() if k != compiled_functions._SAID}, "PYTHONPATH": str(PACKAGE.parent), **environment},
+        env={**{k: v for k, v in os.environ.items() if k != compiled_functions._SAID}, "PYTHONPATH": path, **environment},
         check=True,
     )
 

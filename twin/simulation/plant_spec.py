@@ -12,6 +12,7 @@ import functools
 import math
 from pathlib import Path
 from typing import TypeVar
+import warnings
 
 import mujoco
 import numpy as np
@@ -125,7 +126,8 @@ def frames_of_model(machine: Machine) -> mujoco.MjModel:
     """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
     spec = load_spec(machine.model_path)
     _set_geometry(spec, machine)
-    return compiled_spec(spec, str(machine.path or machine.name))
+    with warnings.catch_warnings(action="ignore"):  # of masses: here bodies are places only
+        return compiled_spec(spec, str(machine.path or machine.name))
 
 
 def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
