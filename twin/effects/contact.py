@@ -20,6 +20,9 @@ from twin.simulation.loop_terms import (
     term,
 )
 
+VANISHED = 6.1
+"""Multiple of the Stribeck speed beyond which exp(-x^2) is less than a rounding of 1."""
+
 BRISTLE_DAMPING_RATIO = 0.3
 """Damping of the bristle against the axis' whole inertia where none is given."""
 
@@ -97,7 +100,8 @@ def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped
     """F += p[0] exp(-(v / p[1])^2)."""
     p, s, x = arrays(parameters, state, signals)
     ratio = x[axis, X_LOAD_SPEED] / p[1]
-    x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
+    if abs(ratio) < VANISHED:  # the C library takes a slow way to nothing
+        x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
 
 
 @term

@@ -20,6 +20,7 @@ from twin.simulation.loop_terms import (
     arrays,
     term,
 )
+from twin.simulation.sine import sine
 
 
 @effect(
@@ -109,7 +110,7 @@ def position_dependent_friction(change: Change, axis: Axis, fraction: float, wav
 def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F *= 1 + p[0] sin(p[1] q)."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, X_FRICTION_LEVEL] *= 1.0 + p[0] * math.sin(p[1] * x[axis, X_LOAD_MIDDLE])
+    x[axis, X_FRICTION_LEVEL] *= 1.0 + p[0] * sine(p[1] * x[axis, X_LOAD_MIDDLE])
 
 
 @term

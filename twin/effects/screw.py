@@ -25,6 +25,7 @@ from twin.simulation.loop_terms import (
     arrays,
     term,
 )
+from twin.simulation.sine import sine_and_cosine
 from twin.units import ARCSEC
 
 
@@ -79,10 +80,11 @@ def every_motor_turn(parameters, state, signals, axis):  # type: ignore[no-untyp
     """e = p[0] (sin(p[1] q + p[2]) - sin(p[1] q0 + p[2])); p[3] says whether the rotor is a body of its own."""
     p, s, x = arrays(parameters, state, signals)
     angle = p[1] * x[axis, X_ROTOR_POSITION] + p[2]
+    wave, slope = sine_and_cosine(angle)
     if s[1] == 0.0:
-        s[0] = math.sin(angle)
+        s[0] = wave
         s[1] = 1.0
-    carried_ahead(x[axis], p[3], p[0] * (math.sin(angle) - s[0]), p[0] * p[1] * math.cos(angle) * x[axis, X_ROTOR_SPEED])
+    carried_ahead(x[axis], p[3], p[0] * (wave - s[0]), p[0] * p[1] * slope * x[axis, X_ROTOR_SPEED])
 
 
 @compiled(inline=True)
