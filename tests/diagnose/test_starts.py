@@ -1,13 +1,14 @@
 """Starts of a fit: what a scaled answer stands for."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
 from twin.diagnose.candidates import Start, combine
-from twin.diagnose.start_values import swing_filter
+from twin.diagnose.start_values import StartValues, swing_filter
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
 
@@ -47,3 +48,29 @@ def test_the_swing_of_a_frame_is_the_exact_one_at_every_sampling_period(period):
         np.testing.assert_allclose(b, exact[0].ravel(), rtol=1e-6, atol=1e-15)
         np.testing.assert_allclose(a, exact[1], rtol=1e-9)
         assert np.abs(np.roots(a)).max() < 1.0
+
+
+def record_of(position, current):
+    """A group of one axis and run whose position (sample,) [m] and residual of the current (sample,) [A] are given, 1 ms apart."""
+    time = 1e-3 * np.arange(len(position))
+    view = SimpleNamespace(
+        machine=load_machine(),
+        motion=SimpleNamespace(position=position[:, None], speed=np.gradient(position, 1e-3)[:, None]),
+        trace=SimpleNamespace(time=time),
+        reference=lambda axis: (None, None, np.ones(len(time), bool)),
+    )
+    channel = SimpleNamespace(axis="X", run=0, name="current", rows=slice(0, len(current)))
+    return SimpleNamespace(channels=[channel], views=[view], weights=np.ones(len(current)))
+
+
+@pytest.mark.parametrize("wavelength", [0.02, 0.11, 0.22, 0.29, 0.33])
+def test_a_wave_of_friction_as_long_as_the_motion_is_read_off_the_current(wavelength):
+    """Both directions have their own mean beside the wave, as other friction leaves one."""
+    there = np.linspace(-0.17, 0.15, 4000)
+    position = np.concatenate([there, there[::-1]])
+    direction = np.repeat([1.0, -1.0], len(there))
+    wave = direction * np.sin(2.0 * np.pi * position / wavelength)
+    current = 0.05 * wave + 0.4 * direction + 0.2 + np.random.default_rng(0).normal(0.0, 0.05, len(position))
+    machine = load_machine()
+    read = StartValues(record_of(position, current), machine, machine.axis("X"), current)
+    assert read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))[0] == pytest.approx(wavelength, rel=0.05)

@@ -19,6 +19,18 @@ PEAKS = 2
 LARGEST_ORDER_HZ = 60.0
 """Above this frequency the current no longer follows a disturbance."""
 
+LONGEST_WAVE = 4.0
+"""Longest wave along the travel that is sought, over the longest usual one."""
+
+OVERSAMPLED = 8.0
+"""Wave numbers tried for each that the motion resolves."""
+
+ENOUGH_HITS = 20.0
+"""Samples of a bin from which on it weighs no more."""
+
+MOST_BINS = 400_000
+"""Bins along a motion above which its waves are not looked for."""
+
 SLOW_ENOUGH = 0.1
 """Share of the motion that must be slower than that for a wavelength to be tried."""
 
@@ -39,10 +51,10 @@ class StartValues:
         """Start values of a parameter with a scan: the strongest spectral lines, or the levels of a limit."""
         match parameter.scan:
             case AlongTurn(low=low, high=high):
-                return _strongest(*self._along(signed=False, low=low, high=high, per=2.0 * math.pi * self.axis.ratio, inverse=False))
+                return _strongest(*self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio))
             case AlongTravel():
                 shortest, longest = parameter.usual_range(self.machine, self.axis)
-                return _strongest(*self._along(signed=True, low=1.0 / (3.0 * longest), high=3.0 / shortest, per=1.0, inverse=True))
+                return _strongest(*self._along_travel(shortest / 3.0, LONGEST_WAVE * longest))
             case InTime() as scan:
                 return _strongest(*self._in_time(scan))
             case Resonance() as scan:
@@ -79,37 +91,64 @@ class StartValues:
                 q, v, t = q[moving], v[moving], t[moving]
             yield values, q, v, t
 
-    def _along(self, signed: bool, low: float, high: float, per: float, inverse: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Waves and power of the current's residual over position: averaged in bins of an eighth of the shortest wave, then Fourier transformed."""
+    def _slow_pieces(self, low: float, high: float, per: float) -> tuple[float, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        """Highest number of waves a length `per` that enough of the motion is slow enough for, and residual of the current, position and
+        speed where it is slow enough, run by run."""
         parts = list(self._pieces("current"))
-        if not parts:
-            return np.array([1.0]), np.array([0.0])
+        speeds, top = np.abs(np.concatenate([v for _, _, v, _ in parts] or [np.zeros(0)])), high
+        while parts and top > 4.0 * low and np.mean(speeds * top / 4.0 / per < LARGEST_ORDER_HZ) < SLOW_ENOUGH:
+            top /= 2.0
+        cut = [(values - np.median(values), q, v, np.abs(v) * top / 4.0 / per < LARGEST_ORDER_HZ) for values, q, v, _ in parts]
+        return top, [(values[slow], q[slow], v[slow]) for values, q, v, slow in cut if slow.any()]
+
+    def _along_turn(self, low: float, high: float, per: float) -> tuple[np.ndarray, np.ndarray]:
+        """Waves a turn and power of the current's residual over position: averaged in bins of an eighth of the shortest wave, then Fourier
+        transformed."""
+        top, parts = self._slow_pieces(low, high, per)
         bin_width = per / high / 8.0
-        start = min(float(q.min()) for _, q, _, _ in parts)
-        count = int((max(float(q.max()) for _, q, _, _ in parts) - start) / bin_width) + 2
-        if count > 400_000:
+        start = min((float(q.min()) for _, q, _ in parts), default=0.0)
+        count = int((max((float(q.max()) for _, q, _ in parts), default=0.0) - start) / bin_width) + 2
+        if not parts or count > MOST_BINS:
             return np.array([1.0]), np.array([0.0])
         total, hits = np.zeros(count), np.zeros(count)
-        speeds, top = np.abs(np.concatenate([v for _, _, v, _ in parts])), high
-        while top > 4.0 * low and np.mean(speeds * top / 4.0 / per < LARGEST_ORDER_HZ) < SLOW_ENOUGH:
-            top /= 2.0
-        for values, q, v, _ in parts:
-            slow = np.abs(v) * top / 4.0 / per < LARGEST_ORDER_HZ
-            index = ((q[slow] - start) / bin_width).astype(int)
-            weighted = (values - np.median(values))[slow] * (np.sign(v[slow]) if signed else 1.0)
-            np.add.at(total, index, weighted)
+        for values, q, _ in parts:
+            index = ((q - start) / bin_width).astype(int)
+            np.add.at(total, index, values)
             np.add.at(hits, index, 1.0)
-        mean = np.where(hits > 0, total / np.maximum(hits, 1.0), 0.0) * np.sqrt(np.minimum(hits, 20.0))
+        mean = np.where(hits > 0, total / np.maximum(hits, 1.0), 0.0) * np.sqrt(np.minimum(hits, ENOUGH_HITS))
         mean -= np.where(hits > 0, mean[hits > 0].mean() if np.any(hits > 0) else 0.0, 0.0)
         size = 1 << (8 * count - 1).bit_length()
         waves = np.fft.rfftfreq(size, bin_width) * per
-        if signed:
-            # the phase is known: sin(2 pi q / wavelength) from q = 0
-            power = np.abs(np.imag(np.fft.rfft(mean, size) * np.exp(-2j * np.pi * np.fft.rfftfreq(size, bin_width) * start))) ** 2
-        else:
-            power = np.abs(np.fft.rfft(mean, size)) ** 2
         keep = (waves >= low) & (waves <= top)
-        return (1.0 / waves[keep] if inverse else waves[keep]), power[keep]
+        return waves[keep], np.abs(np.fft.rfft(mean, size)[keep]) ** 2
+
+    def _along_travel(self, shortest: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
+        """Wavelengths, and the squares of the current's residual that a sine from q = 0 explains which turns round with the direction.
+
+        Each run and direction has its own mean beside the sine, so that a wave as long as the motion shows, and other friction does not.
+        """
+        top, parts = self._slow_pieces(1.0 / longest, 1.0 / shortest, 1.0)
+        span = max((float(np.ptp(q)) for _, q, _ in parts), default=0.0)
+        bin_width = shortest / 8.0
+        if not parts or span / bin_width > MOST_BINS:
+            return np.array([1.0]), np.array([0.0])
+        waves = np.arange(1.0 / longest, top, min(1.0 / (OVERSAMPLED * span), 0.1 / longest))
+        shown, own = np.zeros(len(waves)), np.zeros(len(waves))
+        for values, q, v in parts:
+            for direction in (-1.0, 1.0):
+                there = np.sign(v) == direction
+                if not there.any():
+                    continue
+                place, index = np.unique(np.floor(q[there] / bin_width), return_inverse=True)
+                hits = np.bincount(index)
+                mean = direction * np.bincount(index, values[there]) / hits
+                weight = np.minimum(hits, ENOUGH_HITS) / np.minimum(hits, ENOUGH_HITS).sum()
+                sine = np.sin(2.0 * np.pi * np.outer(waves, (place + 0.5) * bin_width))
+                sine -= (sine @ weight)[:, None]
+                count = np.minimum(hits, ENOUGH_HITS).sum()
+                shown += sine @ (weight * (mean - weight @ mean)) * count
+                own += np.square(sine) @ weight * count
+        return 1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)
 
     def _in_time(self, scan: InTime) -> tuple[np.ndarray, np.ndarray]:
         frequencies = np.arange(scan.low_hz, scan.high_hz, 0.02)

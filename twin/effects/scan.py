@@ -27,7 +27,7 @@ class AlongTurn:
 class AlongTravel:
     """Waves over the position, turned round with the direction of motion; the value is the wavelength [m, rad].
 
-    Wavelengths are sought from a third of the shortest usual one to three times the longest. The wave is a sine from q = 0.
+    Wavelengths are sought from a third of the shortest usual one to four times the longest. The wave is a sine from q = 0.
     """
 
     def waves(self, value: float, axis: Axis, seconds: float) -> float:
