@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import as_filed, corrected_machine, held_out_gaps, is_worse, normal_imperfections
+from twin.diagnose.corrected import HeldOut, as_filed, corrected_machine, held_out_gaps, is_worse, normal_imperfections
 from twin.diagnose.cross_validation import FOLDS
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.fit import Sizes
@@ -348,27 +348,37 @@ def diagnose(
     views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
     say("simulating the runs left out")
     motions = [view.motion for view in views]
+    zeroed = {axis for axis, _ in offsets}
+
+    def aligned(runs: Sequence[MeasuredRun], of: HeldOut, with_laws: Collection[str] = ()) -> tuple[MeasuredRun, ...]:
+        """The runs without the zeros of encoders that a prediction leaves: at rest, and in every run of axes `with_laws`."""
+        beside = zeros_left(runs, machine_without, of.traces, with_laws)
+        return at_rest_without_zeros(without_zeros(runs, machine_without, beside)[0], machine_without, of.traces, zeroed)
+
     held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-    before, after = (held_out.levels(machine, campaign.runs, which) for which in ("before", "after"))
+    runs = aligned(campaign.runs, held_out)
+    before, after = (held_out.levels(machine, runs, which) for which in ("before", "after"))
     if any(harmed := [is_worse(f.group.axes, before, after) for f in found]):
         found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
         held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-        after = held_out.levels(machine, campaign.runs, "after")
+        runs = aligned(campaign.runs, held_out)
+        after = held_out.levels(machine, runs, "after")
     found = [replace(f, unknown=f.unknown and not explained_by_many(f, before, after)) for f in found]
     settings = named(found)
     corrected = corrected_machine(machine, found)
     laws: Laws | None = None
-    best = without_laws = held_out.left(machine, campaign.runs)
+    best = without_laws = held_out.left(machine, runs)
     with ThreadPoolExecutor(threads) as workers:
         for tried in laws_beside(found, before, after, machine_without, corrected, folds, on_threads(workers), say):
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
                 if with_laws is None:
                     continue
-                beside = zeros_left(campaign.runs, machine_without, with_laws.traces, {law.axis for law in tried.laws})
-                rezeroed, _ = without_zeros(campaign.runs, machine_without, beside)
-                # what does not shrink the gap on runs left out is no law of this machine
-                if (now := with_laws.left(machine, rezeroed)) - 1.0 < (1.0 - LEAST_CLOSED) * (best - 1.0):
+                of_laws = {law.axis for law in tried.laws}
+                rezeroed, alike = aligned(campaign.runs, with_laws, of_laws), aligned(campaign.runs, held_out, of_laws)
+                # what does not shrink the gap on runs left out by more than their zeros do is no law of this machine
+                known = min(best, held_out.left(machine, alike))
+                if (now := with_laws.left(machine, rezeroed)) - 1.0 < (1.0 - LEAST_CLOSED) * (known - 1.0):
                     laws, predicted, best, runs = tried, with_laws, now, rezeroed
             if best - 1.0 < ALL_BUT * (without_laws - 1.0):
                 break
@@ -376,7 +386,6 @@ def diagnose(
         corrected, held_out = laws.corrected, predicted
         settings = kept_in(corrected, settings)
     traces = held_out.traces
-    runs = at_rest_without_zeros(runs, machine_without, traces, {axis for axis, _ in offsets})
     gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
     campaign = replace(campaign, runs=runs)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]

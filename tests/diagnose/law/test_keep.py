@@ -9,8 +9,9 @@ import pytest
 
 from twin.diagnose.diagnosis import folds_of
 from twin.diagnose.law.keep import ClosedLoop, state_of
-from twin.diagnose.law.laws import _from, laws_of
+from twin.diagnose.law.laws import _from, _has_size, laws_of
 from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.view import view_of
 from twin.effects import settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -108,3 +109,22 @@ def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
     both = _from(loop, start, "X", X, lambda _: None, back=there)
     assert both.laws == []
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
+
+
+def test_a_height_of_the_wrong_sign_comes_through_nothing_to_its_own():
+    loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
+    start = state_of(X, with_effects(X, [{**BELL, "height": 1.0}]), ("X",), DEFAULT)
+    fitted = loop.fit(start, X.parameter_tolerance)
+    assert fitted is not None
+    assert fitted.state.settings[0].parameters["height"] == pytest.approx(-300.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("height", "kept"), [(-300.0, True), (-0.001, False)])
+def test_a_law_whose_height_may_as_well_be_zero_goes(height, kept):
+    views = [view_of(X, run) for run in runs_of([BELL] if kept else [])]
+    loop = ClosedLoop(observe(views, ("X",)), ("X",), folds_of(3), in_turn)
+    state = state_of(X, with_effects(X, [{**BELL, "height": height}]), ("X",), DEFAULT)
+    fitted = loop.fit(state, X.parameter_tolerance, steps=0)
+    assert fitted is not None
+    fitted = replace(fitted, deviations=np.full(len(fitted.unknowns), 0.1 if kept else 1e6))
+    assert _has_size(fitted, 0) is kept

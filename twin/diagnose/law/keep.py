@@ -32,7 +32,7 @@ ANGLE_STEP = 0.1
 """The same of an angle [rad]."""
 
 LARGEST_MOVE = 0.5
-"""Largest change of a number in one step, as a share of it."""
+"""Largest change in one step of a number to which the machine does not answer in proportion, as a share of it."""
 
 PRIOR_WEIGHT_ROWS = 60.0
 """Samples that count as independent: the prior of the tuning is so much lighter than the sum over all rows."""
@@ -142,6 +142,14 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
     return found
 
 
+def _is_in_proportion(unknown: Unknown, state: State) -> bool:
+    """Does the machine answer in proportion to a number, which may then go as far as it asks for, through nothing to the other sign?"""
+    if unknown.setting is None:
+        return True
+    effect = state.settings[unknown.setting].effect
+    return not unknown.logarithmic and effect.is_linear and effect.size.name == unknown.name
+
+
 def _is_between_encoders(law: Setting) -> bool:
     """Does a law change motor minus scale: by a displacement, or as a force over the windup?"""
     return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
@@ -233,7 +241,7 @@ class ClosedLoop:
         """The state after one step that makes the loss smaller, with what it leaves and the move (Levenberg-Marquardt); None where no step does."""
         before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
         normal, slope = columns.T @ columns, columns.T @ left - prior * offset
-        limits = np.array([math.inf if u.nuisance is not None else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
+        limits = np.array([math.inf if _is_in_proportion(u, state) else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
         for damping in DAMPINGS:
             move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + np.diag(prior), slope)
             move = np.clip(move, -limits, limits)

@@ -268,9 +268,14 @@ def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effect
 
 
 def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float, least: float) -> Fitted:
-    """The fit without those of the effects that no longer earn their place, or have a size that no machine has, the least needed first."""
+    """The fit without those of the effects that no longer earn their place, or have a size that no machine has or none, the least needed
+    first."""
     waiting = {s.key for s in idle}
-    small = {s.key for s in fitted.state.settings if s.key in waiting and not is_plausible(s, fitted.state.machine)}
+    small = {
+        s.key
+        for i, s in enumerate(fitted.state.settings)
+        if s.key in waiting and not (is_plausible(s, fitted.state.machine) and _has_size(fitted, i))
+    }
     while waiting:
         tried = []
         for key in waiting:
@@ -310,6 +315,14 @@ def _deviations(fitted: Fitted, index: int) -> dict[str, float]:
             value = fitted.state.settings[index].parameters[u.name]
             out[u.name] = float(deviation * u.step * (abs(value) if u.logarithmic else 1.0))
     return out
+
+
+def _has_size(fitted: Fitted, index: int) -> bool:
+    """Is the size of a setting known from none: outside its own 95 % interval?"""
+    setting = fitted.state.settings[index]
+    size = setting.effect.size
+    deviation = _deviations(fitted, index).get(size.name)
+    return deviation is None or abs(size.deviation(setting.parameters[size.name])) > 1.96 * deviation
 
 
 def _named(d: Described) -> str:
