@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.diagnose.law.test_keep import X, runs_of
-from twin.diagnose.imperfections import with_imperfections
+from twin.diagnose.corrected import within
+from twin.diagnose.fit import answer, fit_effects, no_effect
+from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import in_turn, observe
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.slip import with_slip_beside
+from twin.diagnose.state import Found
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
+from twin.effects import EFFECTS, Setting, with_effects
+from twin.geometry.scurve import moves_in_turn
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 AXIS = X.axes[0]
 TRAVEL = 0.4e-6
@@ -38,3 +49,57 @@ def test_slip_is_found_with_its_size(group):
     tuning = with_imperfections(tuning_of(group, X, in_turn), group, X, group.residual, in_turn)
     found = {n.quantity: float(v) for n, v in zip(tuning.nuisances, tuning.solve(group.residual) * tuning.spread)}
     assert found["slip"] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m == pytest.approx(TRAVEL, rel=0.3)
+
+
+WOUND = 3e-6
+"""Windup of the drive train at the start of a record [m]: it makes the load creep where it stands."""
+
+SHARE = 0.08
+"""Slip as the search without effects left it, as a share of the largest normal one."""
+
+
+@pytest.fixture(scope="module")
+def wound_up():
+    """The diagnosis of a machine with more friction, before its slip is sized beside that: its slip is far too small."""
+    spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 3e9}
+    friction = {"name": "coulomb_friction", "axis": "X", "factor": 1.3}
+    machine = with_effects(X, [spring, SLIP, friction])
+    position = moves_in_turn(0.0, [0.02, -0.02], 0.03, 0.3, 5.0, 0.3, 1e-3)[1]
+    runs = []
+    for seed in range(2):
+        setpoints = Setpoints(position[:, None] * (1 + seed), 1e-3, wound=np.array([WOUND]))
+        trace = simulate(machine, setpoints, sample_period=1e-3, noise_seed=seed).trace
+        runs.append(MeasuredRun(f"run{seed}", trace, "velocity+torque", 0.0))
+    rigid = observe([view_of(X, run) for run in runs], ("X",))
+    there = [Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})]
+    left = rigid.residual - answer(rigid, there)
+    tuning = with_imperfections(tuning_of(rigid, X, in_turn), rigid, X, left, in_turn)
+    theta = tuning.solve(left)[: len(tuning.nuisances)]
+    i = [n.quantity for n in tuning.nuisances].index("slip")
+    theta[i] = SHARE * X.parameter_tolerance / tuning.spread
+    group, tuning = moved_to(rigid, tuning, theta, in_turn)
+    fit = fit_effects(group, X, tuning, there, in_turn, 2)
+    assert fit is not None
+    return Found(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
+
+
+def slip_of(found):
+    i = [n.quantity for n in found.tuning.nuisances].index("slip")
+    return within(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
+
+
+def test_slip_is_sized_by_how_an_axis_creeps_where_it_stands(wound_up):
+    better = with_slip_beside(wound_up, X, in_turn)
+    assert slip_of(better) == pytest.approx(TRAVEL, rel=0.25)
+    assert better.fit.loss < 0.9 * wound_up.fit.loss
+
+
+def test_slip_of_the_right_size_stays(wound_up):
+    better = with_slip_beside(wound_up, X, in_turn)
+    again = with_slip_beside(better, X, in_turn)
+    assert slip_of(again) == pytest.approx(slip_of(better), rel=0.1)
+
+
+def test_without_effects_nothing_is_asked(wound_up):
+    bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
+    assert with_slip_beside(bare, X, in_turn) is bare

@@ -24,6 +24,7 @@ from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imp
 from twin.diagnose.observe import Group, Mapper, with_noise_about
 from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
 from twin.diagnose.screen import Gain, Screening, remembered_answer, screening
+from twin.diagnose.slip import with_slip_beside
 from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, is_cut, localised_on, loud_axes
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import beside, tuning_of
@@ -82,6 +83,7 @@ def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progres
         if not winners:
             break
         found = _with_effects(found, winners, machine, mapper)
+        found = found if quick else with_slip_beside(found, machine, mapper)
         found, looked = _without_superfluous(found, machine, folds, mapper), False
     return found
 
@@ -148,16 +150,20 @@ def _picked(found: Found, screened: Screening, machine: Machine, refused: Collec
     """Effects that explain what is left together, the best first: each is picked beside those before it."""
     t = found.thresholds
     picks: list[Pick] = []
+    passed = set(refused)
     first = 0.0
     while len(picks) < t.together:
-        best = {key: item for key, item in screened.best().items() if key not in refused and key not in {p.setting.key for p in picks}}
+        best = {key: item for key, item in screened.best().items() if key not in passed}
         if not best:
             break
         key, (start, gain) = max(best.items(), key=lambda item: item[1][1].gain)
+        passed.add(key)
         setting = screened.setting(start, gain, machine)
-        first = first or gain.gain
-        if gain.gain < max(t.span * first, 0.5 * evidence_needed(found, setting, folds)):
+        first, needed = first or gain.gain, evidence_needed(found, setting, folds)
+        if gain.gain < max(t.span * first, t.promising * needed):
             break
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.sure * needed:
+            continue  # a size alone: a fit gains no more than its screening says
         after = screened.without(start)
         rivals = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
         picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in _same(screened, after, rivals, gain))))
@@ -274,19 +280,14 @@ def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
         tuning = tuning_beside(found.group, found.fit, machine, mapper)
     except TwinError:  # next to unstable: as it acts without the effects
         return found
-    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=found.fit.straight_slopes)
+    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
     return found if fit is None or fit.loss > found.fit.loss else replace(found, tuning=tuning, fit=fit)
 
 
 def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: Mapper) -> Found:
     """The state without effects that the others have made superfluous: what each closes beside them must still be its evidence."""
     while found.fit.settings:
-        missed = []
-        for i, setting in enumerate(found.fit.settings):
-            price = found.thresholds.price * sum(f.setting == i for f in found.fit.free)
-            closes = without(found, i, mapper).loss - found.fit.loss - price
-            believed = is_plausible(setting, machine, is_cut(found.group, setting))
-            missed.append(closes / found.inflation - evidence_needed(found, setting, len(folds)) if believed else -math.inf)
+        missed = [_beyond_needed(found, i, machine, folds, mapper) for i in range(len(found.fit.settings))]
         worst = int(np.argmin(missed))
         if missed[worst] >= 0.0:
             break
@@ -298,13 +299,43 @@ def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: M
     return found
 
 
-def without(found: Found, i: int, mapper: Mapper) -> Fit:
-    """The last fit without effect i, the others and the tuning fitted anew by their slopes."""
+def _beyond_needed(found: Found, i: int, machine: Machine, folds: Folds, mapper: Mapper) -> float:
+    """By how much what effect i closes beside the others is more than the evidence that it needs [nat]; -inf where no machine has its size."""
+    setting = found.fit.settings[i]
+    if not is_plausible(setting, machine, is_cut(found.group, setting)):
+        return -math.inf
+    needed = evidence_needed(found, setting, len(folds))
+    price = found.thresholds.price * sum(f.setting == i for f in found.fit.free)
+
+    def beyond(rest: Fit) -> float:
+        return (rest.loss - found.fit.loss - price) / found.inflation - needed
+
+    others = in_proportion(found, i) if setting.effect.is_linear else None
+    # where an effect is far above what it needs, its slope says so surely enough
+    if others is not None and (clear := beyond(without(found, i, others))) > needed:
+        return clear
+    rest = [s for j, s in enumerate(found.fit.settings) if j != i]
+    return beyond(without(found, i, answer(found.group, rest, mapper) if rest else np.zeros(found.group.size)))
+
+
+def without(found: Found, i: int, response: np.ndarray) -> Fit:
+    """The last fit without effect i, the others and the tuning fitted anew by their slopes; the others answer `response` (row,)."""
     fit = found.fit
-    rest = [s for j, s in enumerate(fit.settings) if j != i]
-    columns = fit.columns[:, [f.setting != i for f in fit.free]]
-    response = answer(found.group, rest, mapper) if rest else np.zeros(found.group.size)
-    return held(found.group, found.tuning.with_free(columns), tuple(rest), response)
+    rest = tuple(s for j, s in enumerate(fit.settings) if j != i)
+    return held(found.group, found.tuning.with_free(fit.columns[:, [f.setting != i for f in fit.free]]), rest, response)
+
+
+def in_proportion(found: Found, i: int) -> np.ndarray | None:
+    """What all effects but i change (row,), if i changes in proportion to its size; None where the size was not fitted."""
+    fit = found.fit
+    setting = fit.settings[i]
+    size = setting.effect.size
+    for k, free in enumerate(fit.free):
+        if free.setting == i and free.parameter is size:
+            value = setting.parameters[size.name]
+            steps = 1.0 / free.unit if free.logarithmic else (value - (size.neutral or 0.0)) / free.unit
+            return fit.response - fit.columns[:, k] * steps
+    return None
 
 
 def loud_near_tolerance(found: Found, machine: Machine) -> set[str]:

@@ -107,6 +107,10 @@ class Thresholds:
     span: float = _of(
         0.01, "share of the best gain", "gain from which effects enter in the same round: answers are not quite in proportion"
     )
+    promising: float = _of(
+        0.5, "share of the evidence needed", "gain in screening from which an effect is fitted: its shape is not found yet"
+    )
+    sure: float = _of(0.9, "share of the evidence needed", "the same of an effect that has a size alone")
     alike: float = _of(1e-6, "share of its squares", "a start of which the tuning leaves less is re-tuning")
     most_rivals: int = _of(3, "candidates", "rivals of an effect that are fitted in its place")
     same_gain: float = _of(0.5, "share of its gain", "a rival of which another effect leaves less explains the same")

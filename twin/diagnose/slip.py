@@ -1,0 +1,101 @@
+"""Slip before break-away, sized once more on the machine that has all effects found.
+
+The search sizes slip on a machine without effects, where an axis at rest carries nothing. On the whole machine a drive train that starts wound up,
+or a force that holds, makes an axis creep where it stands: that shows how soft its contact is better than any reversal. What creeps, creeps
+because of the noise in the loop, so that everything is simulated with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import functools
+import math
+
+import numpy as np
+
+from twin.diagnose.corrected import within
+from twin.diagnose.fit import fit_effects, no_effect
+from twin.diagnose.imperfections import moved_to
+from twin.diagnose.observe import Mapper
+from twin.diagnose.state import Found
+from twin.diagnose.tolerance import tuned
+from twin.diagnose.tuning import Tuning, beside
+from twin.errors import TwinError
+from twin.machine.machine import Machine
+
+STRETCH = 1.8
+"""Factor from one size that is tried to the next."""
+
+NEARBY = 1.1
+"""Factor over which the slope of a slip is taken."""
+
+
+def with_slip_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
+    """The state with the slip of each axis as it predicts best beside the effects found; unchanged where that gains nothing, and while so
+    much is left that other effects must be missing."""
+    if not found.fit.settings or found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
+        return found
+    for i, nuisance in enumerate(found.tuning.nuisances):
+        if nuisance.quantity == "slip":
+            found = _sized(found, machine, i, mapper)
+    return found
+
+
+def _sized(found: Found, machine: Machine, i: int, mapper: Mapper) -> Found:
+    """The state with nuisance `i`, the slip of an axis, at its best size."""
+    t, tolerance, tuning = found.thresholds, machine.parameter_tolerance, found.tuning
+    owner = tuning.nuisances[i].owner
+    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in found.group.channels if c.axis == owner])
+    deviations = within(found, tolerance)
+
+    @functools.cache
+    def response(deviation: float) -> np.ndarray:
+        there = np.where(np.arange(len(deviations)) == i, deviation, deviations)
+        whole = found.rigid.response(tuned(tuning.nuisances, there), found.fit.settings, (owner,), shaken=True, mapper=mapper)
+        return whole[rows]
+
+    @functools.cache
+    def loss(deviation: float) -> float:
+        left = found.fit.left(found.group)
+        try:
+            left[rows] = found.rigid.residual[rows] - response(deviation)
+        except TwinError:  # a spring that no tick can follow
+            return math.inf
+        return tuning.loss(left)
+
+    least, largest = t.least_slip * tolerance, tolerance
+    start = best = min(max(float(deviations[i]), least), largest)
+    while (near := min((min(best * STRETCH, largest), max(best / STRETCH, least)), key=loss)) != best and loss(near) < loss(best):
+        best = near
+    around = [math.log(d / best) for d in (best / STRETCH, best, best * STRETCH) if least <= d <= largest]
+    losses = [loss(best * math.exp(x)) for x in around]
+    if len(around) == 3 and np.isfinite(losses).all():
+        curve = np.polyfit(around, losses, 2)
+        best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
+    beyond = best * NEARBY
+    if not loss(start) - loss(best) > t.imperfection_earned or not math.isfinite(loss(beyond)):
+        return found
+    column = np.zeros(found.group.size)
+    column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
+    return _moved(found, machine, i, best, column, mapper)
+
+
+def _moved(found: Found, machine: Machine, i: int, deviation: float, column: np.ndarray, mapper: Mapper) -> Found:
+    """The state about the machine with nuisance `i` at this deviation, where it changes `column` (row,) at its spread; effects fitted anew."""
+    tuning, known = found.tuning, len(found.tuning.nuisances)
+    theta = found.fit.tuning[:known].copy()
+    theta[i] = (deviation - tuning.base[i]) / tuning.spread
+    columns = tuning.jacobian[:, :known].copy(order="F")
+    columns[:, i] = column
+    try:
+        group, about = moved_to(found.rigid, _with_base(tuning, columns), theta, mapper)
+        fit = fit_effects(group, machine, about, found.fit.settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
+    except TwinError:
+        return found
+    if fit is None or fit.loss > found.fit.loss:  # what creeps is better for it, and all else worse
+        return found
+    return replace(found, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()
+
+
+def _with_base(tuning: Tuning, columns: np.ndarray) -> Tuning:
+    return replace(tuning.of(tuning.nuisances, beside(columns)), base=tuning.base)
