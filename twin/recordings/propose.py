@@ -76,6 +76,10 @@ class Proposal:
         return list(dict.fromkeys(c.axis for c in self.used))
 
 
+OWN_COMMANDS = {"velocity_setpoint": "a speed", "torque_setpoint": "a torque"}
+"""Commands that an axis without position loop has instead of a set point."""
+
+
 def propose(recordings: Sequence[Recording]) -> Proposal:
     """The map of these recordings as far as names and numbers say it. Raises InputError where times cannot be read."""
     out = Proposal()
@@ -83,7 +87,9 @@ def propose(recordings: Sequence[Recording]) -> Proposal:
     for axis in sorted({axis for axis, _ in found}, key=lambda a: (a.isdigit(), int(a) if a.isdigit() else 0, a)):
         own = {signal: one for (a, signal), one in found.items() if a == axis}
         if "setpoint" not in own:
-            out.left_out.append(f"axis {axis}: no set point among its columns ({', '.join(name for _, name in own.values())})")
+            commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in own)
+            alone = f"; an axis commanded by {commanded} alone has no position loop and cannot be simulated" if commanded else ""
+            out.left_out.append(f"axis {axis}: no set point among its columns ({', '.join(name for _, name in own.values())}){alone}")
         else:
             _axis(axis, _of_one_recording(recordings, own), out)
     moving = {c.axis for c in out.used if c.signal == "setpoint"}

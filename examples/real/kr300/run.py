@@ -19,6 +19,7 @@ import sys
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 from scipy.signal import savgol_filter
 
@@ -33,6 +34,10 @@ from twin.simulation.summary import table
 AXES = ("1", "2", "3")
 SMOOTHED = 15
 """Samples over which the path of a motor is smoothed before the twin follows it."""
+
+FOLLOWED_S = 0.5e-3
+"""Cycle of the twin's own control, and of the record as it is fitted (on a spline): a command that is held for the 4 ms of the record puts a saw-tooth
+on the torque, as large as what inertia takes."""
 
 LAG_S = 4e-3
 """Lag of the speed loop with which the twin follows that path."""
@@ -114,7 +119,10 @@ def following(run: MeasuredRun, model: Model) -> MeasuredRun:
         signals[name, "setpoint"] = path
         signals[name, "torque"] = run.trace.get(name, "torque") - (model.load[a, :count] + changing) / model.ratio[a]
         signals |= {(name, s): run.trace.get(name, s) for s in ("position", "motor_position")}
-    trace = replace(run.trace, signals=signals, kinds=dict.fromkeys(AXES, "rotary"))
+    before = run.trace.time
+    time = before[0] + FOLLOWED_S * np.arange(round((before[-1] - before[0]) / FOLLOWED_S) + 1)
+    between = {key: CubicSpline(before, values)(time) for key, values in signals.items()}
+    trace = replace(run.trace, time=time, signals=between, kinds=dict.fromkeys(AXES, "rotary"))
     return replace(run, trace=trace, feedforward="velocity")
 
 
@@ -122,7 +130,7 @@ def machine_text(model: Model) -> str:
     """A machine file: three rotary axes whose drives take a torque."""
     lines = [
         'name = "KR300, axes 1 to 3"\nmodel = "axes.xml"\ngravity_m_per_s2 = 0.0   # given along the way\nparameter_tolerance = 0.05',
-        'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = 500\nposition_cycle_us = 4000',
+        f'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = {FOLLOWED_S * 1e6:g}\nposition_cycle_us = {FOLLOWED_S * 1e6:g}',
     ]
     for a, name in enumerate(AXES):
         u, inertia = model.ratio[a], model.rotor[a] + model.inertia[a].mean() / model.ratio[a] ** 2
@@ -147,7 +155,9 @@ position_gain_per_s = 20.0
 speed_gain_nm_s_per_rad = {inertia / LAG_S:.6g}
 speed_integral_time_s = 0.05
 velocity_feedforward = 1.0""")
-    lines.append("\n[measurement]\nsample_period_us = 4000\nrotary_encoder_noise_deg = 0.0002\nmotor_encoder_noise_rad = 1e-6")
+    lines.append(
+        f"\n[measurement]\nsample_period_us = {FOLLOWED_S * 1e6:g}\nrotary_encoder_noise_deg = 0.0002\nmotor_encoder_noise_rad = 1e-6"
+    )
     return "\n".join(lines) + "\n"
 
 
