@@ -1,4 +1,4 @@
-"""Sine and cosine for compiled terms: three times as fast as the C library's, and as exact for the angles of a machine.
+"""Sine and cosine for compiled terms: twice as fast as those of the C library, and as exact for the angles of a machine.
 
 The angle is brought to [-pi/4, pi/4] by whole quarter turns, pi/2 taken away in three parts whose products with a count of quarter
 turns are exact; there two polynomials serve. The coefficients are those of Sun's fdlibm (k_sin.c, k_cos.c, 1993; freely granted).
@@ -7,6 +7,8 @@ turns are exact; there two polynomials serve. The coefficients are those of Sun'
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from twin.compiled_functions import compiled
 
@@ -24,7 +26,7 @@ _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.1359
 @compiled(inline=True)
 def sine_and_cosine(angle):  # type: ignore[no-untyped-def]
     """Sine and cosine of an angle [rad], each to 2e-16."""
-    quarters = math.floor(angle * _QUARTERS + 0.5)
+    quarters = np.floor(angle * _QUARTERS + 0.5)
     if not abs(quarters) < LARGEST_QUARTERS:
         return math.sin(angle), math.cos(angle)
     r = angle - quarters * _FIRST - quarters * _SECOND - quarters * _THIRD
