@@ -45,9 +45,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
         return False
     smallest = SMALLEST if cut and setting.effect.block not in SET else SMALLEST_SET
     neutral = size.neutral or 0.0
-    within = 0.0  # deviation that the tolerance explains
-    if size.beyond_tolerance and (size.is_factor or size.part_of):
-        within = size.beyond_tolerance * machine.parameter_tolerance * (size.part_of(machine, axis) if size.part_of else 1.0)
+    within = within_tolerance(setting, machine)
     if size.any_size:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
@@ -62,6 +60,16 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
         inner, outer = other.usual_range(machine, axis)
         value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, SMALLEST_SET
     return max(smallest * low, within) < abs(value) < LARGEST * high
+
+
+def within_tolerance(setting: Setting, machine: Machine) -> float:
+    """Deviation of a size that the tolerance explains; 0 where nothing toleranced is like the effect."""
+    size = setting.effect.size
+    if not size.beyond_tolerance or not (size.is_factor or size.part_of):
+        return 0.0
+    return (
+        size.beyond_tolerance * machine.parameter_tolerance * (size.part_of(machine, machine.axis(setting.axis)) if size.part_of else 1.0)
+    )
 
 
 def _has_usual_shape(setting: Setting, machine: Machine) -> bool:

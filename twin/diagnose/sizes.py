@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.diagnose.fit import fit_effects, tuning_beside
 from twin.diagnose.observe import Mapper
-from twin.diagnose.plausible import is_plausible
+from twin.diagnose.plausible import is_plausible, within_tolerance
 from twin.diagnose.state import Found, is_cut
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -43,7 +43,11 @@ def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
 
 def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found:
     """The state without the effects whose final size no machine has, or is too uncertain."""
-    rest = [s for s in found.fit.settings if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s)]
+    rest = [
+        s
+        for s in found.fit.settings
+        if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s) and _is_beyond_tolerance(found, s, machine)
+    ]
     if len(rest) == len(found.fit.settings):
         return found
     fit = fit_effects(found.group, machine, found.tuning, rest, mapper, found.thresholds.size_steps)
@@ -61,4 +65,17 @@ def _has_size(found: Found, setting: Setting) -> bool:
         if free.parameter is size and fit.settings[free.setting] == setting:
             relative = free.unit if free.logarithmic else free.unit / max(size.deviation(free.value(fit.settings)), 1e-30)
             return 1.96 * relative < found.thresholds.no_size * math.sqrt(float(known))
+    return True
+
+
+def _is_beyond_tolerance(found: Found, setting: Setting, machine: Machine) -> bool:
+    """Does the 95 % interval of a size lie outside what the tolerance explains? What may be re-tuning is no effect."""
+    fit, size, within = found.fit, setting.effect.size, within_tolerance(setting, machine)
+    if within == 0.0:
+        return True
+    deviations = np.sqrt(np.maximum(np.diag(fit.sizes().covariance(found.inflation)), 0.0))
+    for free, deviation in zip(fit.free, deviations):
+        if free.parameter is size and fit.settings[free.setting] == setting:
+            half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
+            return size.deviation(setting.size) - half > within
     return True
