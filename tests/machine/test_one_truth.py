@@ -44,7 +44,7 @@ def changes(machine: Machine) -> st.SearchStrategy[tuple[str, Any]]:
     """One change: a word of feedforward, some of the axes, a typed field of an axis, or the same number by its path."""
     one = st.sampled_from(machine.axis_names).flatmap(
         lambda axis: st.sampled_from(sorted(NUMBERS)).flatmap(
-            lambda field: st.floats(*NUMBERS[field]).map(lambda value: (axis, field, float(f"{value:.6g}")))
+            lambda field: st.floats(*NUMBERS[field]).map(lambda value: (axis, field, round(float(f"{value:.6g}"), 12)))
         )
     )
     return st.one_of(
