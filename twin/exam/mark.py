@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.encoder_zeros import without_zeros, zeros_left
 from twin.documents import read_json_table, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
@@ -155,8 +156,8 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
 
     `floor` is what two records of this very machine differ by (over sqrt 2: one of them), `true_effects` what is left with the true
     parameters and effects in the twin (not asked where encoders keep their zero, which the twin's laws do not), `size` what the effects
-    alone change of the twin. Where the corrected machine cannot be
-    simulated there is no `after`.
+    alone change of the twin. Where the corrected machine cannot be simulated there is no `after`. Of encoders that keep their zero the
+    constant that is left in each run is taken out: it is no gap, as in a diagnosis.
     """
     machine = load_machine(machine_file)
     runs, again = (
@@ -166,7 +167,10 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     scatter = {name: prediction.scatter for name, prediction in before.items()}
 
     def gaps_of(traces: Mapping[str, Trace]) -> Gaps:
-        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in runs}
+        recorded = runs
+        if case.encoder_zero != "each run":
+            recorded, _ = without_zeros(runs, machine, zeros_left(runs, machine, traces, machine.axis_names))
+        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in recorded}
 
     def level_of(traces: Mapping[str, Trace]) -> float:
         return _level(gaps_of(traces))
