@@ -47,16 +47,28 @@ def test_an_effect_that_has_no_size_is_not_there(slope: float, kept: bool) -> No
     assert (rest.fit.settings == settings) == kept
 
 
-@pytest.mark.parametrize(("factor", "kept"), [(1.3, True), (1.05, False), (0.95, False)])
-def test_what_may_be_tolerance_is_no_effect(factor: float, kept: bool) -> None:
-    """Viscous friction is an effect beyond 4 %. Known to 2 %, 5 % may well be less than that."""
-    setting = Setting(EFFECTS["viscous_friction"], "Z", {"factor": factor})
-    group = group_of([np.zeros(1000)], "Z")
-    free = free_parameters((setting,), MACHINE)
-    scale = free[0].unit * (factor if free[0].logarithmic else 1.0)
+@pytest.mark.parametrize(
+    ("effect", "size", "known", "kept"),
+    [
+        # viscous friction is an effect beyond 4 %
+        ("viscous_friction", 1.3, 0.01, True),
+        ("viscous_friction", 1.05, 0.01, False),
+        ("viscous_friction", 0.95, 0.01, False),
+        ("backlash", 4e-6, 1.5e-6, True),
+        ("position_dependent_friction", 0.09, 0.03, True),
+        ("position_dependent_friction", 0.09, 0.13, False),  # from -17 to 35 %
+    ],
+)
+def test_what_may_be_nothing_or_tolerance_is_no_effect(effect: str, size: float, known: float, kept: bool) -> None:
+    """`known` is the standard deviation of the size."""
+    parameter = EFFECTS[effect].size
+    others = {"wavelength": 0.05} if effect == "position_dependent_friction" else {}
+    setting = Setting(EFFECTS[effect], "X", {parameter.name: size, **others})
+    group = group_of([np.zeros(1000)], "X")
+    free = [f for f in free_parameters((setting,), MACHINE) if f.parameter is parameter]
+    scale = free[0].unit * (size if free[0].logarithmic else 1.0)
     fit = Fit((setting,), free, 1.0, np.zeros(0), np.zeros(group.size), np.ones((group.size, 1)), no_tuning(group.size))
-    known = float(np.sqrt(fit.sizes().covariance()[0, 0])) * scale
-    slope = known / 0.01  # steep enough to know the factor to a hundredth
-    fit = replace(fit, columns=fit.columns * slope)
+    steep = float(np.sqrt(fit.sizes().covariance()[0, 0])) * scale / known
+    fit = replace(fit, columns=fit.columns * steep)
     rest = without_implausible(found_of(group, fit=fit), MACHINE, in_turn)
     assert (rest.fit.settings == (setting,)) == kept

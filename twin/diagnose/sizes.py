@@ -46,7 +46,7 @@ def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found
     rest = [
         s
         for s in found.fit.settings
-        if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s) and _is_beyond_tolerance(found, s, machine)
+        if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s) and _is_more_than_none(found, s, machine)
     ]
     if len(rest) == len(found.fit.settings):
         return found
@@ -68,14 +68,15 @@ def _has_size(found: Found, setting: Setting) -> bool:
     return True
 
 
-def _is_beyond_tolerance(found: Found, setting: Setting, machine: Machine) -> bool:
-    """Does the 95 % interval of a size lie outside what the tolerance explains? What may be re-tuning is no effect."""
+def _is_more_than_none(found: Found, setting: Setting, machine: Machine) -> bool:
+    """Does the 95 % interval of a size lie outside nothing and what the tolerance explains? What may be neither is no effect.
+
+    A size on a scale of ratios has no nothing in its interval; see `_has_size`.
+    """
     fit, size, within = found.fit, setting.effect.size, within_tolerance(setting, machine)
-    if within == 0.0:
-        return True
     deviations = np.sqrt(np.maximum(np.diag(fit.sizes().covariance(found.inflation)), 0.0))
     for free, deviation in zip(fit.free, deviations):
-        if free.parameter is size and fit.settings[free.setting] == setting:
+        if free.parameter is size and fit.settings[free.setting] == setting and (within or not free.logarithmic):
             half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
             return size.deviation(setting.size) - half > within
     return True
