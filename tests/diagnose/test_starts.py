@@ -74,3 +74,14 @@ def test_a_wave_of_friction_as_long_as_the_motion_is_read_off_the_current(wavele
     machine = load_machine()
     read = StartValues(record_of(position, current), machine, machine.axis("X"), current)
     assert read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))[0] == pytest.approx(wavelength, rel=0.05)
+
+
+@pytest.mark.parametrize("reach", [0.0, 1e-9, 40.0])
+def test_waves_are_read_off_motions_of_any_length(reach):
+    """No motion, next to none, and 40 m: an answer at once, without gigabytes."""
+    position = reach * np.sin(np.linspace(0.0, 6.0, 5000))
+    machine = load_machine()
+    read = StartValues(record_of(position, np.sin(30.0 * position)), machine, machine.axis("X"), np.sin(30.0 * position))
+    found = read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))
+    assert found
+    assert all(value > 0.0 for value in found)

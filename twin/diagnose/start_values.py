@@ -28,6 +28,12 @@ OVERSAMPLED = 8.0
 ENOUGH_HITS = 20.0
 """Samples of a bin from which on it weighs no more."""
 
+MOST_WAVES = 800.0
+"""Waves over a motion up to which they are looked for: more take seconds."""
+
+WAVES_AT_ONCE = 256
+"""Waves that are tried together: memory for them and the bins of a run."""
+
 MOST_BINS = 400_000
 """Bins along a motion above which its waves are not looked for."""
 
@@ -129,9 +135,10 @@ class StartValues:
         """
         top, parts = self._slow_pieces(1.0 / longest, 1.0 / shortest, 1.0)
         span = max((float(np.ptp(q)) for _, q, _ in parts), default=0.0)
-        bin_width = shortest / 8.0
-        if not parts or span / bin_width > MOST_BINS:
+        if span <= 0.0:
             return np.array([1.0]), np.array([0.0])
+        top = min(top, MOST_WAVES / span)
+        bin_width = 1.0 / top / 8.0
         waves = np.arange(1.0 / longest, top, min(1.0 / (OVERSAMPLED * span), 0.1 / longest))
         shown, own = np.zeros(len(waves)), np.zeros(len(waves))
         for values, q, v in parts:
@@ -141,14 +148,16 @@ class StartValues:
                     continue
                 place, index = np.unique(np.floor(q[there] / bin_width), return_inverse=True)
                 hits = np.bincount(index)
+                counted = np.minimum(hits, ENOUGH_HITS)
+                weight = counted / counted.sum()
                 mean = direction * np.bincount(index, values[there]) / hits
-                weight = np.minimum(hits, ENOUGH_HITS) / np.minimum(hits, ENOUGH_HITS).sum()
-                sine = np.sin(2.0 * np.pi * np.outer(waves, (place + 0.5) * bin_width))
-                sine -= (sine @ weight)[:, None]
-                count = np.minimum(hits, ENOUGH_HITS).sum()
-                shown += sine @ (weight * (mean - weight @ mean)) * count
-                own += np.square(sine) @ weight * count
-        return 1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)
+                mean -= weight @ mean
+                for block in np.array_split(np.arange(len(waves)), len(waves) // WAVES_AT_ONCE + 1):
+                    sine = np.sin(2.0 * np.pi * np.outer(waves[block], (place + 0.5) * bin_width))
+                    sine -= (sine @ weight)[:, None]
+                    shown[block] += sine @ (counted * mean)
+                    own[block] += np.square(sine) @ counted
+        return (1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)) if len(waves) else (np.array([1.0]), np.array([0.0]))
 
     def _in_time(self, scan: InTime) -> tuple[np.ndarray, np.ndarray]:
         frequencies = np.arange(scan.low_hz, scan.high_hz, 0.02)
