@@ -1,4 +1,4 @@
-"""Sine and cosine for compiled terms: twice as fast as those of the C library, and as exact for the angles of a machine.
+"""Sine and cosine for compiled terms: faster than those of the C library, and as exact for the angles of a machine.
 
 The angle is brought to [-pi/4, pi/4] by whole quarter turns, pi/2 taken away in three parts whose products with a count of quarter
 turns are exact; there two polynomials serve. The coefficients are those of Sun's fdlibm (k_sin.c, k_cos.c, 1993; freely granted).
