@@ -18,7 +18,6 @@ from twin.diagnose.fit import fit_effects, tuning_beside
 from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible, within_tolerance
 from twin.diagnose.state import Found, is_cut
-from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -43,11 +42,10 @@ def sized(found: Found, machine: Machine, mapper: Mapper) -> Found:
 
 def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found:
     """The state without the effects whose final size no machine has, or is too uncertain."""
-    rest = [
-        s
-        for s in found.fit.settings
-        if is_plausible(s, machine, is_cut(found.group, s)) and _has_size(found, s) and _is_more_than_none(found, s, machine)
-    ]
+    if not found.fit.settings:
+        return found
+    known = _sizes_are_known(found, machine)
+    rest = [s for s, sure in zip(found.fit.settings, known) if sure and is_plausible(s, machine, is_cut(found.group, s))]
     if len(rest) == len(found.fit.settings):
         return found
     fit = fit_effects(found.group, machine, found.tuning, rest, mapper, found.thresholds.size_steps)
@@ -57,26 +55,24 @@ def without_implausible(found: Found, machine: Machine, mapper: Mapper) -> Found
     return replace(found, fit=fit, accepted=accepted).inflated()
 
 
-def _has_size(found: Found, setting: Setting) -> bool:
-    """Is the size of an effect known well enough, given its shape?"""
-    fit, size = found.fit, setting.effect.size
-    precision = np.diag(fit.information()) / (fit.about.prior_weight * found.inflation)
-    for free, known in zip(fit.free, precision):
-        if free.parameter is size and fit.settings[free.setting] == setting:
-            relative = free.unit if free.logarithmic else free.unit / max(size.deviation(free.value(fit.settings)), 1e-30)
-            return 1.96 * relative < found.thresholds.no_size * math.sqrt(float(known))
-    return True
+def _sizes_are_known(found: Found, machine: Machine) -> list[bool]:
+    """Of each effect: is its size known well enough, given its shape, and more than nothing and than what the tolerance explains?
 
-
-def _is_more_than_none(found: Found, setting: Setting, machine: Machine) -> bool:
-    """Does the 95 % interval of a size lie outside nothing and what the tolerance explains? What may be neither is no effect.
-
-    A size on a scale of ratios has no nothing in its interval; see `_has_size`.
+    A size on a scale of ratios has no nothing in its 95 % interval: only the first is asked of it, where no tolerance is like the effect.
     """
-    fit, size, within = found.fit, setting.effect.size, within_tolerance(setting, machine)
-    deviations = np.sqrt(np.maximum(np.diag(fit.sizes().covariance(found.inflation)), 0.0))
-    for free, deviation in zip(fit.free, deviations):
-        if free.parameter is size and fit.settings[free.setting] == setting and (within or not free.logarithmic):
-            half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
-            return size.deviation(setting.size) - half > within
-    return True
+    sizes = found.fit.sizes()
+    given_shape = np.diag(sizes.information) / (sizes.prior_weight * found.inflation)
+    deviations = np.sqrt(np.maximum(np.diag(sizes.covariance(found.inflation)), 0.0))
+    known = [True] * len(sizes.settings)
+    for free, precision, deviation in zip(sizes.free, given_shape, deviations):
+        setting = sizes.settings[free.setting]
+        size = setting.effect.size
+        if free.parameter is not size:
+            continue
+        value, within = size.deviation(setting.size), within_tolerance(setting, machine)
+        relative = free.unit if free.logarithmic else free.unit / max(value, 1e-30)
+        has_size = 1.96 * relative < found.thresholds.no_size * math.sqrt(float(precision))
+        half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
+        is_more = value - half > within or (free.logarithmic and not within)
+        known[free.setting] = has_size and is_more
+    return known

@@ -19,7 +19,6 @@ from twin.diagnose.imperfections import moved_to
 from twin.diagnose.observe import Mapper
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import tuned
-from twin.diagnose.tuning import Tuning, beside
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -47,16 +46,18 @@ def _sized(found: Found, machine: Machine, i: int, mapper: Mapper) -> Found:
     owner = tuning.nuisances[i].owner
     rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in found.group.channels if c.axis == owner])
     deviations = within(found, tolerance)
+    left_by_fit = found.fit.left(found.group)
 
     @functools.cache
     def response(deviation: float) -> np.ndarray:
-        there = np.where(np.arange(len(deviations)) == i, deviation, deviations)
+        there = deviations.copy()
+        there[i] = deviation
         whole = found.rigid.response(tuned(tuning.nuisances, there), found.fit.settings, (owner,), shaken=True, mapper=mapper)
         return whole[rows]
 
     @functools.cache
     def loss(deviation: float) -> float:
-        left = found.fit.left(found.group)
+        left = left_by_fit.copy()
         try:
             left[rows] = found.rigid.residual[rows] - response(deviation)
         except TwinError:  # a spring that no tick can follow
@@ -87,15 +88,12 @@ def _moved(found: Found, machine: Machine, i: int, deviation: float, column: np.
     theta[i] = (deviation - tuning.base[i]) / tuning.spread
     columns = tuning.jacobian[:, :known].copy(order="F")
     columns[:, i] = column
+    shown = replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
     try:
-        group, about = moved_to(found.rigid, _with_base(tuning, columns), theta, mapper)
+        group, about = moved_to(found.rigid, shown, theta, mapper)
         fit = fit_effects(group, machine, about, found.fit.settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
     except TwinError:
         return found
     if fit is None or fit.loss > found.fit.loss:  # what creeps is better for it, and all else worse
         return found
     return replace(found, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()
-
-
-def _with_base(tuning: Tuning, columns: np.ndarray) -> Tuning:
-    return replace(tuning.of(tuning.nuisances, beside(columns)), base=tuning.base)

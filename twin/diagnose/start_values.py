@@ -28,6 +28,9 @@ OVERSAMPLED = 8.0
 ENOUGH_HITS = 20.0
 """Samples of a bin from which on it weighs no more."""
 
+NO_WAVES = np.array([1.0]), np.array([0.0])
+"""What is found where nothing can be: one value without power."""
+
 MOST_WAVES = 800.0
 """Waves over a motion up to which they are looked for: more take seconds."""
 
@@ -115,7 +118,7 @@ class StartValues:
         start = min((float(q.min()) for _, q, _ in parts), default=0.0)
         count = int((max((float(q.max()) for _, q, _ in parts), default=0.0) - start) / bin_width) + 2
         if not parts or count > MOST_BINS:
-            return np.array([1.0]), np.array([0.0])
+            return NO_WAVES
         total, hits = np.zeros(count), np.zeros(count)
         for values, q, _ in parts:
             index = ((q - start) / bin_width).astype(int)
@@ -136,7 +139,7 @@ class StartValues:
         top, parts = self._slow_pieces(1.0 / longest, 1.0 / shortest, 1.0)
         span = max((float(np.ptp(q)) for _, q, _ in parts), default=0.0)
         if span <= 0.0:
-            return np.array([1.0]), np.array([0.0])
+            return NO_WAVES
         top = min(top, MOST_WAVES / span)
         bin_width = 1.0 / top / 8.0
         waves = np.arange(1.0 / longest, top, min(1.0 / (OVERSAMPLED * span), 0.1 / longest))
@@ -157,7 +160,7 @@ class StartValues:
                     sine -= (sine @ weight)[:, None]
                     shown[block] += sine @ (counted * mean)
                     own[block] += np.square(sine) @ counted
-        return (1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)) if len(waves) else (np.array([1.0]), np.array([0.0]))
+        return (1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)) if len(waves) else NO_WAVES
 
     def _in_time(self, scan: InTime) -> tuple[np.ndarray, np.ndarray]:
         frequencies = np.arange(scan.low_hz, scan.high_hz, 0.02)
