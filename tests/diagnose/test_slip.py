@@ -100,6 +100,18 @@ def test_slip_of_the_right_size_stays(wound_up):
     assert slip_of(again) == pytest.approx(slip_of(better), rel=0.1)
 
 
-def test_without_effects_nothing_is_asked(wound_up):
+def test_slip_that_was_missed_is_found(group):
+    """Next to noise, but without slip: sizes tried on a rigid machine may all have been far from the true one."""
+    plain = tuning_of(group, X, in_turn)
+    bare = no_effect(group, plain)
+    missed = Found(group, group, plain, bare, bare, 1.0, ())
+    assert missed.fit.loss < DEFAULT.little_left * group.expected_loss
+    found = with_slip_beside(missed, X, in_turn)
+    assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
+    assert found.fit.loss < missed.fit.loss
+
+
+def test_no_slip_is_looked_for_where_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
+    assert bare.fit.loss > DEFAULT.little_left * wound_up.group.expected_loss
     assert with_slip_beside(bare, X, in_turn) is bare

@@ -54,6 +54,7 @@ class Pick(NamedTuple):
 def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False) -> Found:
     """The last state of a group of axes: all effects that earn their place, each with the rivals that it was held against."""
     found = _begun(group, machine, mapper)
+    found = found if quick else with_slip_beside(found, machine, mapper)
     t = found.thresholds
     asked_of: Counter[Key] = Counter()
     looked = False

@@ -1,8 +1,8 @@
-"""Slip before break-away, sized once more on the machine that has all effects found.
+"""Slip before break-away, sized once more on the machine that has all effects and normal imperfections found.
 
-The search sizes slip on a machine without effects, where an axis at rest carries nothing. On the whole machine a drive train that starts wound up,
-or a force that holds, makes an axis creep where it stands: that shows how soft its contact is better than any reversal. What creeps, creeps
-because of the noise in the loop, so that everything is simulated with it.
+The search sizes slip on a machine without either, where an axis at rest carries nothing. On the whole machine a drive train that starts wound up,
+or a force that holds, makes an axis creep where it stands: that shows how soft its contact is better than any reversal. Slip that is missed
+there may be found here. What creeps, creeps because of the noise in the loop, so that everything is simulated with it.
 """
 
 from __future__ import annotations
@@ -18,41 +18,58 @@ from twin.diagnose.fit import fit_effects, no_effect
 from twin.diagnose.imperfections import moved_to
 from twin.diagnose.observe import Mapper
 from twin.diagnose.state import Found
-from twin.diagnose.tolerance import tuned
+from twin.diagnose.tolerance import Nuisance, tuned
+from twin.diagnose.tuning import beside
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 STRETCH = 1.8
 """Factor from one size that is tried to the next."""
 
+SHOWN_IN = ("position", "velocity", "current")
+"""Channels that slip changes."""
+
 NEARBY = 1.1
 """Factor over which the slope of a slip is taken."""
 
 
+FIRST = (0.2, 0.8)
+"""Sizes tried first on an axis without slip, beside the least one, as shares of the largest normal one."""
+
+
 def with_slip_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with the slip of each axis as it predicts best beside the effects found; unchanged where that gains nothing, and while so
-    much is left that other effects must be missing."""
-    if not found.fit.settings or found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
+    """The state with the slip of each axis as it predicts best beside all that was found; unchanged where that gains nothing, and while so
+    much is left that effects must be missing."""
+    if found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
         return found
-    for i, nuisance in enumerate(found.tuning.nuisances):
-        if nuisance.quantity == "slip":
-            found = _sized(found, machine, i, mapper)
+    for slip in [Nuisance(axis, "slip", found.thresholds) for axis in found.group.axes]:
+        if slip in found.tuning.nuisances or _may_slip(found, slip.owner):
+            found = _sized(found, machine, slip, mapper)
     return found
 
 
-def _sized(found: Found, machine: Machine, i: int, mapper: Mapper) -> Found:
-    """The state with nuisance `i`, the slip of an axis, at its best size."""
+def _may_slip(found: Found, axis: str) -> bool:
+    """Does a channel in which slip shows hold more than noise?"""
+    left = found.fit.left(found.group) / found.group.weights
+    shown = [c for c in found.group.channels if c.axis == axis and c.name in SHOWN_IN]
+    return any(not replace(c, residual=left[c.rows]).is_clean for c in shown)
+
+
+def _sized(found: Found, machine: Machine, slip: Nuisance, mapper: Mapper) -> Found:
+    """The state with a slip at its best size."""
     t, tolerance, tuning = found.thresholds, machine.parameter_tolerance, found.tuning
-    owner = tuning.nuisances[i].owner
-    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in found.group.channels if c.axis == owner])
-    deviations = within(found, tolerance)
+    new = slip not in tuning.nuisances
+    nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
+    i = nuisances.index(slip)
+    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in found.group.channels if c.axis == slip.owner])
+    deviations = np.append(within(found, tolerance), [0.0] * new)
     left_by_fit = found.fit.left(found.group)
 
     @functools.cache
     def response(deviation: float) -> np.ndarray:
         there = deviations.copy()
         there[i] = deviation
-        whole = found.rigid.response(tuned(tuning.nuisances, there), found.fit.settings, (owner,), shaken=True, mapper=mapper)
+        whole = found.rigid.response(tuned(nuisances, there), found.fit.settings, (slip.owner,), shaken=True, mapper=mapper)
         return whole[rows]
 
     @functools.cache
@@ -65,7 +82,8 @@ def _sized(found: Found, machine: Machine, i: int, mapper: Mapper) -> Found:
         return tuning.loss(left)
 
     least, largest = t.least_slip * tolerance, tolerance
-    start = best = min(max(float(deviations[i]), least), largest)
+    start = 0.0 if new else min(max(float(deviations[i]), least), largest)
+    best = min((least, *(share * tolerance for share in FIRST)), key=loss) if new else start
     while (near := min((min(best * STRETCH, largest), max(best / STRETCH, least)), key=loss)) != best and loss(near) < loss(best):
         best = near
     around = [math.log(d / best) for d in (best / STRETCH, best, best * STRETCH) if least <= d <= largest]
@@ -78,17 +96,21 @@ def _sized(found: Found, machine: Machine, i: int, mapper: Mapper) -> Found:
         return found
     column = np.zeros(found.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
-    return _moved(found, machine, i, best, column, mapper)
+    return _moved(found, machine, nuisances, i, best, column, mapper)
 
 
-def _moved(found: Found, machine: Machine, i: int, deviation: float, column: np.ndarray, mapper: Mapper) -> Found:
+def _moved(
+    found: Found, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
+) -> Found:
     """The state about the machine with nuisance `i` at this deviation, where it changes `column` (row,) at its spread; effects fitted anew."""
     tuning, known = found.tuning, len(found.tuning.nuisances)
-    theta = found.fit.tuning[:known].copy()
-    theta[i] = (deviation - tuning.base[i]) / tuning.spread
-    columns = tuning.jacobian[:, :known].copy(order="F")
+    missing = np.zeros(len(nuisances) - known)
+    base = np.append(tuning.base, missing)
+    theta = np.append(found.fit.tuning[:known], missing)
+    theta[i] = (deviation - base[i]) / tuning.spread
+    columns = beside(tuning.jacobian[:, :known], np.zeros((found.group.size, len(missing))))
     columns[:, i] = column
-    shown = replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
+    shown = replace(tuning.of(nuisances, columns), base=base)
     try:
         group, about = moved_to(found.rigid, shown, theta, mapper)
         fit = fit_effects(group, machine, about, found.fit.settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
