@@ -342,11 +342,27 @@ def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | N
 
 
 def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
-    """Motor position minus scale from the start of the run (sample,), smoothed; None where one of them was not recorded."""
+    """Motor position minus scale (sample,), smoothed, from where no force goes through the drive train; None where one of them was not
+    recorded. Without a current it counts from the start of the run.
+
+    Encoders have no common zero, and a run that begins under a weight begins wound up.
+    """
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * _window(view):
         return None
-    return np.asarray(savgol_filter(displaced[0], _window(view), 2)) - displaced[0][0]
+    wound = np.asarray(savgol_filter(displaced[0], _window(view), 2))
+    force = transmitted_force(view, axis, trace)
+    return wound - (displaced[0][0] if force is None else _without_force(wound, force))
+
+
+def _without_force(wound: np.ndarray, force: np.ndarray) -> float:
+    """Motor minus scale at no force: of the odd cubic over the force (sample,) that is nearest to it. Where a weight keeps the force's sign
+    that is far outside the record, and rough."""
+    largest = float(np.abs(force).max())
+    if largest == 0.0:
+        return float(wound[0])
+    x = force / largest
+    return float(np.linalg.lstsq(np.column_stack([np.ones(len(x)), x, x**3]), wound, rcond=None)[0][0])
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
