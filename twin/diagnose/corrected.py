@@ -95,15 +95,27 @@ class HeldOut:
 
     def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
         """RMS of the gap over noise of each axis before or after correction, over runs and signals."""
-        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in self._squares(machine, runs, which).items()}
+        of_axis: dict[str, list[float]] = {}
+        for (axis, _), squares in self._squares(machine, runs, which).items():
+            of_axis.setdefault(axis, []).extend(squares)
+        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
-    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, list[float]]:
-        """Squares of the gap over noise before or after correction: of each axis those of its runs and signals."""
-        found: dict[str, list[float]] = {}
+    def loudest(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
+        """RMS of the gap over noise of each axis after correction, over runs, in the signal where it is largest."""
+        of_axis: dict[str, float] = {}
+        for (axis, _), squares in self._squares(machine, runs).items():
+            of_axis[axis] = max(of_axis.get(axis, 0.0), float(np.sqrt(np.mean(squares))))
+        return of_axis
+
+    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[float]]:
+        """Squares of the gap over noise before or after correction, one a run: of each axis and signal."""
+        found: dict[tuple[str, str], list[float]] = {}
         for run in runs:
             for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
-                found.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in signals.values() if g.noise > 0.0)
-        return {axis: squares for axis, squares in found.items() if squares}
+                for signal, g in signals.items():
+                    if g.noise > 0.0:
+                        found.setdefault((axis, signal), []).append((g.rms / g.noise) ** 2)
+        return found
 
 
 def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float]) -> bool:

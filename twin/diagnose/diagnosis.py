@@ -369,7 +369,8 @@ def diagnose(
     laws: Laws | None = None
     best = without_laws = held_out.left(machine, runs)
     with ThreadPoolExecutor(threads) as workers:
-        for tried in laws_beside(found, before, after, machine_without, corrected, folds, on_threads(workers), say):
+        loudest = held_out.loudest(machine, runs)
+        for tried in laws_beside(found, before, after, loudest, machine_without, corrected, folds, on_threads(workers), say):
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
                 if with_laws is None:

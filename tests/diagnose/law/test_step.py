@@ -11,17 +11,25 @@ from twin.diagnose.law.laws import MOST_EFFECTS, _settings
 from twin.effects import EFFECTS, Setting
 
 
-def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, monkeypatch):
-    group = replace(group_of([np.full(50, 3.0)], "X"), axes=("X", "Y"))
+def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch):
+    """Axes that are asked for a law, of a group of which only X was recorded."""
+    group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
     monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
-    list(
-        step.laws_beside(
-            [replace(found_of(group), unknown=True)], {"X": 9.0, "Y": 9.0}, {"X": 9.0, "Y": 9.0}, mikron, mikron, [[0]], map, print
-        )
-    )
-    assert asked == [["X"], ["X"]]
+    found = [replace(found_of(group), unknown=unknown)]
+    list(step.laws_beside(found, levels, levels, loudest, mikron, mikron, [[0]], map, print))
+    return asked
+
+
+def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, monkeypatch):
+    levels = {"X": 9.0, "Y": 9.0}
+    assert asked_of(("X", "Y"), True, levels, levels, mikron, monkeypatch) == [["X"], ["X"]]
+
+
+def test_an_axis_is_asked_for_the_sake_of_one_loud_signal(mikron, monkeypatch):
+    assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch) == [["X"], ["X"]]
+    assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.4}, mikron, monkeypatch) == []
 
 
 def test_many_effects_that_leave_noise_alone_are_an_answer():

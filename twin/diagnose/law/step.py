@@ -24,6 +24,9 @@ ALL_BUT = 0.1
 LOUD = 3.0
 """Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
 
+LOUD_SIGNAL = 1.5
+"""The same of one signal: what only shows at reversals is little of an axis, and as evidence it counts next to nothing."""
+
 QUIET = 1.3
 """The same up to which an axis is at its noise, as nearly as runs left out say."""
 
@@ -55,6 +58,7 @@ def laws_beside(
     found: Sequence[Found],
     before: Mapping[str, float],
     after: Mapping[str, float],
+    loudest: Mapping[str, float],
     machine: Machine,
     corrected: Machine,
     folds: Sequence[Sequence[int]],
@@ -63,10 +67,15 @@ def laws_beside(
 ) -> Iterator[Laws]:
     """Laws of the axes of groups that the search left unknown, and of those that are loud still: an answer, and one by other weights.
 
-    `machine` is the nominal one, `before` and `after` correction: gaps over noise of axes on runs left out.
+    `machine` is the nominal one, `before` and `after` correction: gaps over noise of axes on runs left out; `loudest`: that of the loudest
+    signal of an axis after correction.
     """
     few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
-    loud = [axis for axis in few if after.get(axis, 0.0) > LOUD or keeps_its_gap(before.get(axis, 0.0), after.get(axis, 0.0))]
+    loud = [
+        axis
+        for axis in few
+        if after.get(axis, 0.0) > LOUD or keeps_its_gap(before.get(axis, 0.0), after.get(axis, 0.0)) or loudest.get(axis, 0.0) > LOUD_SIGNAL
+    ]
     axes = [axis for f in found for axis in _recorded(f) if f.unknown or axis in loud]
     if not axes:
         return
