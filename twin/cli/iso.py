@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from twin.iso230.circle_budget import EffectOnCircle
     from twin.iso230.circles import CircleTest
     from twin.machine.machine import Machine
+    from twin.recordings.ballbar import Ballbar
     from twin.recordings.trace import Trace
 
 STANDARDS = ("230-2", "230-4")
@@ -42,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="230-4: folder of `twin diagnose`: the corrected machine beside, and what each effect does to the circle",
     )
-    parser.add_argument(
-        "--campaign", metavar="DIR", help="230-4: also write a ballbar's circle as a campaign of two scales for `twin diagnose`"
-    )
+    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write a ballbar's circle as a campaign for `twin diagnose`")
     add_machine(parser)
 
 
@@ -75,7 +74,7 @@ def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict
         readings[""], kinds[""] = read_positions(source)
     else:
         problems = []
-        for run, trace, _ in _traces(source, machine):
+        for run, trace, *_ in _traces(source, machine):
             for axis in trace.axes:
                 if trace.moves(axis) and args.axis in (None, axis) and axis not in readings:
                     try:
@@ -122,7 +121,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
 
     source = Path(args.input)
     tests: list[tuple[str, dict[str, CircleTest]]] = []
-    recorded: list[tuple[Trace, str | None]] = []
+    recorded: list[tuple[Trace, str | None, Ballbar | None]] = []
     if source.is_file() and is_table(source):
         if args.radius_mm is None or len(args.plane) != 2:
             raise InputError(f"{source}: a ballbar's table needs the radius and the plane of its program; give --radius-mm and --plane XY")
@@ -133,7 +132,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
         tests.append((source.stem, {"measured": read_ballbar(source, args.radius_mm * 1e-3, feed, plane).centred()}))
     else:
         problems = []
-        for run, trace, feedforward in _traces(source, machine):
+        for run, trace, feedforward, ballbar in _traces(source, machine):
             try:
                 found = circles_of_trace(trace, where=run)
             except InputError as error:
@@ -141,15 +140,13 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
                 continue
             for test in found:
                 tests.append((run, {"measured": test}))
-                recorded.append((trace, feedforward))
+                recorded.append((trace, feedforward, ballbar))
                 if not args.no_predict:
-                    tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test)
+                    tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test, ballbar)
         if not tests:
             raise InputError(problems[0] if problems else f"{source}: no run with a circle")
     if args.campaign and recorded:
-        raise InputError(
-            f"{source}: this is a recording of two scales already; give it to 'twin diagnose' (a single trace: 'twin import' first)"
-        )
+        raise InputError(f"{source}: this is a recording already; give it to 'twin diagnose' (a single trace: 'twin import' first)")
     rows, circles, budgets = [], [], []
     for i, (run, by_name) in enumerate(tests):
         if i < len(recorded) and args.diagnosis:
@@ -204,7 +201,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
 _ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
 
 
-def _budget(folder: Path, recorded: tuple[Trace, str | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
+def _budget(folder: Path, recorded: tuple[Trace, str | None, Ballbar | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
     """The budget of one circle by the diagnosis in a folder; the corrected circle goes beside the others."""
     from twin.documents import read_json_table
     from twin.iso230.circle_budget import circle_budget
@@ -213,13 +210,13 @@ def _budget(folder: Path, recorded: tuple[Trace, str | None], by_name: dict[str,
     file, document = folder / "machine.toml", folder / "diagnosis.json"
     if not (file.is_file() and document.is_file()):
         raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
-    trace, feedforward = recorded
+    trace, feedforward, ballbar = recorded
     measured = by_name["measured"]
     by_name["corrected"], rows = circle_budget(
         load_machine(file).with_feedforward(feedforward),
         read_json_table(document, "a diagnosis"),
         measured,
-        lambda machine: _predicted(trace, machine, measured),
+        lambda machine: _predicted(trace, machine, measured, ballbar),
     )
     return rows
 
@@ -235,49 +232,54 @@ def _budget_row(row: EffectOnCircle) -> dict[str, Any]:
     }
 
 
-def _predicted(trace: Trace, machine: Machine, measured: CircleTest) -> CircleTest:
-    """The same circle as the twin runs it."""
+def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
+    """The same circle as the twin runs it, seen as it was measured."""
     from twin.iso230.circle_of_trace import circles_of_trace
+    from twin.simulation.gap import as_recorded, simulated_period
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 
-    run = simulate(machine, setpoints_of(trace, machine))
-    return next(test for test in circles_of_trace(run.trace) if test.axes == measured.axes)
+    run = simulate(machine, setpoints_of(trace, machine), sample_period=simulated_period(machine, trace.period, ballbar))
+    return next(test for test in circles_of_trace(as_recorded(run.trace, trace.time, ballbar)) if test.axes == measured.axes)
 
 
-def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None]]:
-    """Name, trace and feedforward of every run: of a campaign, of the folder of a run, of a trace."""
+def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None, Ballbar | None]]:
+    """Name, trace, feedforward and ballbar of every run: of a campaign, of the folder of a run, of a trace."""
     from twin.recordings import read_campaign, read_trace
 
     if (source / "campaign.toml").is_file():
         for run in read_campaign(source, machine).runs:
-            yield run.name, run.trace, run.feedforward
+            yield run.name, run.trace, run.feedforward, run.ballbar
         return
     file = source / "trace.parquet" if source.is_dir() else source
     if not file.is_file():
         raise InputError(f"{source}: neither campaign.toml nor trace.parquet; give a campaign, the folder of a run, a trace or a table")
-    yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None
+    yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None, None
 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
-    """A ballbar's circle as a campaign of two scales, one run a direction; what no scale shows is printed."""
+    """A ballbar's circle as a campaign; what no radius separates is printed."""
     from twin.files import write_whole
-    from twin.iso230.two_scales import two_scales
+    from twin.iso230.ballbar_campaign import ballbar_campaign
     from twin.recordings.trace import write_trace
 
-    found = two_scales(test, machine.with_feedforward(feedforward))
-    slopes = ", ".join(
-        f"{name} {value * 1e6:+.1f} +- {2.0 * deviation * 1e6:.1f} um/m" for name, (value, deviation) in found.slopes.items()
-    )
+    found = ballbar_campaign(test, machine.with_feedforward(feedforward))
+    slopes = ", ".join(f"{name} {value * 1e6:+.1f} um/m" for name, value in found.slopes.items())
+    name = f"circle_{test.name.lower()}.parquet"
+    write_trace(found.trace, folder / name)
     lines = [
-        f"# {source.name}: the radius is measured, the way along the circle is what the twin finds most probable",
-        f"# taken out, because no scale shows it: {slopes}",
+        f"# {source.name}: what a ballbar saw; taken out of it and of the twin, because a radius does not separate it from the machine:",
+        f"# {slopes} beside the nominal twin",
         f'machine = "{machine.model_path.stem}"',
+        "",
+        "[[run]]",
+        f'file = "{name}"',
+        *([f'feedforward = "{feedforward}"'] if feedforward else []),
+        "[run.ballbar]",
+        f'axes = ["{test.axes[0]}", "{test.axes[1]}"]',
+        f"noise_m = {found.noise:.3g}",
+        "",
     ]
-    for direction, trace in found.traces.items():
-        name = f"circle_{test.name.lower()}_{direction}.parquet"
-        write_trace(trace, folder / name)
-        lines += ["", "[[run]]", f'file = "{name}"', *([f'feedforward = "{feedforward}"'] if feedforward else [])]
-    write_whole(folder / "campaign.toml", "\n".join([*lines, ""]))
-    print(f"no scale shows (k = 2): {slopes}")
+    write_whole(folder / "campaign.toml", "\n".join(lines))
+    print(f"beside the nominal twin, and taken out: {slopes} (of a scale or of its axis' gain: one radius does not separate them)")
     print(f"written: {folder}, a campaign for twin diagnose")

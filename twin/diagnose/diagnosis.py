@@ -337,7 +337,7 @@ def diagnose(
             return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
 
         views = mapper(lambda run: view_of(machine_without, run, thresholds), campaign.runs)
-        groups = axis_groups(machine_without, measured)
+        groups = axis_groups(machine_without, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
         longest_first = sorted(groups, key=len, reverse=True)
         results = dict(zip(longest_first, searches.map(search_group, longest_first)))
     found = [result for axes in groups if (result := results[axes])]

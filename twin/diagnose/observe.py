@@ -33,7 +33,7 @@ from twin.effects import Setting, settings_of, with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.gap import LEAST_NOISE, REALISATIONS, at_times, sensor_noise, simulated_period
+from twin.simulation.gap import LEAST_NOISE, REALISATIONS, as_recorded, sensor_noise, simulated_period
 from twin.simulation.plant_spec import build_plant, full_inertia
 from twin.simulation.run import Run, commissioned_inertia, simulate
 from twin.simulation.two_encoders import has_both, motor_minus_scale
@@ -115,7 +115,9 @@ class Group:
         `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
         `mapper` maps over the runs.
         """
-        axes = tuple(axes) or self.axes
+        if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
+            axes = self.axes
+        axes = tuple(axes)
         out = np.zeros(self.size)
         known = self.views[0].machine
         effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
@@ -203,6 +205,9 @@ def simulate_group(
     # what is clamped on the table moves every rotary axis, whichever of them the run moves
     clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in axes)
     needed = {*axes, *(rotary if clamped else ())}
+    bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
+    if bar is not None:
+        needed.update(bar.axes)
     while pushing := {s.from_axis for s in hidden if s.from_axis and s.axis in needed} - needed:
         needed |= pushing
     driven = [name for name in machine.axis_names if name in needed]
@@ -216,12 +221,13 @@ def simulate_group(
     run = simulate(
         part,
         setpoints,
-        sample_period=simulated_period(machine, view.trace.period),
+        sample_period=simulated_period(machine, view.trace.period, bar),
         started_at=view.started_at,
         plant_of=lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
         noise_seed=noise_seed,
     )
-    return replace(run, trace=at_times(run.trace, view.trace.time), without_noise=at_times(run.without_noise, view.trace.time))
+    trace = as_recorded(run.trace, view.trace.time, bar, noise_seed)
+    return replace(run, trace=trace, without_noise=as_recorded(run.without_noise, view.trace.time, bar))
 
 
 def channels_of(
@@ -252,8 +258,8 @@ def channels_of(
     return out
 
 
-def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ...]]:
-    """Axes that the mass matrix couples somewhere in their travel, as groups in the machine's order."""
+def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterable[Sequence[str]] = ()) -> list[tuple[str, ...]]:
+    """Axes that the mass matrix couples somewhere in their travel, or that one reading sees together, as groups in the machine's order."""
     plant = build_plant(with_effects(machine, []))
     rng = np.random.default_rng(0)
     n = len(machine.axes)
@@ -267,6 +273,8 @@ def axis_groups(machine: Machine, measured: Sequence[str]) -> list[tuple[str, ..
         inertia = full_inertia(plant.model, plant.data)[np.ix_(plant.load_dof, plant.load_dof)]
         scale = np.sqrt(np.diag(inertia))
         coupled |= np.abs(inertia) / np.outer(scale, scale) > 1e-9
+    for first, second in seen_together:
+        coupled[machine.axis_names.index(first), machine.axis_names.index(second)] = True
     groups: list[set[int]] = []
     for a in range(n):
         joined = {a, *np.flatnonzero(coupled[a]).tolist()}
@@ -333,8 +341,11 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
     return off if channel == "position" else gain * off
 
 
-def _least(machine: Machine, axis: Axis, channel: str) -> float:
+def _least(view: RunView, axis: Axis, channel: str) -> float:
     """Resolution of a channel [SI]: smaller differences are not seen."""
+    machine = view.machine
+    if channel == "position" and view.ballbar is not None and axis.name in view.ballbar.axes:
+        return view.ballbar.noise
     if channel == "current":
         no_less = 0.0 if axis.has_current_loop and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
         return max(no_less, LEAST_NOISE["current"])
@@ -395,7 +406,7 @@ def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: Run
     axis, t = view.machine.axis(channel.axis), channel.thresholds
     signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
-    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, noisier), _least(view.machine, axis, channel.name))
+    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
         sigma = np.hypot(sigma, np.where(rests(view, channel.axis, t.break_away_s), t.resting * normal_slip(axis, t), 0.0))
     return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)

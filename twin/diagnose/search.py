@@ -52,10 +52,33 @@ class Pick(NamedTuple):
 
 
 def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False) -> Found:
-    """The last state of a group of axes: all effects that earn their place, each with the rivals that it was held against."""
-    found = _begun(group, machine, mapper)
-    found = found if quick else with_slip_beside(found, machine, mapper)
-    t = found.thresholds
+    """The last state of a group of axes: all effects that earn their place, each with the rivals that it was held against.
+
+    A radius does not cut normal imperfections from an effect. Those that are found first are then fitted to it, and part its rivals by how well each
+    goes with them. So a ballbar's axes are searched a second time with imperfections beside the effects only, and the simpler answer is taken.
+    """
+    begun = _begun(group, machine, mapper)
+    begun = begun if quick else with_slip_beside(begun, machine, mapper)
+    found = _searched(begun, machine, folds, mapper, progress, quick)
+    imperfect = any(n.quantity in NORMAL for n in begun.tuning.nuisances)
+    if imperfect and found.fit.settings and any(view.ballbar is not None for view in group.views):
+        tuning = tuning_of(group, machine, mapper)
+        retuned = no_effect(group, tuning)
+        rigid = Found(group, group, tuning, retuned, retuned, inflation(group, retuned))
+        found = min(found, _searched(rigid, machine, folds, mapper, progress, quick), key=_cost)
+    return found
+
+
+def _cost(found: Found) -> float:
+    """Half the squares over noise that a state leaves, and what its effects and normal imperfections must have brought [nat]."""
+    t, left = found.thresholds, found.group.in_noise(found.fit.left(found.group))
+    normal = sum(n.quantity in NORMAL for n in found.tuning.nuisances)
+    return 0.5 * float(left @ left) + t.evidence_in_sample * len(found.fit.settings) + t.imperfection_earned * normal
+
+
+def _searched(found: Found, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool) -> Found:
+    """The state when no further effect earns its place."""
+    t, group = found.thresholds, found.group
     asked_of: Counter[Key] = Counter()
     looked = False
     for _ in range(t.rounds):

@@ -10,6 +10,7 @@ import numpy as np
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
+from twin.recordings.ballbar import Ballbar
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
@@ -32,6 +33,7 @@ class RunView:
     feedforward: str | None = None  # of this run
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
     own_zeros: frozenset[str] = frozenset()  # those of the run
+    ballbar: Ballbar | None = None  # that of the run
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,7 +92,7 @@ def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT
         )
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = _motion(position, setpoints.period)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds, run.own_zeros)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds, run.own_zeros, run.ballbar)
 
 
 def _motion(position: np.ndarray, period: float) -> Motion:
@@ -143,7 +145,12 @@ def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
 
 
 def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
-    """True (sample,) where an axis is at rest or broke away less than `after_s` ago."""
+    """True (sample,) where an axis is at rest or broke away less than `after_s` ago.
+
+    Along the circle of a ballbar no axis rests: where one turns round, the circle goes on, and what a bar shows of it is not chance.
+    """
+    if view.ballbar is not None:
+        return ~view.ballbar.measured
     moving = view.reference(name)[2]
     started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     resting = ~moving

@@ -52,6 +52,10 @@ def identify_campaign(
     clock: dict[str, float] = {}
     started = time.perf_counter()
     say("reading signals")
+    if by_bar := [run.name for run in campaign.runs if run.ballbar is not None]:
+        raise InputError(
+            f"{campaign.path}: run {by_bar[0]}: a ballbar saw the radius alone, which identifies nothing; give it to 'twin diagnose'"
+        )
     recording = prepared(machine, campaign)
     division = divided(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):

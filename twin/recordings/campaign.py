@@ -18,6 +18,9 @@
     unsigned = true                    # a force of which only the size is recorded
     [run.labels]                       # columns that held still: load, trial
     load = 20.0
+    [run.ballbar]                      # positions are what a ballbar between two axes saw, see `twin.recordings.ballbar`
+    axes = ["X", "Y"]
+    noise_m = 1e-7                     # of a radius
 
 Block events of a control stand beside the traces in `events.parquet`: time [s] in the trace of `run`, channel, block, text, run.
 """
@@ -31,10 +34,11 @@ from pathlib import Path
 from twin.documents import named_file, read_toml
 from twin.errors import InputError
 from twin.machine.machine import FEEDFORWARD, Machine
+from twin.recordings.ballbar import Ballbar, ballbar_of
 from twin.recordings.trace import Trace, read_trace
-from twin.tables import is_number, known_keys
+from twin.tables import is_number, known_keys, listed, positive
 
-_RUN_KEYS = ("file", "feedforward", "started_at_s", "channel", "labels")
+_RUN_KEYS = ("file", "feedforward", "started_at_s", "channel", "labels", "ballbar")
 _CHANNEL_NUMBERS = ("latency_s", "latency_deviation_s", "taken_back_s", "offset_m", "offset_rad")
 _CHANNEL_FLAGS = ("offset_taken_out", "against", "unsigned")
 EVENTS = "events.parquet"
@@ -80,6 +84,7 @@ class MeasuredRun:
 
     `facts` are what the import found of channels, by (axis, signal); `labels` what a column said of the whole run; `events` in order of time.
     `own_zeros` are axes whose two encoders have no common zero: the mean of their difference is taken out of the trace, and of what is compared with it.
+    `ballbar` is what saw the positions, where no scales did.
     """
 
     name: str
@@ -90,6 +95,7 @@ class MeasuredRun:
     labels: Mapping[str, float] = field(default_factory=dict)
     events: tuple[BlockEvent, ...] = ()
     own_zeros: frozenset[str] = frozenset()
+    ballbar: Ballbar | None = None
 
     def fact(self, axis: str, signal: str) -> ChannelFact:
         """What is known of a channel; the default where nothing was found."""
@@ -197,4 +203,19 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, ev
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(table["file"]).stem
     facts, labels = _facts(table.get("channel", []), where), _labels(table.get("labels", {}), where)
-    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())))
+    ballbar = _ballbar(table["ballbar"], trace, f"{where}: ballbar") if "ballbar" in table else None
+    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())), ballbar=ballbar)
+
+
+def _ballbar(table: object, trace: Trace, where: str) -> Ballbar:
+    """[run.ballbar]."""
+    if not isinstance(table, dict):
+        raise InputError(f'{where}: {table!r} is no table; write [run.ballbar] and axes = ["X", "Y"] below it')
+    known_keys(table, ("axes", "noise_m"), where)
+    axes = listed(table, "axes", where)
+    if len(axes) != 2 or axes[0] == axes[1] or any(axis not in trace.axes for axis in axes):
+        raise InputError(f"{where}: axes = {axes!r}; name two axes of the trace ({', '.join(trace.axes)})")
+    ballbar = ballbar_of(trace, axes, positive(table, "noise_m", where))
+    if not ballbar.measured.any():
+        raise InputError(f"{where}: the set points of {' and '.join(axes)} run no circle with 90 degrees before and behind it")
+    return ballbar

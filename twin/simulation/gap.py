@@ -20,6 +20,7 @@ from twin.effects import Change
 from twin.errors import InputError
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
+from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
@@ -82,11 +83,11 @@ def predict(
     setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
     actual = machine.with_feedforward(run.feedforward)
-    period = simulated_period(machine, run.trace.period)
+    period = simulated_period(machine, run.trace.period, run.ballbar)
 
     def realisation(i: int, plant_of: Callable[[Change], PlantFace] | None) -> Trace:
         simulated = simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, plant_of=plant_of)
-        return at_times(simulated.without_noise, run.trace.time)
+        return as_recorded(simulated.without_noise, run.trace.time, run.ballbar)
 
     decoupled = None if motion is None else lambda change: DecoupledPlant(change, motion)
     traces = [realisation(i, decoupled) for i in range(realisations)]
@@ -150,6 +151,8 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
                 difference, scatter = difference[moving], scatter[moving]
             unit, factor = gap_unit(axis, signal)
             sensor = max(sensor_noise(machine, axis, signal), LEAST_NOISE.get(signal, 0.0))
+            if signal == "position" and run.ballbar is not None and axis.name in run.ballbar.axes:
+                sensor = math.sqrt(_mean_square(run.ballbar.noise_of(axis.name)))
             noise = np.sqrt(_mean_square(scatter) + sensor**2)
             largest = float(np.abs(difference).max()) if difference.size else 0.0
             signals[signal] = SignalGap(float(np.sqrt(_mean_square(difference)) * factor), largest * factor, float(noise * factor), unit)
@@ -209,9 +212,11 @@ def encoders_noise(machine: Machine, axis: Axis) -> float:
     return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
 
 
-def simulated_period(machine: Machine, period: float) -> float:
+def simulated_period(machine: Machine, period: float, ballbar: Ballbar | None = None) -> float:
     """Sample period [s] of a simulation that is compared with a record of this one: the same, or each tick where that is no whole number
-    of ticks."""
+    of ticks; of one that a ballbar sees, FINEST."""
+    if ballbar is not None:
+        return min(simulated_period(machine, FINEST), period)
     ticks = period / machine.base_tick
     return period if round(ticks) >= 1 and abs(ticks / round(ticks) - 1.0) < SAME_PERIOD else machine.base_tick
 
@@ -224,6 +229,18 @@ def at_times(trace: Trace, times: np.ndarray) -> Trace:
     return replace(
         trace, time=times, signals={key: np.interp(times - times[0], trace.time, values) for key, values in trace.signals.items()}
     )
+
+
+def as_recorded(trace: Trace, times: np.ndarray, ballbar: Ballbar | None, noise_seed: int | None = None) -> Trace:
+    """A simulated trace at the times of a record (sample,) [s], with the positions that its ballbar, if there is one, sees; with
+    `noise_seed` also with the noise of the bar."""
+    at = at_times(trace, times)
+    if ballbar is None:
+        return at
+    deviation = ballbar.deviation(trace)
+    if noise_seed is not None:
+        deviation += np.random.default_rng(noise_seed).normal(0.0, ballbar.noise, len(deviation))
+    return replace(at, signals={**at.signals, **ballbar.positions(deviation)})
 
 
 def _mean_square(values: np.ndarray) -> float:

@@ -1,0 +1,102 @@
+"""A ballbar's circle as a campaign for `twin diagnose`: set points of both directions in one run, and what the bar saw.
+
+Set points start and end at rest, OVERLAP before and behind each measured direction, so that the twin runs the circle itself as the machine did. What no radius
+separates from where the bar stands, from the scales' sizes and from the squareness is taken out of measurement and twin alike (`twin.recordings.ballbar`);
+its sizes are those of measured less twin. Lengths in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.geometry.scurve import jerk_limited_move, phases_of_move
+from twin.iso230.circles import CircleTest
+from twin.machine.machine import Machine
+from twin.recordings.ballbar import FINEST, GEOMETRY, OVERLAP, ballbar_of
+from twin.recordings.trace import Trace
+from twin.simulation.gap import simulated_period
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import setpoints_of
+
+ACCELERATION, JERK, DWELL = 1.0, 10.0, 0.1
+"""Along the circle, to get up to the feed [m/s2, m/s3], and the rest between the directions [s]."""
+RESOLUTION = 1e-7
+"""Of a bar [m]: no reading is better."""
+SECOND_DIFFERENCE = 6.0
+"""Variance of second differences of white noise over its own."""
+
+
+@dataclass(frozen=True)
+class BallbarCampaign:
+    """`trace` with set points and seen positions, the `noise` of a reading [m], and `slopes` [m/m] of what no radius separates, by name."""
+
+    trace: Trace
+    noise: float
+    slopes: Mapping[str, float]
+
+
+def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
+    """The campaign of a circle test; `machine` is the twin, with the feedforward of the test.
+
+    Raises InputError where the feed of the program is not known.
+    """
+    if not test.feed > 0.0:
+        raise InputError("a ballbar's campaign needs the feed of its program; give --feed-mm-per-min")
+    differences = [np.diff(path.distance, 2) for path in test.paths.values()]
+    noise = max(1.4826 * float(np.median(np.abs(np.concatenate(differences)))) / math.sqrt(SECOND_DIFFERENCE), RESOLUTION)
+    commanded = _commanded(test)
+    bar = ballbar_of(commanded, test.axes, noise)
+    measured = np.zeros(len(commanded.time))
+    for path in test.paths.values():
+        turns_so = bar.measured & (np.gradient(bar.angle) * (path.angle[-1] - path.angle[0]) > 0.0)
+        measured[turns_so] = path.at(bar.angle[turns_so]) - test.radius
+    twin = machine.with_axes([axis for axis in machine.axis_names if axis in bar.axes])
+    simulated = simulate(twin, setpoints_of(commanded, twin), sample_period=simulated_period(twin, commanded.period, bar))
+    sizes = bar.sizes(measured - bar.deviation(simulated.trace))
+    slopes = dict(zip((name.format(*test.axes) for name in GEOMETRY[2:]), sizes[2:] / test.radius))
+    return BallbarCampaign(Trace(commanded.time, {**commanded.signals, **bar.positions(measured)}, commanded.kinds), noise, slopes)
+
+
+def _commanded(test: CircleTest) -> Trace:
+    """Set points from rest to rest: each direction, and between them the way to where the next one starts.
+
+    A sample falls on each reading: between two of them lies much of a reversal.
+    """
+    spacing = float(np.median(np.abs(np.concatenate([np.diff(path.angle) for path in test.paths.values()]))))
+    each = spacing * test.radius / test.feed
+    period = each * math.ceil(FINEST / each - 1e-9)
+    # a small circle at high feed is too short for the usual acceleration
+    harder = max(1.0, 2.0 * test.feed**2 / ACCELERATION / (OVERLAP * test.radius))
+    limits = test.feed, harder * ACCELERATION, harder * JERK
+    moves: list[tuple[float, float]] = []  # when it begins, how far it goes along the circle
+    now, at, start = DWELL, 0.0, 0.0
+    for path in test.paths.values():
+        turn = 1.0 if path.direction == "ccw" else -1.0
+        begin, end = path.angle[0] - turn * OVERLAP, path.angle[-1] + turn * OVERLAP
+        across = math.remainder(begin - at, 2.0 * math.pi) * test.radius
+        if not moves:
+            start = begin
+        elif abs(across) > 1e-9:
+            moves.append((now, across))
+            now += _lasts(across, limits) + DWELL
+        t_j, t_a, _ = phases_of_move(abs(end - begin) * test.radius, *limits)
+        first = 0.5 * (2.0 * t_j + t_a) + OVERLAP * test.radius / test.feed  # from the start of the move to the first reading
+        now = math.ceil((now + first) / period) * period - first
+        moves.append((now, (end - begin) * test.radius))
+        now, at = now + _lasts((end - begin) * test.radius, limits) + DWELL, end
+    times = np.arange(math.ceil(now / period) + 1) * period
+    along = sum(jerk_limited_move(distance, *limits, times - begin) for begin, distance in moves)
+    angle = start + along / test.radius
+    signals = {(axis, "setpoint"): test.radius * wave for axis, wave in zip(test.axes, (np.cos(angle), np.sin(angle)))}
+    return Trace(times, signals, dict.fromkeys(test.axes, "linear"))
+
+
+def _lasts(distance: float, limits: tuple[float, float, float]) -> float:
+    """Time of a move [s]."""
+    t_j, t_a, t_v = phases_of_move(abs(distance), *limits)
+    return 4.0 * t_j + 2.0 * t_a + t_v

@@ -1,0 +1,123 @@
+"""What a ballbar sees of two axes: the radius at each angle of the circle, and neither the way along it nor the scales.
+
+    seen = set point + (d - G g) u,        d = distance of the load from the centre at the angle of the set point - radius
+
+u is the unit vector along the radius. G (sample, 5) is what no radius separates from the machine: where the bar stands (cos, sin), the size of each
+scale (cos^2, sin^2), the squareness (sin cos); g fits it to both directions together. A recorded and a simulated run are seen alike, so that all that
+compares positions compares radii. Set points go OVERLAP beyond the measured part of each direction; there the bar sees nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import functools
+import math
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from twin.recordings.trace import Trace
+
+OVERLAP = math.radians(90.0)
+"""What is run beside the measured circle, on both sides of each direction."""
+FINEST = 1e-3
+"""Sample period of a simulation that a bar sees [s]: a reversal is shorter than the time between two readings."""
+LEAD = math.radians(10.0)
+"""Of it what is not looked at: there an axis that lags is still about to start."""
+GEOMETRY = ("centre {0}", "centre {1}", "scale {0}", "scale {1}", "squareness")
+"""Columns of G; the first two in parts of the radius."""
+
+
+@dataclass(frozen=True)
+class Ballbar:
+    """A bar between two `axes` whose set points, `commanded` (sample, 2) [m] at `time` (sample,) [s] from 0 on, run a circle; `noise` is the
+    standard deviation of a radius [m]."""
+
+    axes: tuple[str, str]
+    time: np.ndarray
+    commanded: np.ndarray
+    noise: float
+
+    @functools.cached_property
+    def centre(self) -> np.ndarray:
+        """(2,) [m]."""
+        return 0.5 * (self.commanded.min(axis=0) + self.commanded.max(axis=0))
+
+    @functools.cached_property
+    def angle(self) -> np.ndarray:
+        """Polar angle of the set points (sample,) [rad], unwrapped."""
+        return np.unwrap(np.arctan2(*(self.commanded - self.centre).T[::-1]))
+
+    @functools.cached_property
+    def radial(self) -> np.ndarray:
+        """u (sample, 2)."""
+        return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
+
+    @functools.cached_property
+    def radius(self) -> float:
+        """Of the circle [m]."""
+        return float(np.median(np.hypot(*(self.commanded - self.centre).T)))
+
+    @functools.cached_property
+    def measured(self) -> np.ndarray:
+        """True (sample,) where the bar measures."""
+        rows = np.zeros(len(self.angle), bool)
+        for stretch in self._stretches():
+            rows[stretch] |= self._further(stretch, OVERLAP)
+        return rows
+
+    @functools.cached_property
+    def geometry(self) -> np.ndarray:
+        """G (sample, 5)."""
+        x, y = self.radial.T
+        return np.column_stack([x, y, x * x, y * y, x * y])
+
+    def noise_of(self, axis: str) -> np.ndarray:
+        """Noise of the seen position of an axis (sample,) [m]."""
+        return self.noise * np.abs(self.radial[:, self.axes.index(axis)]) * self.measured
+
+    def deviation(self, trace: Trace) -> np.ndarray:
+        """d (sample,) [m] of a simulated trace, which may be sampled finer than the bar does."""
+        signal = "load_position" if trace.has(self.axes[0], "load_position") else "position"
+        from_centre = trace.matrix(signal, self.axes) - self.centre
+        distance, angle = np.hypot(*from_centre.T), np.unwrap(np.arctan2(*from_centre.T[::-1]))
+        deviation = np.zeros(len(self.time))
+        for stretch in self._stretches():
+            turn = np.sign(self.angle[stretch[-1]] - self.angle[stretch[0]])
+            begin, end = self.time[stretch[self._further(stretch, LEAD)][[0, -1]]]
+            looked_at = (trace.time - trace.time[0] >= begin) & (trace.time - trace.time[0] <= end)
+            behind = np.mean(np.interp(trace.time[looked_at] - trace.time[0], self.time, self.angle) - angle[looked_at])
+            at = turn * (angle[looked_at] + 2.0 * math.pi * round(float(behind) / (2.0 * math.pi)))
+            onward = np.diff(np.maximum.accumulate(at), prepend=-math.inf) > 0.0
+            rows = stretch[self._further(stretch, OVERLAP)]
+            deviation[rows] = CubicSpline(at[onward], distance[looked_at][onward])(turn * self.angle[rows]) - self.radius
+        return deviation
+
+    def positions(self, deviation: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
+        """What is seen of each axis, given the deviation d (sample,) [m] of the radius."""
+        left = np.where(self.measured, deviation - self.geometry @ self.sizes(deviation), 0.0)
+        return {(axis, "position"): self.commanded[:, k] + left * self.radial[:, k] for k, axis in enumerate(self.axes)}
+
+    def sizes(self, deviation: np.ndarray) -> np.ndarray:
+        """g (5,) [m]: what of a deviation (sample,) [m] is geometry."""
+        return np.linalg.lstsq(self.geometry[self.measured], deviation[self.measured], rcond=None)[0]
+
+    def _stretches(self) -> Iterator[np.ndarray]:
+        """Rows of each direction."""
+        turn = np.sign(np.gradient(self.angle))
+        edges = np.flatnonzero(np.diff(turn)) + 1
+        for rows in np.split(np.arange(len(turn)), edges):
+            if turn[rows[0]] and abs(self.angle[rows[-1]] - self.angle[rows[0]]) > 2.0 * OVERLAP:
+                yield rows
+
+    def _further(self, stretch: np.ndarray, overlap: float) -> np.ndarray:
+        """True (row,) for rows of a stretch further than `overlap` from both of its ends."""
+        swept = np.abs(self.angle[stretch] - self.angle[stretch[0]])
+        return (swept >= overlap) & (swept <= swept[-1] - overlap)
+
+
+def ballbar_of(trace: Trace, axes: Sequence[str], noise: float) -> Ballbar:
+    """The bar between two axes of a recorded trace."""
+    first, second = axes
+    return Ballbar((first, second), trace.time - trace.time[0], trace.matrix("setpoint", (first, second)), noise)
