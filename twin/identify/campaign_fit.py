@@ -17,7 +17,8 @@ from twin.identify.choice import chosen, tables_of
 from twin.identify.delivered import delivered_effort
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.drive_balance import load_answered
-from twin.identify.drive_fit import fit_drives, is_driven_ideally
+from twin.identify.drive_fit import fit_drives
+from twin.identify.drive_residuals import is_driven_ideally
 from twin.identify.findings import Finding
 from twin.identify.held_out import LEFT_OUT_SHARE, Division, divided
 from twin.identify.noise import measured_noise

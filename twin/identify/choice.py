@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
+from twin.identify.drive_residuals import shows_following
 from twin.identify.findings import Finding
 from twin.identify.held_out import Division, Table, gap_or_reason
 from twin.machine.loops import loops_of
@@ -67,6 +68,11 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
     names = [a.name for a in before.axes]
     groups = [[n] for n in names if n not in ("A", "C") or not before.bodies]
     pair = [n for n in names if n in ("A", "C") and before.bodies]
+
+    def judging(signals: Mapping[str, Mapping[str, Any]], axis: str) -> dict[str, Mapping[str, Any]]:
+        effort = before.axis(axis).effort
+        return {s: g for s, g in signals.items() if s == effort or shows_following(before.axis(axis), division.runs)}
+
     for group in [*groups, *([pair] if pair else [])]:
         scores = {}
         for name, table in tables.items():
@@ -76,7 +82,9 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
             if not known:
                 continue
             scores[name] = (
-                1.0 if isinstance(start, str) else math.exp(float(np.mean([math.log(ratio(table[a], start.get(a, {}))) for a in known])))
+                1.0
+                if isinstance(start, str)
+                else math.exp(float(np.mean([math.log(ratio(judging(table[a], a), start.get(a, {}))) for a in known])))
             )
         good = {name: s for name, s in scores.items() if s <= WORSE}
         if good:

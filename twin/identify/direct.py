@@ -125,7 +125,7 @@ def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> Non
             result = fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])
             if result is not None:
                 fit, rows = result
-                names = LINEAR_NAMES if axis.kind == "linear" else (*LINEAR_NAMES, "gravity_cos", "gravity_sin")
+                names = (*LINEAR_NAMES, "gravity_cos", "gravity_sin")[: len(fit.values)]
                 out.balance[axis.name] = Balance(names, fit, {axis.name: rows})
                 _update(out, axis.name, fit.values[0], fit.seen[0])
         if paired:

@@ -62,11 +62,11 @@ def stacked(parts: Sequence[Rows]) -> Rows:
     return Rows(clusters=np.concatenate(clusters), **joined)
 
 
-def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray) -> Rows:
-    """Rows of one run where the axis slides, filtered alike on both sides; a lone rotary axis has gravity by its angle, too."""
+def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool = True) -> Rows:
+    """Rows of one run where the axis slides, filtered alike on both sides; a lone rotary axis has gravity by its angle, too, where it is `heavy`."""
     f = run.filtered
     sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * run.slides_above)
-    turning = [] if axis.kind == "linear" else [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))]
+    turning = [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))] if axis.kind == "rotary" and heavy else []
     columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
     torque = mean_current * axis.motor.torque_constant_nm_per_a
     return _kept(run, columns, f(torque if run.outside is None else torque + run.outside))
@@ -224,8 +224,12 @@ def load_answered(rows: Rows) -> bool:
 
 
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
-    """The NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows."""
-    parts = [linear_rows(axis, run, i) for run in runs if (i := current.of(run)) is not None]
+    """The NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows.
+
+    A machine file without gravity says that weights are given along the way: no torque then goes with the angle.
+    """
+    heavy = current.machine.gravity != 0.0
+    parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]
     if not parts or sum(len(p.y) for p in parts) < 20:
         return None
     rows = stacked(parts)

@@ -2,12 +2,12 @@
 
 For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis. The
 numbers may be lumps, inertia and friction over the torque constant. The whole loop is simulated on the recorded set points and compared
-with position and command, every sample of the training rows: short moves, reversals and the ringing of the speed loop all count.
+with what was recorded, every sample of the training rows: short moves, reversals and the ringing of the speed loop all count.
 
     min over the values of an axis:  sum over signals of  N log RMS(measured - simulated)
 
 that is, maximum likelihood with an unknown level of noise for each signal. The search is a damped Gauss-Newton (Levenberg-Marquardt);
-axes do not feel each other, so one simulation turns one value of every axis. Intervals come from clusters of CLUSTER_S.
+axes do not feel each other, so one simulation turns one value of every axis. Intervals come from clusters of a tenth of a second.
 """
 
 from __future__ import annotations
@@ -18,49 +18,21 @@ import math
 
 import numpy as np
 
-from twin.errors import InputError, SimulationError
-from twin.machine.machine import Axis, Machine
-from twin.machine.toleranced import path_of
+from twin.errors import SimulationError
+from twin.identify.drive_residuals import LEAST_RMS, DriveFit, DriveResiduals, rms_of, whitened, with_constant_forces
+from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.least_squares import RELATED
-from twin.simulation.gap import at_times, is_moving, simulated_period
-from twin.simulation.run import simulate
-from twin.simulation.setpoints import recorded_setpoints
 
-CLUSTER_S = 0.1
 STEPS = 12
 DONE = 1e-4
 """The search ends where a step improves the mean log RMS by less."""
 
-STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5}
-"""Step of the difference quotient where it is not RELATIVE_STEP: of the force as a share of the peak of the command, delays in seconds."""
-
-RELATIVE_STEP = 0.02
 CLEARLY = 0.02
 """A speed controller with a reference model, and a torque feedforward of the drive, are taken where they lower the mean log RMS by more."""
-
-NO_FRICTION, START_FRICTION = 1e-3, 0.03
-"""A file with less Coulomb friction than this share of the largest command starts the search at that share: from next to none it never grows."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
 """Where the search for a reference model starts: the lag of the speed loop within bounds, and an integral time of at least this."""
-
-ONE_WAY = 1e-3
-"""An axis whose set point never moves back faster than this share of its fastest moves one way only."""
-
-LEAST_RMS = 1e-10
-"""Residuals below this (in units of the signal's range) count as equal."""
-
-
-@dataclass(frozen=True)
-class DriveFit:
-    """Values of one axis by name with standard deviations (SI, at the motor), RMS of each signal after the fit, and what was left alone."""
-
-    values: dict[str, float]
-    deviations: dict[str, float]
-    rms: dict[str, float]
-    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,11 +41,6 @@ class DriveFits:
 
     machine: Machine
     axes: dict[str, DriveFit] = field(default_factory=dict)
-
-
-def is_driven_ideally(axis: Axis) -> bool:
-    """Does this axis belong here: no current loop of its own, so that its numbers may be lumps?"""
-    return not axis.has_current_loop
 
 
 def fit_drives(
@@ -88,7 +55,7 @@ def fit_drives(
 
     Axes in `skipped`, and those that neither move nor have a command recorded are left alone.
     """
-    plain = _searched(_Work(machine, runs, rows, known, skipped), say)
+    plain = _searched(DriveResiduals(machine, runs, rows, known, skipped), say)
     if plain is None:
         return DriveFits(machine)
     searches = dict.fromkeys(plain.x, plain)
@@ -99,7 +66,7 @@ def fit_drives(
         if richer == machine:
             continue
         try:
-            other = _searched(_Work(richer, runs, rows, known, [a.name for a in machine.axes if richer.axis(a.name) == a]), say)
+            other = _searched(DriveResiduals(richer, runs, rows, known, [a.name for a in machine.axes if richer.axis(a.name) == a]), say)
         except SimulationError:
             other = None
         if other is not None:
@@ -117,7 +84,7 @@ def fit_drives(
 class _Search:
     """Where a search ended: values, residuals, score and slopes of each axis."""
 
-    work: _Work
+    work: DriveResiduals
     x: dict[str, np.ndarray]
     base: dict[str, dict[str, np.ndarray]]
     score: dict[str, float]
@@ -144,7 +111,7 @@ def with_drive_feedforward(machine: Machine, axes: Collection[str]) -> Machine:
     return machine.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}) if off else machine
 
 
-def _searched(work: _Work, say: Callable[[str], None] | None) -> _Search | None:
+def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Search | None:
     """The damped search from the machine's own values; None where no axis is fitted."""
     if not work.names:
         return None
@@ -162,7 +129,7 @@ def _searched(work: _Work, say: Callable[[str], None] | None) -> _Search | None:
     for step in range(STEPS):
         jacobian = work.jacobian(x, base)
         for _ in range(4):
-            trial = {a: x[a] + _step(jacobian[a], _whitened(base[a]), damping[a]) if a in open_axes else x[a] for a in work.names}
+            trial = {a: x[a] + _step(jacobian[a], whitened(base[a]), damping[a]) if a in open_axes else x[a] for a in work.names}
             there = work.residuals(trial)
             better = {a for a in open_axes if there is not None and a in there and _score(there[a]) < score[a]}
             for a in open_axes:
@@ -186,16 +153,7 @@ def _searched(work: _Work, say: Callable[[str], None] | None) -> _Search | None:
 def _score(residual: Mapping[str, np.ndarray]) -> float:
     """Mean log RMS of the signals, by their numbers of samples."""
     count = sum(len(v) for v in residual.values())
-    return sum(len(v) * math.log(max(_rms(v), LEAST_RMS)) for v in residual.values()) / max(count, 1)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
-def _whitened(residual: Mapping[str, np.ndarray]) -> np.ndarray:
-    """All signals of an axis in one, each in units of its own RMS."""
-    return np.concatenate([v / max(_rms(v), LEAST_RMS) for v in residual.values()])
+    return sum(len(v) * math.log(max(rms_of(v), LEAST_RMS)) for v in residual.values()) / max(count, 1)
 
 
 def _step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
@@ -208,241 +166,3 @@ def _step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndar
         normal = j.T @ j
         out[seen] = -np.linalg.solve(normal + damping * np.eye(len(normal)), j.T @ residual) / length[seen]
     return np.clip(out, -1.0, 1.0)
-
-
-class _Work:
-    """What is fitted: axes, names and scales of their values, rows; and how values become a machine and residuals."""
-
-    def __init__(
-        self,
-        machine: Machine,
-        runs: Sequence[MeasuredRun],
-        rows: Mapping[str, Sequence[np.ndarray]],
-        known: Collection[tuple[str, str]],
-        skipped: Collection[str],
-    ) -> None:
-        self.machine, self.runs = machine, runs
-        self.names = [a.name for a in machine.axes if is_driven_ideally(a) and a.name not in skipped and self._is_seen(a)]
-        self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
-        # the command of an axis that stands still is history: it counts where the set point moves
-        self.used = {
-            (n, s): [r & is_moving(run.trace, machine.axis(n)) if s == machine.axis(n).effort else r for run, r in zip(runs, rows[n])]
-            for n in self.names
-            for s in self.signals(n)
-        }
-        self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
-        self.scale = {
-            (n, s): max(max(float(np.ptp(r.trace.get(n, s))) for r in runs if r.trace.has(n, s)), 1e-12)
-            for n in self.names
-            for s in self.signals(n)
-        }
-
-    def signals(self, name: str) -> list[str]:
-        """Recorded signals of an axis that are compared."""
-        wanted = ("position", "motor_position", self.machine.axis(name).effort)
-        return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
-
-    def _is_seen(self, axis: Axis) -> bool:
-        moved = [r for r in self.runs if r.trace.moves(axis.name)]
-        return any(
-            r.trace.has(axis.name, axis.effort) and (r.trace.has(axis.name, "position") or r.trace.has(axis.name, "motor_position"))
-            for r in moved
-        )
-
-    def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
-        fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
-        if axis.has_speed_integral and any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs):
-            fields += ["speed_gain_nm_s_per_rad", "speed_integral_time_s"]
-            fields += [f for f in ("speed_reference_time_s", "drive_torque_feedforward") if getattr(axis.loops, f) > 0.0]
-        if axis.loops.dsc_delay_s > 0.0:
-            fields.append("dsc_delay_s")
-        return [f for f in fields if (axis.name, f) not in known]
-
-    def start(self) -> dict[str, np.ndarray]:
-        return {n: np.array([self._coded(n, f, self._value(n, f)) for f in self.fields[n]]) for n in self.names}
-
-    def softened(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """A start with half the gains and twice the integral time, for a file whose loops are unstable."""
-        out = {}
-        for n in self.names:
-            changed = x[n].copy()
-            for f, amount in (("speed_gain_nm_s_per_rad", -0.7), ("speed_integral_time_s", 0.7)):
-                if f in self.fields[n]:
-                    changed[self.fields[n].index(f)] += amount
-            out[n] = changed
-        return out
-
-    def _value(self, name: str, field_name: str) -> float:
-        axis = self.machine.axis(name)
-        if field_name == "inertia":
-            return axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2
-        if field_name == "constant_force":
-            listed = [e for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name]
-            return axis.constant_force + sum(float(e["force"]) for e in listed)
-        if hasattr(axis.loops, field_name):
-            return float(getattr(axis.loops, field_name))
-        value, peak = float(getattr(axis, field_name)), self._peak(name)
-        if field_name == "coulomb_friction_nm" and value < NO_FRICTION * peak:
-            return START_FRICTION * peak
-        return max(value, 1e-6 * peak)
-
-    def _peak(self, name: str) -> float:
-        """Largest recorded command as a torque at the motor [Nm]."""
-        axis = self.machine.axis(name)
-        largest = max(float(np.abs(r.trace.get(name, axis.effort)).max()) for r in self.runs if r.trace.has(name, axis.effort))
-        return max(largest * axis.motor.torque_constant_nm_per_a, 1e-12)
-
-    def _coded(self, name: str, field_name: str, value: float) -> float:
-        """Values that cannot be negative as logarithms, the force as a share of the largest command, delays in milliseconds."""
-        if field_name == "constant_force":
-            return value * self.machine.axis(name).ratio / self._peak(name)
-        return 1e3 * value if field_name.endswith("delay_s") else math.log(max(value, 1e-300))
-
-    def _decoded(self, name: str, field_name: str, code: float) -> float:
-        if field_name == "constant_force":
-            return code * self._peak(name) / self.machine.axis(name).ratio
-        return max(1e-3 * code, 0.0) if field_name.endswith("delay_s") else math.exp(min(max(code, -40.0), 40.0))
-
-    def changed(self, x: Mapping[str, np.ndarray]) -> Machine:
-        """The machine with these values."""
-        values, forces = self.values(x)
-        return with_constant_forces(self.machine.with_values(values), forces)
-
-    def values(self, x: Mapping[str, np.ndarray]) -> tuple[dict[str, object], dict[str, float]]:
-        """Values by their paths in the file, and constant forces [N or Nm at the axis] by axis."""
-        values: dict[str, object] = {}
-        forces = {}
-        for n, codes in x.items():
-            for f, code in zip(self.fields[n], codes):
-                value = self._decoded(n, f, float(code))
-                if f == "constant_force":
-                    forces[n] = value
-                elif f == "inertia":
-                    values.update(self._inertia(n, value))
-                else:
-                    part = "loops." if hasattr(self.machine.axis(n).loops, f) else ""
-                    values[f"axis.{n}.{part}{f}"] = value
-        return values, forces
-
-    def _inertia(self, name: str, inertia: float) -> dict[str, object]:
-        """The whole inertia at the motor: the rotor takes the change where the file has one, else the moving mass."""
-        axis = self.machine.axis(name)
-        load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
-        if axis.rotor_inertia_kg_m2 > 0.0 and axis.ratio != 1.0:
-            # keep the shares where the load is known to be part of it
-            share = load / (load + axis.rotor_inertia_kg_m2) if axis.moving_mass_kg is not None else 0.0
-            out: dict[str, object] = {path_of(axis, "rotor_inertia"): inertia * (1.0 - share) if share else max(inertia - load, 1e-12)}
-            if share:
-                out[path_of(axis, "moving_mass")] = inertia * share / axis.ratio**2
-            return out
-        return {path_of(axis, "moving_mass"): inertia / axis.ratio**2}
-
-    def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
-        """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None where it diverges."""
-        try:
-            machine = self.changed(x)
-            traces = [
-                at_times(
-                    simulate(
-                        machine.with_feedforward(run.feedforward),
-                        setpoints,
-                        started_at=run.started_at,
-                        sample_period=simulated_period(machine, run.trace.period),
-                    ).trace,
-                    run.trace.time,
-                )
-                for run, setpoints in zip(self.runs, self.setpoints)
-            ]
-        except (SimulationError, InputError, FloatingPointError):
-            return None
-        out: dict[str, dict[str, np.ndarray]] = {}
-        for n in self.names:
-            own = {}
-            for s in self.signals(n):
-                parts = [
-                    (run.trace.get(n, s) - trace.get(n, s))[rows] / self.scale[n, s]
-                    for run, trace, rows in zip(self.runs, traces, self.used[n, s])
-                    if run.trace.has(n, s)
-                ]
-                own[s] = np.concatenate(parts)
-                if s != self.machine.axis(n).effort:
-                    own[s] = own[s] - float(np.median(own[s]))  # an encoder's zero is no fault
-            out[n] = own
-        return out
-
-    def jacobian(self, x: Mapping[str, np.ndarray], base: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Change of the whitened residuals (row, value) of every axis; one simulation turns the k-th value of all axes."""
-        columns: dict[str, list[np.ndarray]] = {n: [] for n in self.names}
-        for k in range(max(len(f) for f in self.fields.values())):
-            turned = {n: x[n].copy() for n in self.names}
-            amount = {}
-            for n in self.names:
-                if k < len(self.fields[n]):
-                    f = self.fields[n][k]
-                    amount[n] = {"constant_force": STEP_OF["constant_force"]}.get(f, 1e3 * STEP_OF[f] if f in STEP_OF else RELATIVE_STEP)
-                    turned[n][k] += amount[n]
-            there = self.residuals(turned)
-            for n, h in amount.items():
-                level = {s: max(_rms(v), LEAST_RMS) for s, v in base[n].items()}
-                other = there[n] if there is not None else base[n]
-                columns[n].append(np.concatenate([(other[s] - base[n][s]) / level[s] for s in base[n]]) / h)
-        return {n: np.column_stack(c) for n, c in columns.items()}
-
-    def clusters(self, name: str) -> np.ndarray:
-        """Cluster of each residual row of an axis; all signals of a piece of time are one cluster."""
-        out = []
-        for s in self.signals(name):
-            for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s])):
-                if run.trace.has(name, s):
-                    out.append((1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows])
-        return np.concatenate(out)
-
-    def _moves_one_way(self, name: str) -> bool:
-        """Do the set points of an axis move in one direction only where it is fitted?"""
-        moving = zip(self.runs, self.used[name, self.machine.axis(name).effort])
-        steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
-        return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
-
-    def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
-        """Values of one axis with their deviations."""
-        deviation = _deviations(jacobian, _whitened(base), self.clusters(n))
-        values, deviations, unseen = {}, {}, []
-        for f, code, d in zip(self.fields[n], x, deviation):
-            value = self._decoded(n, f, float(code))
-            if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
-                unseen.append(f)
-            slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
-            values[f], deviations[f] = value, float(d * slope)
-        if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
-            # what such an axis does at its stops parts friction and load a little, and no law of friction at rest is sure enough for that
-            unseen.append("coulomb_friction_nm")
-            deviations["constant_force"] = math.hypot(
-                deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
-            )
-        rms = {s: _rms(v) * self.scale[n, s] for s, v in base.items()}
-        return DriveFit(values, deviations, rms, tuple(unseen))
-
-
-def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray) -> np.ndarray:
-    """Standard deviations (value,) by clusters; infinite where the residual does not answer."""
-    length = np.linalg.norm(jacobian, axis=0)
-    seen = length > 1e-9 * max(float(length.max()), 1e-300)
-    out = np.full(jacobian.shape[1], np.inf)
-    if not seen.any():
-        return out
-    j = jacobian[:, seen] / length[seen]
-    bread = np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True)
-    _, group = np.unique(clusters, return_inverse=True)
-    scores = np.zeros((int(group.max()) + 1, int(seen.sum())))
-    np.add.at(scores, group, j * residual[:, None])
-    count = len(scores)
-    covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread * count / max(count - int(seen.sum()), 1)
-    out[seen] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / length[seen]
-    return out
-
-
-def with_constant_forces(machine: Machine, forces: Mapping[str, float]) -> Machine:
-    """The machine with these constant forces [N or Nm at the axis] as its steady loads, in place of effects of that name."""
-    loads = {f"axis.{n}.constant_torque_nm": f * machine.axis(n).ratio for n, f in forces.items()}
-    kept = [dict(e) for e in machine.effects if not (e.get("name") == "constant_force" and e.get("axis") in forces)]
-    return machine.with_values({**loads, **({"effect": kept} if len(kept) < len(machine.effects) else {})})

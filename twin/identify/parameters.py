@@ -165,12 +165,15 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     A number that the residual does not answer to is left out.
     """
     out = list(parameters)
+    inertias = dict(zip(before.axis_names, home_inertia_at_motor(before)))
     for name, fit in fits.axes.items():
         axis = before.axis(name)
         r = axis.ratio
+        turned = axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r
+        carried = float(inertias[name]) - turned  # what the bodies of the model have: no number of the file, so the fit leaves it
         mass, force, damping = units_of(axis)
         rows = {
-            "inertia": ("inertia", mass, axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r, 1.0, ""),
+            "inertia": ("inertia", mass, float(inertias[name]), 1.0, ""),
             TOLERANCED["coulomb_friction"]: (
                 "coulomb_friction",
                 force,
@@ -202,6 +205,8 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             if field not in ("constant_force", "dsc_delay_s"):  # cannot be negative: the interval is one of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
                 around = Range(value * factor, value * factor / wide, value * factor * wide)
+            if field == "inertia":
+                around = Range(*(v + carried for v in (around.value, around.low, around.high)))
             known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, label)), None)
             if known is None:
                 is_product = field in rows
