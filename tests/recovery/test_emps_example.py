@@ -110,9 +110,24 @@ def test_the_measured_axis(example: ModuleType, tmp_path: Path) -> None:
     assert gaps["corrected"] < 0.85 * gaps["published"]
 
 
+def diagnosis_told(document: dict[str, Any]) -> list[str]:
+    """What the page says of a diagnosis: effects with their intervals, laws by their heights, verdict, gap."""
+    found = {e["effect"]: e["parameters"] for e in document["effects"]}
+    fraction, ripple = found["viscous_asymmetry"]["fraction"], found["torque_ripple"]["amplitude_nm"]
+    laws = [law["parameters"]["height"] for law in document["laws"]]
+    gap = document["gap"]
+    return [
+        f"{-100 * fraction['value']:.1f} % ({-100 * fraction['high']:.1f} to {-100 * fraction['low']:.1f}) less towards +X",
+        f"{1e3 * ripple['value']:.2f} mNm ({1e3 * ripple['low']:.2f} to {1e3 * ripple['high']:.2f})",
+        *(f"({abs(h['value']):.2f} +- {0.5 * (h['high'] - h['low']):.2f}) N" for h in laws),
+        f'The verdict is "{document["verdict"]}"',
+        f"a gap of {gap['after']:.0f} times what the encoder's steps make, of {gap['before']:.0f} before",
+    ]
+
+
 @pytest.mark.slow
 def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> None:
-    """docs/measured_axis.md, all but the diagnosis: law, identification, gap on the last third, regression."""
+    """docs/measured_axis.md: law, identification, diagnosis, gap on the last third, regression."""
     if not RECORD.is_file():
         pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
     page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
@@ -120,7 +135,9 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
     example.import_record(RECORD, tmp_path, picture=False)
     example.show_and_run("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
     axis = example.identified(tmp_path).axis("X")
-    machines = {"start": load_machine(example.MACHINE), "published": example.published(), "identified": example.identified(tmp_path)}
+    document = example.diagnosed(tmp_path)
+    machines = {"start": load_machine(example.MACHINE), "published": example.published()}
+    machines |= {"identified": example.identified(tmp_path), "corrected": example.corrected(tmp_path)}
     run, predictions = example.last_third(tmp_path, machines)
     rows = {}
     for name, prediction in predictions.items():
@@ -135,6 +152,8 @@ def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> N
         f"start of the diagnosis {rows['start']}",
         f"published, with its offset of {example.PUBLISHED_OFFSET_N} N {rows['published']}",
         f"identified from the first two thirds {rows['identified']}",
+        f"corrected by the diagnosis {rows['corrected']}",
+        *diagnosis_told(document),
         f"error is {100 * fit_single_axis(record).force_error:.2f} %; the published model's is {100 * example.PUBLISHED_FORCE_ERROR:.2f} %",
     ]
     assert [words for words in said if words not in page] == []

@@ -84,12 +84,15 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
         a = machine.axis_names.index(axis.name)
         pulse = max((float(np.abs(one[:, a]).max()) for one in fed if one is not None), default=0.0)
         pulses.append(f"{axis.name} {pulse * 1e3:.3f} mm/s")
+        whole_lag = [run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint") for run in campaign.runs]
         whole_gap = [run.trace.get(axis.name, "position") - predictions[run.name].get(axis.name, "position") for run in campaign.runs]
         standing = np.concatenate([(g - g.mean())[~is_moving(run.trace, axis)] for g, run in zip(whole_gap, campaign.runs)])
+        anywhere = [np.concatenate([x[is_moving(r.trace, axis)] for x, r in zip(w, campaign.runs)]) for w in (whole_gap, whole_lag)]
+        share = rms(anywhere[0]) / rms(anywhere[1])
         frequency = strongest(whole_gap, campaign.runs[0].trace.period)
         span = float(np.ptp(np.concatenate(whole)))
-        rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %", f"{100 * d / f:.0f} %", f"{rms(standing) * 1e6:.2f}", f"{frequency:.0f}"])  # fmt: skip
-    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "gap of the current [A RMS]", "of its range", "a pure delay leaves", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
+        rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{100 * share:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %", f"{100 * d / f:.0f} %", f"{rms(standing) * 1e6:.2f}", f"{frequency:.0f}"])  # fmt: skip
+    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "a pure delay leaves", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
     said = f"\nlargest pulse of the recorded feedforward beside the slope of the set points: axis {', axis '.join(pulses)}"
     return "\non the motion that no fit has seen:\n" + table(heading, rows, left=1) + said
 
