@@ -114,8 +114,9 @@ def _read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
 
 def _list(files: Sequence[Path]) -> int:
     """What the files hold, and the map that is proposed for them."""
+    from twin.recordings.map_text import map_text
     from twin.recordings.overview import listing
-    from twin.recordings.propose import map_text, propose
+    from twin.recordings.propose import propose
 
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
         recordings = _read_all(files, scratch)
@@ -128,7 +129,8 @@ def _list(files: Sequence[Path]) -> int:
 
 def _proposed(files: Sequence[Path], out: Path) -> Path:
     """The map proposed for the files, written into the campaign's folder."""
-    from twin.recordings.propose import map_text, propose
+    from twin.recordings.map_text import map_text
+    from twin.recordings.propose import propose
 
     path = out / "map.toml"
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():

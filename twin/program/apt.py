@@ -18,22 +18,16 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
-from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, listed, moves_nothing, word_and_values
+from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
+from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
+from twin.program.control_state import INCH
 from twin.program.machine_file import first_feed
 from twin.program.source import Source
 
-INCH = 0.0254
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000
 """Characters of one statement over all its lines."""
-
-PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
-PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}
-"""Feed units -> metre; None: the unit of the file."""
-
-CYCLES = ("DRILL", "DEEP", "DEEP2", "BRKCHP", "BRKCH2", "FACE", "CSINK", "BORE", "BORE2", "REAM", "SPDRL", "THRU", "TAP", "TAPR")
-"""Drilling cycles: one stroke at feed to the depth; MecSoft numbers its kinds."""
 
 OFF_AXIS = 1e-3
 """A frame whose axes are further from a right angle or from unit length than this is no frame."""
@@ -64,8 +58,7 @@ class AptReader:
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
         self.world = False  # points stand in the part frame whatever CSYS says
         self.direction: tuple[str, np.ndarray] | None = None
-        self.cycle: tuple[float, float, float, float] | None = None  # depth, clearance, retract height [m], feed as in FEDRAT
-        self.out_at_feed = False  # tapping and the like leave the hole at feed
+        self.cycle: Cycle | None = None
         self.ended = False
         self.on_profile = False  # Creo says that its points are not those of the tool centre
         self.line = 0
@@ -178,14 +171,14 @@ class AptReader:
     def _transformation_type(self, word: str, values: str) -> None:
         """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS behind it only says how the tool stands (RhinoCAM, VisualCAD)."""
         parts = listed(values)
-        if parts[:1] != ["WORLD"] or any(not _is_number(v) or float(v) for v in parts[1:]):
+        if parts[:1] != ["WORLD"] or any(not is_number(v) or float(v) for v in parts[1:]):
             raise self._fail(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0")
         self.world = True
         self.out.notes[f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one"] = None
 
     def _numbered_system(self, word: str, values: str) -> None:
         """MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis): the frame of the points that follow (DMG MORI)."""
-        numbers = [float(v) for v in listed(values) if _is_number(v)]
+        numbers = [float(v) for v in listed(values) if is_number(v)]
         if len(numbers) != 10 or listed(values).count("VECTOR") != 2:
             raise self._fail(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)")
         self._frame(word, np.array(numbers[4:7]), np.array(numbers[7:10]), np.array(numbers[1:4]))
@@ -331,8 +324,8 @@ class AptReader:
     def _moved_arc(self, word: str, values: str) -> None:
         """MOVARC/ centre, axis, radius [, ANGLE, degrees] (Fusion), or CENTER, .., AXIS, .., RADIUS, r: the arc to the next point."""
         parts = listed(values)
-        numbers = [float(v) for v in parts if _is_number(v)]
-        unknown = [v for v in parts if not _is_number(v) and v not in ("CENTER", "AXIS", "RADIUS", "ANGLE")]
+        numbers = [float(v) for v in parts if is_number(v)]
+        unknown = [v for v in parts if not is_number(v) and v not in ("CENTER", "AXIS", "RADIUS", "ANGLE")]
         angle = numbers.pop() if "ANGLE" in parts and len(numbers) == 8 else None
         if len(numbers) != 7 or unknown:
             raise self._fail(f"{word}/{values[:60]} is not read; give centre, axis, radius, ANGLE, degrees")
@@ -377,50 +370,13 @@ class AptReader:
             return
         if kind not in CYCLES:
             raise self._fail(f"{word}/{kind} is not simulated; let the CAM system put out points (GOTO) instead")
-        feed_units = {**PER_MINUTE, **PER_REVOLUTION}
-        named: dict[str, float] = {}
-        plain: list[float] = []
-        at = 1
-        while at < len(parts):
-            text, after = parts[at], parts[at + 1] if at + 1 < len(parts) else ""
-            if _is_number(text):
-                plain.append(float(text))
-                if after in feed_units:
-                    named["FEED"] = self._feed_of([text, after], word)
-                    plain.pop()
-                    at += 1
-            elif _is_number(after):
-                named["FEED" if text in feed_units else text] = self._feed_of([after, text], word) if text in feed_units else float(after)
-                at += 1
-            at += 1
-        depth = abs(named.get("FEDTO", named.get("DEPTH", plain[0] if plain else math.nan)))
-        clear = named.get("CLEAR", named.get("RAPTO", named.get("RTRCTO", plain[-1] if len(plain) > 1 else 0.0)))
-        feed = named.get("FEED", self.feed)
-        if not math.isfinite(depth) or not math.isfinite(feed):
+        self.cycle = cycle_of(kind, parts, self.unit, self.feed, lambda feed: self._feed_of(feed, word))
+        if self.cycle is None:
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
         self.out.notes[f"CYCLE/{kind}: one straight stroke to its depth; pecks and dwells are left out"] = None
-        clear = abs(clear)
-        retract = max(clear, abs(named.get("RTRCTO", named.get("RETURN", clear))))
-        self.cycle = depth * self.unit, clear * self.unit, retract * self.unit, feed
-        self.out_at_feed = kind in ("TAP", "REAM", "BORE", "BORE2", "TAPR")
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
-        depth, clear, retract, feed = self.cycle
-        up = self.rotation @ self.axis / np.linalg.norm(self.axis)
-        above, bottom, high = hole + clear * up, hole - depth * up, hole + retract * up
-        if retract > clear:
-            self._add(mv.RAPID, high, None, math.inf)
-        self._add(mv.RAPID, above, None, math.inf)
-        self._add(mv.LINE, bottom, None, feed)
-        self._add(mv.LINE if self.out_at_feed else mv.RAPID, above, None, feed)
-        if retract > clear:
-            self._add(mv.RAPID, high, None, math.inf)
+        for kind, place, feed in strokes(self.cycle, hole, self.rotation @ self.axis / np.linalg.norm(self.axis)):
+            self._add(kind, place, None, feed)
         self.rapid = False
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

@@ -5,6 +5,7 @@ Words are those of the CL data standard (ISO 4343) and of what CATIA, NX and Cre
 
 from __future__ import annotations
 
+import math
 import re
 
 FREE_TEXT = ("PARTNO", "PPRINT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
@@ -75,3 +76,11 @@ def moves_nothing(word: str, values: str) -> bool:
 def listed(values: str) -> list[str]:
     """The values of a statement, without blanks around them."""
     return [v.strip() for v in values.split(",")] if values.strip() else []
+
+
+def is_number(text: str) -> bool:
+    """Whether a value is a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

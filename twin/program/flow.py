@@ -1,7 +1,6 @@
 """The order in which the blocks of a program run: labels, jumps, loops, conditions, calls. One machinery for both languages.
 
-A front end says what a line is (`Statement`); this file follows it. SINUMERIK nests IF .. ENDIF by position, LinuxCNC
-and Fanuc name both ends of a structure (O100, DO1): the `key`. Nothing runs for ever: blocks, jumps and calls are counted.
+A front end says what a line is (`twin.program.structures.Statement`); this file follows it. Nothing runs for ever: blocks, jumps and calls are counted.
 """
 
 from __future__ import annotations
@@ -13,32 +12,13 @@ from typing import Any, Protocol
 from twin.errors import InputError
 from twin.program.expressions import WordError
 from twin.program.source import Unit
+from twin.program.structures import Statement, loop_around, partners, structures_of
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
 MOST_SAME_JUMPS = 10_000
 """Jumps in a row during which nothing changes that a condition reads: the program goes round for ever."""
 DEEPEST_CALL = 40
-
-CLOSES = {
-    "if": "endif", "while": "endwhile", "for": "endfor", "loop": "endloop", "repeat": "until", "do": "while", "times": "endtimes",
-    "sub": "endsub",
-}  # fmt: skip
-"""Structure -> the statement that ends it; a label is repeated by `repeat_label`, LinuxCNC's O.. REPEAT is `times`."""
-
-
-@dataclass(frozen=True)
-class Statement:
-    """What a line is for the flow.
-
-    `text` is a condition, a target or arguments, which starts at `column`; `rest` what `kind` needs beside.
-    """
-
-    kind: str
-    key: str = ""
-    text: str = ""
-    column: int = 1
-    rest: tuple = ()
 
 
 @dataclass
@@ -319,73 +299,15 @@ class Flow:
         return self._table(frame.unit).get(at, (at,))[0] == at
 
     def _partners(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        """Lines of the structure that the statement belongs to, first to last."""
-        found = self._table(frame.unit).get(at)
-        if found is None or (len(found) == 1):
-            end = CLOSES.get(s.kind, "").upper()
-            text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
-            raise WordError(text, s.column)
-        if found[0] < 0:
-            raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
-        return found
+        return partners(self._table(frame.unit), at, s)
 
     def _around(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        """The loop with the key of a BREAK or CONTINUE."""
-        for places in self._table(frame.unit).values():
-            opener = frame.unit.statements.get(places[0])
-            if (
-                len(places) > 1
-                and places[0] < at < places[-1]
-                and isinstance(opener, Statement)
-                and opener.key == s.key
-                and opener.kind != "if"
-            ):
-                return places
-        raise WordError(f"{s.kind.upper()} stands in no loop {s.key}; correct its number", s.column)
+        return loop_around(self._table(frame.unit), frame.unit, at, s)
 
     def _table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
-        """Line -> lines of its structure, for the whole program."""
-        if unit.partners is not None:
-            return unit.partners
-        table: dict[int, tuple[int, ...]] = {}
-        stacks: dict[str, list[list[int]]] = {}
-        subs: list[list[int]] = []
-        for at, text in enumerate(unit.lines):
-            if at not in unit.statements:
-                try:
-                    unit.statements[at] = self._statement(text)
-                except WordError:
-                    continue  # it will be said where it runs
-            s = unit.statements[at]
-            if not isinstance(s, Statement):
-                continue
-            stack = stacks.setdefault(s.key, [])
-            top = unit.statements[stack[-1][0]].kind if stack else ""  # type: ignore[attr-defined]
-            if s.kind == "while" and top == "do":
-                stack[-1].append(at)
-                self._close(table, stack.pop())
-            elif s.kind in ("elseif", "else") and top == "if":
-                stack[-1].append(at)
-            elif s.kind in CLOSES:
-                stack.append([at])
-                table[at] = (at,)
-                if s.kind == "sub":
-                    if subs:
-                        table[subs[-1][0]] = (-1, -1)
-                    subs.append(stack[-1])
-            elif top and s.kind == CLOSES[top]:
-                places = [*stack.pop(), at]
-                if s.kind == "endsub":
-                    subs = [p for p in subs if p[0] != places[0]]
-                if table.get(places[0], (0,))[0] >= 0:
-                    self._close(table, places)
-        unit.partners = table
-        return table
-
-    @staticmethod
-    def _close(table: dict[int, tuple[int, ...]], places: list[int]) -> None:
-        for place in places:
-            table[place] = tuple(places)
+        if unit.partners is None:
+            unit.partners = structures_of(unit, self._statement)
+        return unit.partners
 
     # ------------------------------------------------------------------ jumps
 

@@ -16,13 +16,13 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import INCH, LINEAR, Item
+from twin.program.control_state import INCH, LINEAR, Item
 from twin.program.cycles import CycleError
 from twin.program.expressions import Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_calls import IsoCalls
 from twin.program.iso_drilling import CYCLES
-from twin.program.iso_lines import SEPARATOR
+from twin.program.iso_lines import SEPARATOR, message_text
 from twin.program.source import Unit
 from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
 from twin.program.words import NUMBER
@@ -38,7 +38,6 @@ _ALIKE: tuple[set[float], ...] = (
 )  # fmt: skip
 """Codes of which a block takes one: LinuxCNC refuses two, on a Fanuc the last counts."""
 _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK", 60: ""}
-_IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
 
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
@@ -81,23 +80,7 @@ class Iso(IsoCalls):
             except CycleError as error:
                 raise WordError(str(error), 1) from None
         for message in messages:
-            self._message(message)
-
-    def _message(self, text: str) -> None:
-        kind, _, rest = text.partition(",")
-
-        def value(match: re.Match[str]) -> str:
-            if not match[2]:
-                self.places = {"%d": 0, "%f": 4}.get(match[0], int(match[1] or 6))
-                return ""
-            try:
-                number = self.number_of("#" + match[2].upper(), 1)
-            except WordError:
-                return "######"
-            return f"{number:.{self.places}f}"
-
-        self.places = 6
-        self.out.messages.append(rest if kind == "MSG" else _IN_MESSAGE.sub(value, rest))
+            self.out.messages.append(message_text(message, self.number_of))
 
     def parse(self, text: str) -> tuple[list[tuple[float, int]], list[tuple[float, int]], dict[str, Item]]:
         """G codes, M codes and the other words of a block; variables that it sets are set behind it."""

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from twin.machine.machine import Machine
-from twin.program.control import Item
+from twin.program.control_state import Item
 from twin.program.expressions import WordError
-from twin.program.flow import Frame, Statement
+from twin.program.flow import Frame
 from twin.program.iso_drilling import MOST_REPEATS
 from twin.program.iso_lines import COMMENT, OWORD, PROGRAM, between_percents, subs_of
 from twin.program.iso_motion import IsoMotion
 from twin.program.machine_file import moves_no_axis
 from twin.program.source import Folder, Unit
+from twin.program.structures import Statement
 
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
 """Letter of G65 -> variable that it sets."""

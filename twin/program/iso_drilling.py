@@ -9,7 +9,7 @@ from typing import Any
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.control_state import INDEX, LINEAR, OTHER, ROTARY, Item
 from twin.program.cycles import FEED, RAPID, Drilling
 from twin.program.expressions import WordError
 from twin.program.iso_variables import IsoVariables

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import re
 
 from twin.program.corners import Corners
 from twin.program.expressions import WordError
-from twin.program.flow import Statement
 from twin.program.source import Unit
+from twin.program.structures import Statement
 
 OWORD = re.compile(
     r"\s*(?:N[\d.]+\s*)?O\s*(<[^>]*>|\d+|\[.*?\]|#\d+|#<[^>]*>)\s*"
@@ -27,6 +28,7 @@ _ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
 _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
 LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O\s*(?:<[^>]*>|\d+\s*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#\s*<", re.I | re.M)
 SEPARATOR = "\x01"
+_IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
 
 class IsoLines(Corners):
@@ -130,3 +132,22 @@ def _oword(match: re.Match[str]) -> Statement:
     column = match.start(3) + 1
     kind = {"repeat": "times", "endrepeat": "endtimes"}.get(word, word)
     return Statement(kind, key, text, column)
+
+
+def message_text(text: str, number_of: Callable[[str, int], float]) -> str:
+    """What the operator reads of MSG, DEBUG or PRINT: the values of parameters stand in their places."""
+    kind, _, rest = text.partition(",")
+    places = 6
+
+    def value(match: re.Match[str]) -> str:
+        nonlocal places
+        if not match[2]:
+            places = {"%d": 0, "%f": 4}.get(match[0], int(match[1] or 6))
+            return ""
+        try:
+            number = number_of("#" + match[2].upper(), 1)
+        except WordError:
+            return "######"
+        return f"{number:.{places}f}"
+
+    return rest if kind == "MSG" else _IN_MESSAGE.sub(value, rest)

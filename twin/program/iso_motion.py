@@ -12,7 +12,7 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_TOLERANCE
-from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.control_state import INDEX, LINEAR, OTHER, ROTARY, Item
 from twin.program.corners import Move
 from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.control import INDEX, OTHER, ROTARY
+from twin.program.control_state import INDEX, OTHER, ROTARY
 from twin.program.expressions import ISO, Expression, Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames

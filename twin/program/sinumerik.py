@@ -12,7 +12,7 @@ from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program import sinumerik_cycles as cycles
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
-from twin.program.control import INCH, INDEX, LINEAR, OTHER, Item
+from twin.program.control_state import INCH, INDEX, LINEAR, OTHER, Item
 from twin.program.cycles import CycleError
 from twin.program.expressions import WordError
 from twin.program.flow import Flow

@@ -9,10 +9,11 @@ import re
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.expressions import Value, WordError
-from twin.program.flow import Frame, Statement
+from twin.program.flow import Frame
 from twin.program.machine_file import moves_no_axis
 from twin.program.sinumerik_motion import SinumerikMotion
 from twin.program.source import Folder, Unit, plain_name
+from twin.program.structures import Statement
 from twin.program.tables import REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 

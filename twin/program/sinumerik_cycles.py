@@ -10,7 +10,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
-from twin.program.control import rotation
+from twin.program.control_state import rotation
 from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling
 from twin.program.expressions import WordError
 from twin.program.sinumerik_calls import SinumerikCalls

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program import arcs
-from twin.program.control import INDEX, LINEAR, OTHER, ROTARY, Item, rotation
+from twin.program.control_state import INDEX, LINEAR, OTHER, ROTARY, Item, rotation
 from twin.program.expressions import WordError
 from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.words import Word

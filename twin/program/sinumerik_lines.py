@@ -8,8 +8,8 @@ import re
 from twin.machine.machine import Machine
 from twin.program.corners import Corners
 from twin.program.expressions import WordError
-from twin.program.flow import Statement
 from twin.program.source import Unit
+from twin.program.structures import Statement
 
 _LABEL = re.compile(r"\s*(?:[N:]\d+\s*)?([A-Z_][A-Z_][A-Z0-9_]*)\s*:(?!=)", re.A)
 _NUMBERED = re.compile(r"\s*[N:](\d+)", re.A)

@@ -11,7 +11,8 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import INDEX, LINEAR, ROTARY, Arc, Item, SpaceArc, Vector, rotation
+from twin.program.control import Arc, SpaceArc, Vector
+from twin.program.control_state import INDEX, LINEAR, ROTARY, Item, rotation
 from twin.program.corners import Move
 from twin.program.expressions import Value, WordError
 from twin.program.sinumerik_variables import SinumerikVariables

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program.control import INDEX, LINEAR, OTHER, Item, rotation
+from twin.program.control_state import INDEX, LINEAR, OTHER, Item, rotation
 from twin.program.expressions import SINUMERIK, Expression, Value, WordError
 from twin.program.flow import Flow, Frame, Statement
 from twin.program.sinumerik_frames import SinumerikFrames

@@ -18,7 +18,7 @@ from twin.errors import InputError, SimulationError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation import cascade, loop
+from twin.simulation import cascade, loop, loop_record
 from twin.simulation.drive_load import NOTHING_COUNTED, drive_load, drive_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.mujoco_plant import MujocoPlant
@@ -92,7 +92,7 @@ def simulate(
     if rows < 2:
         raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {period:.4g} s: record it more often")
     axes = len(machine.axes)
-    record = loop.empty_record(rows, axes)
+    record = loop_record.empty_record(rows, axes)
     limited = np.zeros((axes, 2), np.int64)
     counted = drive_sums(machine.axes) if count_load else NOTHING_COUNTED
     total = (rows - 1) * schedule.record_ticks + 1
@@ -105,7 +105,7 @@ def simulate(
             _sensing(machine, rng, ticks),
             first,
             ticks,
-            loop.empty_record(-first // schedule.record_ticks + 1, axes) if lead else record.rows(first // schedule.record_ticks),
+            loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead else record.rows(first // schedule.record_ticks),
             np.zeros_like(limited) if lead else limited,
             NOTHING_COUNTED if lead else counted,
         )
@@ -178,7 +178,9 @@ def _stretches(schedule: loop.Schedule, total: int, lead_ticks: int) -> Iterator
         yield first, total - first if total - first <= stretch + 1 else stretch
 
 
-def _divergence(machine: Machine, setpoints: Setpoints, record: loop.Record, schedule: loop.Schedule, failed: int) -> SimulationError:
+def _divergence(
+    machine: Machine, setpoints: Setpoints, record: loop_record.Record, schedule: loop.Schedule, failed: int
+) -> SimulationError:
     """The error of an axis that left all bounds, with the trace up to there."""
     tick, axis = divmod(failed, len(machine.axes))
     rows, period = tick // schedule.record_ticks, schedule.record_ticks * schedule.tick
@@ -248,7 +250,7 @@ def _sensing(machine: Machine, rng: np.random.Generator | None, ticks: int) -> l
     )
 
 
-def _traces(machine: Machine, setpoints: Setpoints, record: loop.Record, rows: int, period: float) -> tuple[Trace, Trace]:
+def _traces(machine: Machine, setpoints: Setpoints, record: loop_record.Record, rows: int, period: float) -> tuple[Trace, Trace]:
     """The first rows of the record as the control's samples show it, and without noise."""
     time = np.arange(rows) * period
     # in parts, so that the splines of a long program need no more memory than a short one's
@@ -258,7 +260,7 @@ def _traces(machine: Machine, setpoints: Setpoints, record: loop.Record, rows: i
     signals = {}
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]
-        for channel in loop.RECORDED:
+        for channel in loop_record.RECORDED:
             if channel == "drive_velocity_setpoint" and not axis.loops.dsc_delay_s:
                 continue  # the NC's own
             if axis.effort != "current" and channel in ("current", "current_setpoint"):
@@ -268,8 +270,8 @@ def _traces(machine: Machine, setpoints: Setpoints, record: loop.Record, rows: i
             signals[axis.name, axis.effort] = record.current[:rows, a]
     seen = dict(signals)
     for a, axis in enumerate(machine.axes):
-        for channel in loop.MEASURED:
+        for channel in loop_record.MEASURED:
             key = (axis.name, axis.effort if channel == "current" else channel)
             if key != (axis.name, "torque"):  # a command is no measurement
-                seen[key] = getattr(record, loop.SEEN + channel)[:rows, a]
+                seen[key] = getattr(record, loop_record.SEEN + channel)[:rows, a]
     return Trace(time, seen, machine.kinds, machine.forces), Trace(time, signals, machine.kinds, machine.forces)

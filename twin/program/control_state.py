@@ -1,0 +1,213 @@
+"""What is in force while blocks run, for both languages: frames, modes, units, tools.
+
+Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
+scales). Lengths are in m and rad from here on; a front end converts what is programmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
+from twin.program.compensation import Compensation
+from twin.program.expressions import WordError
+from twin.program.machine_file import first_feed
+from twin.program.tools import Tools
+from twin.units import rad_from_deg
+
+LINEAR, ROTARY, OTHER = ("X", "Y", "Z"), ("A", "C"), ("B", "U", "V", "W")
+INDEX = {name: i for i, name in enumerate((*LINEAR, *ROTARY))}
+INCH = 0.0254
+
+
+class Item(NamedTuple):
+    """A word of a block: its number, how it counts ('', AC, IC, DC, ACP, ACN) and its column."""
+
+    value: float
+    how: str = ""
+    column: int = 1
+
+
+def rotation(axis: int, degrees: float) -> np.ndarray:
+    """Matrix (3, 3) that turns about x, y or z by an angle, right-handed; exact at right angles."""
+    quarter = degrees / 90.0
+    if quarter == round(quarter):
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
+    else:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+class ControlState:
+    """What is in force while blocks run; see the module for frames."""
+
+    iso = False
+    after_compensation = False  # the next move leads from the compensated path and must be straight
+
+    def __init__(self, path: Path, machine: Machine) -> None:
+        self.path, self.machine = path, machine
+        self.out = Collector(path, machine)
+        self.motion: int | None = 1
+        self.feed = first_feed(machine)  # till the first F
+        self.override = 1.0  # OVR
+        self.plane = 17
+        self.absolute = True
+        self.centre_absolute = False  # G90.1
+        self.unit = 1e-3
+        self.adis = self.adispos = 0.0
+        self.tolerance, self.angle_tolerance = DEFAULT_TOLERANCE, DEFAULT_ANGLE_TOLERANCE
+        self.rounding = 64
+        self.matrix: np.ndarray | None = None  # None: no turning
+        self.offset = [0.0] * 5
+        self.other_axes = dict.fromkeys(OTHER, 0.0)
+        self.comp: Compensation | None = None
+        self.programmed = np.zeros(3)  # the contour, while the tool runs beside it
+        self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
+        self.swivelled: tuple[np.ndarray, np.ndarray, bool] | None = None  # plane and origin; whether it switched TRAORI on
+        self.plain = True  # blocks of coordinates alone may take the fast way
+        self.tool_radius: Callable[[], float] = lambda: 0.0
+        self.line, self.block = 0, -1
+        self.reads: list[Any] | None = None  # see `flow.FrontEnd`
+        self.tools = Tools(self.out, machine, self.iso)
+        own = self.out.kinematics.letters
+        self.slot_of = dict(zip([*own, *(n for n in "XYZAC" if n not in own)], [*"XYZAC", *(n for n in own if n not in "XYZAC")]))
+        """Letter of a program -> letter of its place here: A is the tilting axis, C the turning one."""
+
+    # ------------------------------------------------------------------ places
+
+    def here(self) -> np.ndarray:
+        """Program coordinates (3,) of the tool, or of the contour it runs beside."""
+        if self.comp is not None or self.after_compensation:
+            return self.programmed.copy()
+        return self.to_program(np.array(self.out.position[:3]))
+
+    def to_program(self, machine: np.ndarray) -> np.ndarray:
+        """Machine coordinates (3,) in the frame in force."""
+        way = machine - self.offset[:3]
+        return way if self.matrix is None else np.linalg.solve(self.matrix, way)
+
+    def to_machine(self, point: np.ndarray) -> np.ndarray:
+        """Program coordinates (3,) as machine coordinates."""
+        turned = point if self.matrix is None else self.matrix @ point
+        return turned + self.offset[:3]
+
+    def si(self, name: str, value: float) -> float:
+        """A programmed coordinate in m or rad."""
+        return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
+
+    def set_frame(self, matrix: np.ndarray | None, offset: np.ndarray) -> None:
+        """The frame from here on, (3, 3) or None and (5,)."""
+        if self.comp is not None:
+            raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before", 1)
+        self.matrix = None if matrix is None or np.array_equal(matrix, np.eye(3)) else matrix
+        self.offset = [float(v) for v in offset]
+        self.settle_plain()
+
+    def settle_plain(self) -> None:
+        """Whether the fast way of plain blocks may be taken."""
+        self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
+
+    def to_part(self) -> np.ndarray:
+        """From positions of the axes to the part frame at A = C = 0 (3,); none where TRAORI was on before the plane was tilted."""
+        if self.swivelled is None or not self.swivelled[2]:
+            return np.zeros(3)
+        kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
+        return kinematics.forward(np.zeros((1, 5)))[0][0]
+
+    def frame_table(self, name: str) -> np.ndarray:
+        """Zero offset (5,) of a settable frame from the table [frame.G54] of the machine file; zero if there is none."""
+        tables = self.machine.document.get("frame", {})
+        table = tables.get(name, {}) if isinstance(tables, dict) else {}
+        offset = np.zeros(5)
+        for key, value in table.items():
+            axis, _, unit = key.partition("_")
+            axis = self.slot_of.get(axis.upper(), axis)
+            if axis.upper() not in INDEX or unit != ("deg" if axis.upper() in ROTARY else "m") or not isinstance(value, int | float):
+                raise InputError(
+                    f"{self.machine.path or self.machine.name}: [frame.{name}]: unknown key '{key}'; use x_m, y_m, z_m, a_deg, c_deg"
+                )
+            offset[INDEX[axis.upper()]] = rad_from_deg(value) if unit == "deg" else float(value)
+        return offset
+
+    # ------------------------------------------------------------------ modes
+
+    def set_feed(self, value: float, column: int = 1) -> None:
+        """The F word, in the units in force."""
+        if not 0.0 <= value < 1e9:
+            raise WordError(f"F{value:g} is no feed; give a number above 0", column)
+        self.feed = value
+
+    def set_spindle(self, value: float) -> None:
+        """The S word [1/min]."""
+        self.out.set_modes(replace(self.out.modes, spindle=abs(value)))
+        self.note("S: the spindle is not simulated; its speed only serves G95")
+
+    def set_feed_mode(self, number: int) -> None:
+        """G93, G94 or G95; a feed in other units does not carry over."""
+        if number != self.out.modes.feed_mode:
+            self.out.set_modes(replace(self.out.modes, feed_mode=number))
+            self.feed = math.nan
+
+    def set_unit(self, unit: float, *, feed: bool) -> None:
+        """Millimetres or inches, for lengths and, if `feed`, for the feed."""
+        if feed and unit != self.out.modes.feed_unit:
+            self.feed *= self.out.modes.feed_unit / unit  # the speed in force stays
+            self.out.set_modes(replace(self.out.modes, feed_unit=unit))
+        self.unit = unit
+
+    def round_corners(self, **changes: object) -> None:
+        """The modes of corner rounding from the G code in force and its words."""
+        by_distance = self.rounding == 641
+        adis, adispos = (self.adis or math.inf, self.adispos or math.inf) if by_distance else (math.inf, math.inf)
+        wide = by_distance and self.adis > 0.0
+        modes = replace(
+            self.out.modes,
+            exact_stop=self.rounding == 60,
+            tolerance=self.adis if wide else self.tolerance,
+            angle_tolerance=self.angle_tolerance,
+            distance=adis,
+            rapid_distance=adispos,
+        )
+        self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
+
+    def set_frames(self) -> None:
+        """Bring the frames of the language into force; each front end has its own."""
+
+    def _swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
+        """A tilted plane from here on: TRAORI on, the tool across the plane."""
+        self._unswivel()
+        self.swivelled = matrix, origin, not self.out.modes.traori
+        self.transform(True)
+        self.set_frames()
+
+    def _unswivel(self) -> None:
+        """Back to the plane before, and TRAORI off where the plane had switched it on."""
+        if self.swivelled is not None:
+            _, _, switched = self.swivelled
+            self.swivelled = None
+            if switched:
+                self.transform(False)
+            self.set_frames()
+
+    def transform(self, on: bool) -> None:
+        """TRAORI and its end."""
+        if self.comp is not None:
+            raise WordError("the transformation changes inside G41 or G42; write G40 and a move before", 1)
+        if self.out.modes.traori != on:
+            self.out.change_frame(replace(self.out.modes, traori=on))
+
+    def note(self, text: str) -> None:
+        """Say once that a word was understood and what it means here."""
+        self.out.notes[text] = None

@@ -1,0 +1,72 @@
+"""A proposed map as text: what is used, and as comments what is in doubt, left out or unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+import json
+import re
+
+from twin.recordings.propose import Proposal
+
+
+def map_text(proposal: Proposal, files: Iterable[str]) -> str:
+    """The map as TOML."""
+    lines = [
+        f"# proposed by 'twin import' for {', '.join(files)} from the names and numbers of the columns",
+        "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
+    ]
+    if proposal.feedforward:
+        lines.append(f'feedforward = "{proposal.feedforward}"           # as the recorded feedforward signals say')
+    else:
+        lines.append(
+            '# feedforward = "off"         # off | velocity | velocity+torque: what the control had on; the recording does not say'
+        )
+    lines.append(
+        'skew = "encoders"            # an encoder that was recorded late is taken back; how late each channel is stands in campaign.toml'
+    )
+    lines.append('offsets = "correct"          # a constant difference between two encoders is taken out; it stands in campaign.toml')
+    if proposal.labels:
+        lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
+    for column in proposal.columns:
+        mark = "# " if column.doubt else ""
+        lines.append("")
+        if column.doubt:
+            lines.append(f"# in doubt, not used: {column.doubt}")
+        lines.append(f"{mark}[[column]]")
+        remark = f"   # {column.remark}" if column.remark else ""
+        unit = f"{mark}unit = {_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
+        lines += [
+            f"{mark}name = {_text(column.name)}",
+            f"{mark}axis = {_text(column.axis)}",
+            f"{mark}signal = {_text(column.signal)}",
+            unit,
+        ]
+        if column.extra:
+            lines.append(f"{mark}{column.extra}")
+        if column.sign < 0:
+            lines.append(f"{mark}sign = -1{remark}")
+        elif column.signal.startswith(("current", "torque", "voltage")) and remark:
+            lines.append(f"#{remark[4:]}")
+    if proposal.left_out:
+        lines += ["", "# left out:", *(f"#   {_one_line(text)}" for text in proposal.left_out)]
+    if proposal.unknown:
+        lines += ["", "# columns without a use that is known:", *(f"#   {_one_line(name)}" for name in _grouped(proposal.unknown))]
+    return "\n".join(lines) + "\n"
+
+
+def _grouped(names: Sequence[str]) -> list[str]:
+    """'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)': one line for the columns of one name."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in names:
+        match = re.fullmatch(r"(.*[(|\[])(\w+)([)\]]?)", name)
+        groups.setdefault((match[1], match[3]) if match else (name, ""), []).append(match[2] if match else "")
+    return [f"{stem}{' '.join(numbers)}{end}" for (stem, end), numbers in groups.items()]
+
+
+def _text(value: str) -> str:
+    """A TOML string."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
