@@ -107,6 +107,22 @@ class ControlState:
         """A programmed coordinate in m or rad."""
         return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
 
+    def plain_place(self, x: str | None, y: str | None, z: str | None, a: str | None, c: str | None) -> tuple[float, float]:
+        """The tool moves to the words of a plain block, as they are written; A and C [rad], NaN where not programmed."""
+        position, frame, unit = self.out.position, self.offset, self.unit
+        if x is not None:
+            position[0] = float(x) * unit + frame[0]
+        if y is not None:
+            position[1] = float(y) * unit + frame[1]
+        if z is not None:
+            position[2] = float(z) * unit + frame[2]
+        tilt = turn = math.nan
+        if a is not None:
+            position[3] = tilt = rad_from_deg(float(a)) + frame[3]
+        if c is not None:
+            position[4] = turn = rad_from_deg(float(c)) + frame[4]
+        return tilt, turn
+
     def set_frame(self, matrix: np.ndarray | None, offset: np.ndarray) -> None:
         """The frame from here on, (3, 3) or None and (5,)."""
         if self.comp is not None:

@@ -150,18 +150,8 @@ class Iso(IsoCalls):
         if x is None and y is None and z is None and a is None and c is None:
             return True
         self.line, self.block = line, int(number) if number else -1
-        position, frame, unit = out.position, self.offset, self.unit
-        if x is not None:
-            position[0] = float(x) * unit + frame[0]
-        if y is not None:
-            position[1] = float(y) * unit + frame[1]
-        if z is not None:
-            position[2] = float(z) * unit + frame[2]
-        tilt = turn = math.nan
-        if a is not None:
-            position[3] = tilt = math.radians(float(a)) + frame[3]
-        if c is not None:
-            position[4] = turn = math.radians(float(c)) + frame[4]
+        position = out.position
+        tilt, turn = self.plain_place(x, y, z, a, c)
         self._feed_given(mv.LINE if motion else mv.RAPID)
         if motion and not self.feed:
             self._no_feed()

@@ -84,18 +84,8 @@ class Sinumerik(SinumerikCalls):
         if x is None and y is None and z is None and a is None and c is None and i is None:
             return True
         self.line, self.block = line, int(number) if number else -1
-        position, frame, unit = out.position, self.offset, self.unit
-        if x is not None:
-            position[0] = float(x) * unit + frame[0]
-        if y is not None:
-            position[1] = float(y) * unit + frame[1]
-        if z is not None:
-            position[2] = float(z) * unit + frame[2]
-        tilt = turn = math.nan
-        if a is not None:
-            position[3] = tilt = rad_from_deg(float(a)) + frame[3]
-        if c is not None:
-            position[4] = turn = rad_from_deg(float(c)) + frame[4]
+        position = out.position
+        tilt, turn = self.plain_place(x, y, z, a, c)
         axis = None
         if i is not None:
             axis = (float(i), float(j), float(k))
