@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from twin.diagnose.drive_train import with_drive_train
-from twin.diagnose.observe import Group, Mapper, rebased
+from twin.diagnose.observe import Group, Mapper, Variant, channels_of, in_turn, noise_seed, simulate_group
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
@@ -121,3 +121,29 @@ def _at_share(
     except TwinError:
         return None
     return trial_of(tuning, answer * (UNIFORM / share), residual)
+
+
+def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
+    """The group about another machine: the same channels, residuals of that machine's nominal motion."""
+    views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
+
+    def simulated(job: tuple[int, bool]) -> dict[tuple[str, str], np.ndarray]:
+        run, noisy = job
+        view = views[run]
+        present = tuple(a for a in group.axes if view.moves(a))
+        if not present:
+            return {}
+        noise = noise_seed(group.seed, run) if noisy else None
+        return channels_of(simulate_group(view, present, noise_seed=noise).without_noise, view, present)
+
+    both = mapper(simulated, [(run, noisy) for noisy in (False, True) for run in range(len(views))])
+    nominal, shaken = both[: len(views)], both[len(views) :]
+    channels = []
+    for c in group.channels:
+        key = (c.axis, c.name)
+        if c.name == "motor_minus_scale":  # moves with the motion, and trembles with each draw of noise
+            shift = nominal[c.run][key] - group.nominal[c.run][key]
+        else:
+            shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
+        channels.append(replace(c, residual=c.residual - shift))
+    return Group(group.axes, views, channels, nominal, shaken, group.seed, group.thresholds)

@@ -26,6 +26,7 @@ import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
+from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.tolerance import normal_slip, with_added
 from twin.diagnose.view import RunView, rests
@@ -40,12 +41,6 @@ from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
-
-ROBUST = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-
-SECOND_DIFFERENCE = 6.0
-"""Variance of second differences of white noise over its own: 1 + 4 + 1."""
 
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""
@@ -352,32 +347,6 @@ def _least(view: RunView, axis: Axis, channel: str) -> float:
     return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
 
 
-def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
-    """The group about another machine: the same channels, residuals of that machine's nominal motion."""
-    views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
-
-    def simulated(job: tuple[int, bool]) -> dict[tuple[str, str], np.ndarray]:
-        run, noisy = job
-        view = views[run]
-        present = tuple(a for a in group.axes if view.moves(a))
-        if not present:
-            return {}
-        noise = noise_seed(group.seed, run) if noisy else None
-        return channels_of(simulate_group(view, present, noise_seed=noise).without_noise, view, present)
-
-    both = mapper(simulated, [(run, noisy) for noisy in (False, True) for run in range(len(views))])
-    nominal, shaken = both[: len(views)], both[len(views) :]
-    channels = []
-    for c in group.channels:
-        key = (c.axis, c.name)
-        if c.name == "motor_minus_scale":  # moves with the motion, and trembles with each draw of noise
-            shift = nominal[c.run][key] - group.nominal[c.run][key]
-        else:
-            shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
-        channels.append(replace(c, residual=c.residual - shift))
-    return Group(group.axes, views, channels, nominal, shaken, group.seed, group.thresholds)
-
-
 def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Group, Group]:
     """Both with the noise of each channel as it is about the machine of `group`, whose drive trains give; `left` (row,) is what its
     tuning leaves, weighted.
@@ -406,50 +375,7 @@ def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: Run
     axis, t = view.machine.axis(channel.axis), channel.thresholds
     signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
-    sigma = np.maximum(_sigma(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
+    sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
         sigma = np.hypot(sigma, np.where(rests(view, channel.axis, t.break_away_s), t.resting * normal_slip(axis, t), 0.0))
-    return replace(channel, sigma=sigma, correlation=_correlation(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)
-
-
-def _sigma(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float | None) -> np.ndarray:
-    """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
-
-    The motion that noise in the loop makes, variance `jitter`, is too small by 1 / K in deviations from a mean of K and comes
-    in again with that mean. A sensor noisier than the machine file says shows in sample-to-sample differences, which slow
-    faults leave alone: up to `noisier` times what is expected they count as noise. Where the machine file knows no noise of the sensor
-    (`noisier` None) all of them do.
-    """
-    square = np.mean(deviations**2, axis=0) + 2.0 / REALISATIONS * jitter
-    window = min(51, len(square) | 1)
-    smooth = np.convolve(np.pad(square, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(square)]
-    level = float(np.mean(square))
-    if len(residual) < 3:  # no second difference
-        return np.sqrt(np.maximum(smooth, 0.5 * level))
-    measured = roughness(residual) ** 2
-    expected = float(np.mean(np.diff(deviations, 2, axis=1) ** 2))
-    if noisier is None:
-        smooth = np.maximum(smooth, measured / SECOND_DIFFERENCE)
-    elif expected > 0.0 and 1.0 < measured / expected < noisier**2:
-        smooth = smooth * measured / expected
-    return np.sqrt(np.maximum(smooth, 0.5 * level))
-
-
-def roughness(values: np.ndarray) -> float:
-    """Robust standard deviation of second differences: that of white noise times the root of SECOND_DIFFERENCE. Slow faults leave it alone."""
-    return ROBUST * float(np.median(np.abs(np.diff(values, 2))))
-
-
-def _correlation(normed: np.ndarray, longest: int) -> float:
-    """Integrated correlation (>= 1) of noise: how many samples carry the information of one."""
-    n = normed.shape[1]
-    lags = min(longest, n // 4)
-    if lags < 2:
-        return 1.0
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.mean(np.abs(np.fft.rfft(normed - normed.mean(axis=1, keepdims=True), size, axis=1)) ** 2, axis=0)
-    correlation = np.fft.irfft(spectrum)[: lags + 1]
-    if correlation[0] <= 0:
-        return 1.0
-    taper = 1.0 - np.arange(1, lags + 1) / (lags + 1)
-    return float(max(1.0, 1.0 + 2.0 * np.sum(taper * correlation[1:] / correlation[0])))
+    return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)

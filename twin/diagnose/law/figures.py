@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from twin.diagnose.law.candidates import variable_of
 from twin.diagnose.law.laws import Law
-from twin.diagnose.law.measure import variable_of
 from twin.diagnose.law.wording import BAND
 from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.machine.machine import Machine

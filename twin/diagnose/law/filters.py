@@ -18,7 +18,8 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.diagnose.law.measure import Candidate, Curve
+from twin.diagnose.law.candidates import Candidate
+from twin.diagnose.law.measure import Curve
 from twin.diagnose.law.residual import Passed, Samples
 from twin.diagnose.law.shapes import Described
 from twin.effects.law import Law, cycle_of

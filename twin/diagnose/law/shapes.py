@@ -15,17 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.diagnose.law.measure import (
-    Candidate,
-    Curve,
-    Loss,
-    huber,
-    in_residual,
-    left_out_loss,
-    nuisances_in,
-    scale_of,
-    variable_of,
-)
+from twin.diagnose.law.candidates import Candidate, in_residual, variable_of
+from twin.diagnose.law.measure import Curve, Loss, huber, left_out_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import Samples, remembered
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
