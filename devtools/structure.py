@@ -96,6 +96,44 @@ def numeric_constants(tree: ast.Module) -> int:
     return count
 
 
+def named_effects(trees: dict[str, ast.Module]) -> dict[str, str]:
+    """Effect -> the module that defines it."""
+    return {
+        function.name: module
+        for module, tree in trees.items()
+        if module.startswith("twin.effects.")
+        for function in functions(tree)
+        if any(isinstance(d, ast.Call) and isinstance(d.func, ast.Name) and d.func.id == "effect" for d in function.decorator_list)
+    }
+
+
+def files_that_say(trees: dict[str, ast.Module], word: str) -> set[str]:
+    """Modules in which a text is the word and nothing else, as code that treats one effect apart writes it; the second plant is no part of the twin."""
+    return {
+        module
+        for module, tree in trees.items()
+        if not module.startswith("twin.exam") and any(isinstance(node, ast.Constant) and node.value == word for node in ast.walk(tree))
+    }
+
+
+def files_for_an_effect(trees: dict[str, ast.Module]) -> list[int]:
+    """For each effect the modules that name it, its own among them."""
+    return [len({module, *files_that_say(trees, name)}) for name, module in named_effects(trees).items()]
+
+
+def files_for_a_format(trees: dict[str, ast.Module]) -> list[int]:
+    """For each reader of a trace format the modules that name it, its own among them."""
+    folder = "twin.recordings.formats."
+    readers = [module for module in trees if module.startswith(folder) and not module.endswith((".by_ending", ".__init__"))]
+    return [len({module, *files_that_say(trees, module.removeprefix(folder))}) for module in readers]
+
+
+def thresholds(trees: dict[str, ast.Module]) -> int:
+    """Numbers of the one settings object of a diagnosis."""
+    settings = trees.get("twin.diagnose.settings", ast.Module([], []))
+    return sum(isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "_of" for node in ast.walk(settings))
+
+
 def exempt_modules(root: Path) -> list[str]:
     """Patterns of modules that the type checker lets have untyped functions."""
     checker = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("mypy", {})
@@ -115,7 +153,9 @@ def counts(root: Path) -> dict[str, int]:
     every = [function for tree in trees.values() for function in functions(tree)]
     lengths = [(f.end_lineno or f.lineno) - f.lineno + 1 for f in every]
     arguments = [len(f.args.posonlyargs) + len(f.args.args) + len(f.args.kwonlyargs) for f in every]
-    found = circles(edges)
+    edges.pop("twin")  # the front door names everything, and imports it when it is asked for
+    found = circles({module: targets - {"twin"} for module, targets in edges.items()})
+    effects, formats = files_for_an_effect(trees), files_for_a_format(trees)
     package = root / "twin"
     return {
         "lines of the package": sum(len(file.read_text(encoding="utf-8").splitlines()) for file in package.rglob("*.py")),
@@ -129,6 +169,11 @@ def counts(root: Path) -> dict[str, int]:
         f"functions above {LONG_LINES} lines": sum(n > LONG_LINES for n in lengths),
         f"functions above {MANY_ARGUMENTS} arguments": sum(n > MANY_ARGUMENTS for n in arguments),
         "numeric constants in diagnose/": sum(numeric_constants(t) for m, t in trees.items() if m.startswith("twin.diagnose")),
+        "thresholds of a diagnosis in one object": thresholds(trees),
+        "effects": len(effects),
+        "effects that one file names": effects.count(1),
+        "readers of a trace format": len(formats),
+        "readers that at most two files name": sum(n <= 2 for n in formats),
         "modules exempt from the type checker": sum(_matches(m, exempt_modules(root)) for m in trees),
     }
 
