@@ -11,7 +11,7 @@ from twin.diagnose.diagnosis import folds_of
 from twin.diagnose.law.keep import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, _has_size, laws_of
 from twin.diagnose.observe import in_turn, observe
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.view import view_of
 from twin.effects import settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -40,11 +40,17 @@ def runs_of(effects: list[dict]) -> list[MeasuredRun]:
     return runs
 
 
-def found(effects: list[dict]):
+def found(effects: list[dict], thresholds: Thresholds = DEFAULT):
     """Laws of X on these runs."""
     views = [view_of(X, run) for run in runs_of(effects)]
     folds = folds_of(len(views))
-    return laws_of([observe(views, ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
+    return laws_of([observe(views, ("X",), thresholds=thresholds)], X, X, ["X"], folds, [X] * len(folds), in_turn)
+
+
+def test_no_number_of_samples_makes_a_law_better_known_than_its_model():
+    (law,) = found([BELL], replace(DEFAULT, model_error=0.2)).laws
+    height = law.setting.parameters["height"]
+    assert 0.2 * abs(height) < law.deviations["height"] < 0.3 * abs(height)
 
 
 def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():

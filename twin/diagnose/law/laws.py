@@ -235,7 +235,8 @@ def _from(
     # sizes of all laws are those of the last fit
     settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
     at = [settings[law.setting.key] for law in laws]
-    laws = [replace(law, setting=fitted.state.settings[i], deviations=_deviations(fitted, i)) for law, i in zip(laws, at)]
+    doubt = loop.group.thresholds.model_error
+    laws = [replace(law, setting=fitted.state.settings[i], deviations=_deviations(fitted, i, doubt)) for law, i in zip(laws, at)]
     unexplained = _above(loop, fitted) / max(_above(loop, first), 1e-300)
     return _OfAxis(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
 
@@ -307,13 +308,13 @@ def _earned(loop: ClosedLoop, before: float, after: float, least: float) -> bool
     return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / _inflation(loop, after) > LEAST_EVIDENCE
 
 
-def _deviations(fitted: Fitted, index: int) -> dict[str, float]:
-    """Standard deviations of the numbers of a setting, in their own units."""
+def _deviations(fitted: Fitted, index: int, model_error: float = 0.0) -> dict[str, float]:
+    """Standard deviations of the numbers of a setting, in their own units; `model_error` is the share that no number of samples takes away."""
     out = {}
     for u, deviation in zip(fitted.unknowns, fitted.deviations):
         if u.setting == index:
             value = fitted.state.settings[index].parameters[u.name]
-            out[u.name] = float(deviation * u.step * (abs(value) if u.logarithmic else 1.0))
+            out[u.name] = float(np.hypot(deviation * u.step * (abs(value) if u.logarithmic else 1.0), model_error * value))
     return out
 
 
