@@ -152,7 +152,7 @@ def test_a_late_break_away_bends_no_size(tmp_path, effect, parameter):
 
 @pytest.mark.parametrize(
     ("effect", "axis"),
-    [("hardening_spring", "X"), ("windage", "Y"), ("notch_filter", "Z"), ("scale_coupling_play", "Z")],
+    [pytest.param("hardening_spring", "X", marks=pytest.mark.slow), ("windage", "Y"), ("notch_filter", "Z"), ("scale_coupling_play", "Z")],
 )
 def test_effect_outside_the_library_is_unknown(tmp_path, effect, axis):
     """Its next of kin may be named, but does not explain it: one size in one run and another in the next, or much left in all."""
