@@ -20,7 +20,7 @@ LOAD = "load_position"
 class ToolPoint:
     """Distances at the tool in the part frame; where a machine has no such chain, the root of the squares of its linear axes."""
 
-    def __init__(self, machine: Machine):
+    def __init__(self, machine: Machine) -> None:
         self.machine = machine
         try:
             kinematics = kinematics_of(machine)

@@ -176,7 +176,7 @@ class Fitted:
 class ClosedLoop:
     """The gap of some axes of a group as a function of a state, with the folds on which it is judged."""
 
-    def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper):
+    def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper) -> None:
         self.group, self.axes, self.mapper = group, tuple(axes), mapper
         self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.axis in self.axes])
         self.root = np.sqrt(group.credit[self.rows])

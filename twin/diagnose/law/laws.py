@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -133,7 +134,7 @@ def _taken_over(machine: Machine, state: State, axis: str) -> Machine:
     return machine.with_values({f"axis.{axis}.{k}": v for k, v in _leaves(whole.document["axis"][axis])} | {"effect": effects})
 
 
-def _leaves(table, prefix: str = ""):  # type: ignore[no-untyped-def]
+def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
     for key, value in table.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{key}.")

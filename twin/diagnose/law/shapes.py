@@ -6,7 +6,7 @@ sine and a cosine. The shape that predicts best is taken; where the measured cur
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import itertools
 import math
@@ -112,7 +112,7 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
 class _Problem:
     """One shape of one candidate on the samples: its linear columns for given other numbers."""
 
-    def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape):
+    def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape) -> None:
         self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
         self.x = variable_of(samples, curve.candidate)
         self.remembered = curve.candidate.variable in ("direction", "slack")
@@ -245,7 +245,7 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
     return Described(curve.candidate, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
 
 
-def _polished(loss, values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
+def _polished(loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:
     """Numbers around `values` with the least loss, by a simplex."""
     scale = [abs(v) if log else max(abs(v), 1e-9) for v, log in zip(values, logarithmic)]
 
