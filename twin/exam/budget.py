@@ -29,6 +29,7 @@ from .programme import TestRun
 SIGNALS = ("position", "motor_position", "current")
 SUBSTEPS = 2  # RK4 steps a tick: of two runs only the difference counts
 MOVING = (0.2e-3, math.radians(0.2))  # speed of set points [m/s, rad/s] from which a current is compared
+ANOTHER_SEED = 421  # of a second recording, for what noise makes
 DIGITS = 4  # of a row: the seal must hold on another computer
 
 
@@ -47,7 +48,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     at = 0.0
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
-        noise = _noise_of(case, machine, test, at, base)
+        noise = _noise_of(case, machine, test, at)
         for taken in _rounds(queues):
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
             other = simulate(replace(still, effects=rest), exact, test, at, SUBSTEPS)
@@ -99,9 +100,15 @@ def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
     return np.array(rows)
 
 
-def _noise_of(case: Case, machine: dict, test: TestRun, at: float, base: Trace) -> np.ndarray:
-    """Standard deviation [signal, axis] that noise and rounding make of a run, at least what a sensor adds by itself."""
-    made = np.sqrt(_mean_squares(base, simulate(replace(case, noise=True), machine, test, at, SUBSTEPS)))
+def _noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
+    """Standard deviation [signal, axis] that noise and rounding make of a run, at least what a sensor adds by itself.
+
+    Of two recordings of one run: beside a machine without noise, which comes to rest elsewhere than every noisy one, it would be twice as large.
+    """
+    one, other = (
+        simulate(replace(case, noise=True, noise_seed=seed), machine, test, at, SUBSTEPS) for seed in (case.noise_seed, ANOTHER_SEED)
+    )
+    made = np.sqrt(_mean_squares(one, other) / 2.0)
     sensors = sensors_of(settings_of(machine, case.factors))
     least = np.array(
         [np.hypot(sensors.scale_noise, sensors.scale_step / math.sqrt(12.0)), sensors.motor_step / math.sqrt(12.0), sensors.current_noise]
