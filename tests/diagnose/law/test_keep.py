@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from twin.diagnose.diagnosis import folds_of
 from twin.diagnose.law.keep import ClosedLoop, state_of
-from twin.diagnose.law.laws import _from, _has_size, laws_of
+from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
 from twin.diagnose.observe import in_turn, observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.view import view_of
@@ -115,6 +117,25 @@ def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
     both = _from(loop, start, "X", X, lambda _: None, back=there)
     assert both.laws == []
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
+
+
+@dataclass(frozen=True)
+class _State:
+    settings: tuple
+
+
+@pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
+def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effect, named):
+    """Play of a scale is next to a backlash on the whole of the gap, 1000 here, and far from it beside noise, 100."""
+    play, backlash = (SimpleNamespace(key=name) for name in ("law", "backlash"))
+    left = {("law",): 100.0, ("backlash",): left_by_effect, (): 1000.0}
+
+    def fit(state, *_: Any, **__: Any):
+        return SimpleNamespace(state=state, held_out=left[tuple(s.key for s in state.settings)])
+
+    loop = SimpleNamespace(fit=fit, expected=100.0)
+    fitted = fit(_State((play,)))
+    assert [s.key for s in _named_instead(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings] == named
 
 
 def test_a_height_of_the_wrong_sign_comes_through_nothing_to_its_own():
