@@ -18,7 +18,7 @@ import tomllib
 
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
 from twin.diagnose.verdict import judged

@@ -33,10 +33,10 @@ def test_import_is_lazy() -> None:
 
 
 def test_packages_are_called_like_their_function() -> None:
-    import twin.diagnose.diagnosis
+    import twin.diagnose.procedure
 
     assert inspect.ismodule(twin.diagnose)
-    assert inspect.signature(twin.diagnose) == inspect.signature(twin.diagnose.diagnosis.diagnose)
+    assert inspect.signature(twin.diagnose) == inspect.signature(twin.diagnose.procedure.diagnose)
 
 
 def test_unknown_name() -> None:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from twin.compare.compare import Comparison as Comparison
     from twin.compare.compare import compare as compare
     from twin.diagnose.diagnosis import Diagnosis as Diagnosis
-    from twin.diagnose.diagnosis import diagnose as diagnose
+    from twin.diagnose.procedure import diagnose as diagnose
     from twin.effects.add import add_effects as add_effects
     from twin.errors import InputError as InputError
     from twin.errors import SimulationError as SimulationError
@@ -88,7 +88,7 @@ _PLACES = {
 
 _CALLED_PACKAGES = {
     "compare": "compare.compare",
-    "diagnose": "diagnose.diagnosis",
+    "diagnose": "diagnose.procedure",
     "identify": "identify.identify",
     "study": "study.study",
 }

@@ -13,7 +13,7 @@ import pytest
 
 from tests.conftest import ROOT
 from twin.cli import main
-from twin.diagnose.diagnosis import Diagnosis, diagnose
+from twin.diagnose import Diagnosis, diagnose
 from twin.errors import InputError
 from twin.exam.draw import SHIPPED_MACHINE, Case, simulate
 from twin.exam.paths import limits_of

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnose.cross_validation import held_out_loss, leave_out
-from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.cross_validation import folds_of, held_out_loss, leave_out
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from

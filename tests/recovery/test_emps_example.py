@@ -101,7 +101,7 @@ def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: p
 @pytest.mark.slow
 def test_the_measured_axis(example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Effects, sizes and gap of the measured record; unlisted laws, which take most of a diagnosis, are not searched for here."""
-    monkeypatch.setattr("twin.diagnose.diagnosis.laws_beside", lambda *_: ())
+    monkeypatch.setattr("twin.diagnose.procedure.laws_beside", lambda *_: ())
     if not RECORD.is_file():
         pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
     document, gaps = diagnosis_of(example, RECORD, tmp_path)

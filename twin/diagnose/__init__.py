@@ -4,6 +4,7 @@ campaign -> observe (residuals of cut blocks and closed loop, noise) -> screen a
          -> select (one by one while they earn their place) -> check on runs left out -> diagnosis
 """
 
-from twin.diagnose.diagnosis import Diagnosis, diagnose
+from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.procedure import diagnose
 
 __all__ = ["Diagnosis", "diagnose"]

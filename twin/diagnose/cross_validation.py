@@ -22,6 +22,12 @@ DESCENTS = 200
 """Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
 
 
+def folds_of(runs: int) -> list[list[int]]:
+    """Runs left out together; a single run cannot be left out."""
+    count = min(FOLDS, runs)
+    return [[i for i in range(runs) if i % count == k] for k in range(count)]
+
+
 def retuned_within(found: Found, tolerance: float) -> Fit:
     """Re-tuning alone with every parameter inside +-tolerance."""
     return replace(found.retuned, tuning=bounded(found.retuned.about, found.group.residual, found.retuned.tuning, tolerance))

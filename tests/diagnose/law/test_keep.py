@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.diagnose.diagnosis import folds_of
+from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.law.keep import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
 from twin.diagnose.observe import in_turn, observe
