@@ -25,6 +25,7 @@ from scipy.signal import lfilter, savgol_filter
 
 from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
+from twin.diagnose.law.no_force import without_force
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
 from twin.diagnose.observe import Mapper, simulate_group
 from twin.diagnose.view import RunView
@@ -321,17 +322,7 @@ def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
         return None
     wound = np.asarray(savgol_filter(displaced[0], _window(view), 2))
     force = transmitted_force(view, axis, trace)
-    return wound - (displaced[0][0] if force is None else _without_force(wound, force))
-
-
-def _without_force(wound: np.ndarray, force: np.ndarray) -> float:
-    """Motor minus scale at no force: of the odd cubic over the force (sample,) that is nearest to it. Where a weight keeps the force's sign
-    that is far outside the record, and rough."""
-    largest = float(np.abs(force).max())
-    if largest == 0.0:
-        return float(wound[0])
-    x = force / largest
-    return float(np.linalg.lstsq(np.column_stack([np.ones(len(x)), x, x**3]), wound, rcond=None)[0][0])
+    return wound - (displaced[0][0] if force is None else without_force(wound, force))
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
