@@ -38,9 +38,9 @@ FIRST = (0.2, 0.8)
 
 
 def with_slip_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with the slip of each axis as it predicts best beside all that was found; unchanged where that gains nothing, and while so
-    much is left that effects must be missing."""
-    if found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
+    """The state with the slip of each axis as it predicts best beside all that was found; unchanged where that gains nothing, while so
+    much is left that effects must be missing, and of a machine without tolerance, which has no normal imperfection."""
+    if found.tuning.spread <= 0.0 or found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
         return found
     for slip in [Nuisance(axis, "slip", found.thresholds) for axis in found.group.axes]:
         if slip in found.tuning.nuisances or _may_slip(found, slip.owner):

@@ -230,7 +230,10 @@ def _from(
         # what an effect explains no law needs to stand in for
         fitted = _named_instead(loop, fitted, laws, back, tolerance)
         least = LEAST_BESIDE * _above(loop, first)
-        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance, least)
+        slip = [
+            s for s in fitted.state.settings if s.axis == axis and s.effect.normal == "slip"
+        ]  # sized beside what the laws may have replaced
+        fitted = _without_idle(loop, fitted, [*idle, *slip, *(law.setting for law in laws)], tolerance, least)
         kept = {s.key for s in fitted.state.settings}
         laws = [law for law in laws if law.setting.key in kept]
     # sizes of all laws are those of the last fit
