@@ -230,10 +230,8 @@ def _from(
         # what an effect explains no law needs to stand in for
         fitted = _named_instead(loop, fitted, laws, back, tolerance)
         least = LEAST_BESIDE * _above(loop, first)
-        slip = [
-            s for s in fitted.state.settings if s.axis == axis and s.effect.normal == "slip"
-        ]  # sized beside what the laws may have replaced
-        fitted = _without_idle(loop, fitted, [*idle, *slip, *(law.setting for law in laws)], tolerance, least)
+        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance, least)
+        fitted = _without_slip(loop, fitted, axis, tolerance)
         kept = {s.key for s in fitted.state.settings}
         laws = [law for law in laws if law.setting.key in kept]
     # sizes of all laws are those of the last fit
@@ -298,6 +296,15 @@ def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tol
         fitted = best[0]
         waiting.remove(best[1])
     return fitted
+
+
+def _without_slip(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
+    """The fit without slip before break-away where that predicts runs left out better: it was sized beside what the laws may have replaced."""
+    kept = tuple(s for s in fitted.state.settings if s.axis != axis or s.effect.normal != "slip")
+    if len(kept) == len(fitted.state.settings):
+        return fitted
+    without = loop.fit(replace(fitted.state, settings=kept), tolerance, steps=2, like=fitted)
+    return without if without is not None and without.held_out < fitted.held_out else fitted
 
 
 def _inflation(loop: ClosedLoop, loss: float) -> float:
