@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.parquet
 
 from twin.cli import main as twin
-from twin.geometry.scurve import phases_of_move
+from twin.geometry.scurve import time_of_move
 from twin.machine.machine import Machine, load_machine
 from twin.study.design import machine_of
 from twin.study.evaluate import evaluate, work_of
@@ -190,8 +190,7 @@ def rapid_time(machine: Machine, rotor: float, lead: float) -> float:
     ratio = lead / (2.0 * math.pi * x.ratio)
     inertia = rotor * x.rotor_inertia_kg_m2 + x.moving_mass_kg * (lead / (2.0 * math.pi)) ** 2
     force = ratio * nominal_inertia / inertia
-    t_j, t_a, t_v = phases_of_move(0.6, 22.0 / 60.0 * ratio, x.max_acceleration * force, 50.0 * force)
-    return 2.0 * (4.0 * t_j + 2.0 * t_a + t_v)
+    return 2.0 * time_of_move(0.6, 22.0 / 60.0 * ratio, x.max_acceleration * force, 50.0 * force)
 
 
 STUDIES = {"corner_mass": (corner,), "table_payload": (payload,), "inertia_matching": (lead, matching)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Collection, Container
 from dataclasses import replace
 import functools
 import math
@@ -24,6 +24,16 @@ KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
 """Group of each normal imperfection: those of one group on an axis are left out together."""
 
 
+def dirty_channels(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
+    """(axis, channel) of which `left` (row,), not weighted, is more than noise."""
+    return {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
+
+
+def shows_slip(dirty: Collection[tuple[str, str]], axis: str) -> bool:
+    """Is a channel among them that slip of an axis changes?"""
+    return any((axis, name) in dirty for name in ("position", "velocity", "current"))
+
+
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
     """The tuning with the normal imperfections that `residual` (row,) shows, each linear about its size.
 
@@ -36,12 +46,10 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
-    dirty = {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
+    dirty = dirty_channels(group, left)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [
-        Nuisance(a, "slip", t) for a in group.axes if dirty & {(a, "position"), (a, "velocity"), (a, "current")}
-    ]
+    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(dirty, a)]
     current = plain
     for nuisance in wanted:
         trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
 from twin.simulation.gap import REALISATIONS
-
-ROBUST = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-
-SECOND_DIFFERENCE = 6.0
-"""Variance of second differences of white noise over its own: 1 + 4 + 1."""
 
 
 def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float | None) -> np.ndarray:
@@ -34,11 +29,6 @@ def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, n
     elif expected > 0.0 and 1.0 < measured / expected < noisier**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
-
-
-def roughness(values: np.ndarray) -> float:
-    """Robust standard deviation of second differences: that of white noise times the root of SECOND_DIFFERENCE. Slow faults leave it alone."""
-    return ROBUST * float(np.median(np.abs(np.diff(values, 2))))
 
 
 def correlation_of(normed: np.ndarray, longest: int) -> float:

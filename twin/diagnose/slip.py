@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.diagnose.corrected import within
 from twin.diagnose.fit import fit_effects, no_effect
-from twin.diagnose.imperfections import moved_to
+from twin.diagnose.imperfections import dirty_channels, moved_to, shows_slip
 from twin.diagnose.observe import Mapper
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import Nuisance, tuned
@@ -26,12 +26,8 @@ from twin.machine.machine import Machine
 STRETCH = 1.8
 """Factor from one size that is tried to the next."""
 
-SHOWN_IN = ("position", "velocity", "current")
-"""Channels that slip changes."""
-
 NEARBY = 1.1
 """Factor over which the slope of a slip is taken."""
-
 
 FIRST = (0.2, 0.8)
 """Sizes tried first on an axis without slip, beside the least one, as shares of the largest normal one."""
@@ -43,16 +39,10 @@ def with_slip_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
     if found.tuning.spread <= 0.0 or found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
         return found
     for slip in [Nuisance(axis, "slip", found.thresholds) for axis in found.group.axes]:
-        if slip in found.tuning.nuisances or _may_slip(found, slip.owner):
+        left = found.fit.left(found.group) / found.group.weights
+        if slip in found.tuning.nuisances or shows_slip(dirty_channels(found.group, left), slip.owner):
             found = _sized(found, machine, slip, mapper)
     return found
-
-
-def _may_slip(found: Found, axis: str) -> bool:
-    """Does a channel in which slip shows hold more than noise?"""
-    left = found.fit.left(found.group) / found.group.weights
-    shown = [c for c in found.group.channels if c.axis == axis and c.name in SHOWN_IN]
-    return any(not replace(c, residual=left[c.rows]).is_clean for c in shown)
 
 
 def _sized(found: Found, machine: Machine, slip: Nuisance, mapper: Mapper) -> Found:

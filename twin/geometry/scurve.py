@@ -28,6 +28,12 @@ def phases_of_move(distance: float, speed: float, acceleration: float, jerk: flo
     return t_j, t_a, 0.0
 
 
+def time_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> float:
+    """Time [s] from rest to rest."""
+    t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
+    return 4.0 * t_j + 2.0 * t_a + t_v
+
+
 def jerk_limited_move(distance: float, speed: float, acceleration: float, jerk: float, times: np.ndarray) -> np.ndarray:
     """Position (time,) at `times` [s] from the start of the move on; before it 0, after it `distance`."""
     t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
@@ -53,8 +59,7 @@ def moves_in_turn(
     begins = []
     for distance in distances:
         begins.append(begin)
-        t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
-        begin += 4.0 * t_j + 2.0 * t_a + t_v + dwell
+        begin += time_of_move(distance, speed, acceleration, jerk) + dwell
     times = np.arange(math.ceil(begin / period - 1e-9) + 1) * period
     position = np.full(len(times), start)
     for at, distance in zip(begins, distances):

@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import write_json, write_whole
-from twin.geometry.scurve import jerk_limited_move, phases_of_move
+from twin.geometry.scurve import jerk_limited_move, time_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Direct, direct_route
@@ -107,8 +107,8 @@ def move(distance: float, speed: float, acceleration: float, jerk: float, period
     """Jerk-limited rest-to-rest move from 0 (sample,)."""
     if distance == 0.0:
         return np.zeros(1)
-    t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
-    return jerk_limited_move(distance, speed, acceleration, jerk, np.arange(math.ceil((4.0 * t_j + 2.0 * t_a + t_v) / period) + 1) * period)
+    lasts = time_of_move(distance, speed, acceleration, jerk)
+    return jerk_limited_move(distance, speed, acceleration, jerk, np.arange(math.ceil(lasts / period) + 1) * period)
 
 
 def _reach(axis: Axis) -> tuple[float, float]:

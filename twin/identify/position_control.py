@@ -27,6 +27,7 @@ from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
 from twin.recordings.least_squares import Fit, regress
+from twin.recordings.roughness import robust_deviation
 
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
 
@@ -198,7 +199,7 @@ class _Law:
         best, least = starts[0], math.inf
         ends: list[tuple[float, np.ndarray]] = []
         for start in starts:
-            spread = 1.4826 * float(np.median(np.abs(rest(start)))) or 1e-12
+            spread = robust_deviation(rest(start)) or 1e-12
             try:
                 found = least_squares(rest, start, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40)
             except (ValueError, np.linalg.LinAlgError):
@@ -222,7 +223,7 @@ class _Law:
                 e = self.residual(x)[k]
                 if self.zeros and use.any():
                     columns, e = columns - columns[use].mean(axis=0), e - float(np.median(e[use]))
-                spread = max(1.4826 * float(np.median(np.abs(e[use]))) if use.any() else 0.0, 1e-9)
+                spread = max(robust_deviation(e[use]) if use.any() else 0.0, 1e-9)
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
                 rows.append(columns[use])
                 y.append(e[use])

@@ -14,10 +14,11 @@ import math
 import numpy as np
 
 from twin.errors import InputError
-from twin.geometry.scurve import jerk_limited_move, phases_of_move
+from twin.geometry.scurve import jerk_limited_move, phases_of_move, time_of_move
 from twin.iso230.circles import CircleTest
 from twin.machine.machine import Machine
 from twin.recordings.ballbar import FINEST, GEOMETRY, OVERLAP, ballbar_of
+from twin.recordings.roughness import SECOND_DIFFERENCE, robust_deviation
 from twin.recordings.trace import Trace
 from twin.simulation.gap import simulated_period
 from twin.simulation.run import simulate
@@ -27,8 +28,6 @@ ACCELERATION, JERK, DWELL = 1.0, 10.0, 0.1
 """Along the circle, to get up to the feed [m/s2, m/s3], and the rest between the directions [s]."""
 RESOLUTION = 1e-7
 """Of a bar [m]: no reading is better."""
-SECOND_DIFFERENCE = 6.0
-"""Variance of second differences of white noise over its own."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
     if not test.feed > 0.0:
         raise InputError("a ballbar's campaign needs the feed of its program; give --feed-mm-per-min")
     differences = [np.diff(path.distance, 2) for path in test.paths.values()]
-    noise = max(1.4826 * float(np.median(np.abs(np.concatenate(differences)))) / math.sqrt(SECOND_DIFFERENCE), RESOLUTION)
+    noise = max(robust_deviation(np.concatenate(differences)) / math.sqrt(SECOND_DIFFERENCE), RESOLUTION)
     commanded = _commanded(test)
     bar = ballbar_of(commanded, test.axes, noise)
     measured = np.zeros(len(commanded.time))
@@ -83,20 +82,14 @@ def _commanded(test: CircleTest) -> Trace:
             start = begin
         elif abs(across) > 1e-9:
             moves.append((now, across))
-            now += _lasts(across, limits) + DWELL
+            now += time_of_move(across, *limits) + DWELL
         t_j, t_a, _ = phases_of_move(abs(end - begin) * test.radius, *limits)
         first = 0.5 * (2.0 * t_j + t_a) + OVERLAP * test.radius / test.feed  # from the start of the move to the first reading
         now = math.ceil((now + first) / period) * period - first
         moves.append((now, (end - begin) * test.radius))
-        now, at = now + _lasts((end - begin) * test.radius, limits) + DWELL, end
+        now, at = now + time_of_move((end - begin) * test.radius, *limits) + DWELL, end
     times = np.arange(math.ceil(now / period) + 1) * period
     along = sum(jerk_limited_move(distance, *limits, times - begin) for begin, distance in moves)
     angle = start + along / test.radius
     signals = {(axis, "setpoint"): test.radius * wave for axis, wave in zip(test.axes, (np.cos(angle), np.sin(angle)))}
     return Trace(times, signals, dict.fromkeys(test.axes, "linear"))
-
-
-def _lasts(distance: float, limits: tuple[float, float, float]) -> float:
-    """Time of a move [s]."""
-    t_j, t_a, t_v = phases_of_move(abs(distance), *limits)
-    return 4.0 * t_j + 2.0 * t_a + t_v

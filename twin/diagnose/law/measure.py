@@ -17,8 +17,8 @@ from scipy.interpolate import BSpline
 
 from twin.diagnose.law.candidates import LENGTH_PER_RAD, Candidate, candidates_of, from_start, in_residual, variable_of
 from twin.diagnose.law.residual import MECHANICS, SPRING, Samples
-from twin.diagnose.noise import ROBUST
 from twin.machine.machine import Axis
+from twin.recordings.roughness import robust_deviation
 
 PIECES = 9
 """Pieces of a smooth curve over the range driven."""
@@ -158,7 +158,7 @@ class Loss:
 
 def scale_of(values: np.ndarray, least: float) -> float:
     """Robust standard deviation, at least what noise makes."""
-    return max(ROBUST * float(np.median(np.abs(values - np.median(values)))), least)
+    return max(robust_deviation(values - np.median(values)), least)
 
 
 def huber(values: np.ndarray, scale: float) -> np.ndarray:
