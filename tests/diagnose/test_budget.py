@@ -1,11 +1,13 @@
 """The gap budget: what an effect is worth at the tool point, against closed forms; noise as in the gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import PERIOD_S, found_of, group_of, no_tuning
 from tests.builders.script import script
-from twin.diagnose.budget import budget_of, document_of, noise_of
+from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, overlap_text
 from twin.diagnose.corrected import corrected_machine
 from twin.diagnose.fit import Fit
 from twin.diagnose.tool_point import LOAD, ToolPoint
@@ -48,6 +50,20 @@ def test_a_screw_that_grows_moves_the_tool_although_the_scale_reads_right(of_dri
     assert row.signals["position"] < 0.05 * row.position  # the loop keeps the scale on its set point
     assert row.alone == pytest.approx(row.tool_point, rel=0.02)  # nothing else is there to overlap with
     assert row.at_s == pytest.approx(PERIOD_S * (SAMPLES - 1))
+
+
+def test_contributions_that_have_nothing_to_do_with_each_other_make_the_whole(of_drift):
+    budget = of_drift[0]
+    assert budget.one_out == pytest.approx(budget.explained, rel=1e-6)
+    assert budget.one_in == pytest.approx(budget.explained, rel=0.02)
+
+
+def test_the_overlap_is_that_of_all_rows(of_drift):
+    row = of_drift[0].rows[0]
+    pair = Budget((replace(row, tool_point=3e-6, alone=6e-6), replace(row, tool_point=4e-6, alone=8e-6)), 7e-6, 0.0, 0.0, {})
+    assert (pair.one_out, pair.one_in) == pytest.approx((5e-6, 10e-6))
+    document = document_of(pair, of_drift[1], {}, {})
+    assert all(f" {um} um" in overlap_text(document) for um in (5, 7, 10))
 
 
 def test_the_document_gives_people_their_units(of_drift):

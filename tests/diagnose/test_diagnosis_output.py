@@ -25,7 +25,8 @@ from twin.exam.draw import draw_case
 from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
-from twin.replay.reading import read_recording
+from twin.replay.names import STEPS
+from twin.replay.reading import read_layout, read_recording
 
 REGIMES = ("reversal", "acceleration", "constant speed", "rest", "all")
 
@@ -195,6 +196,20 @@ def test_recording_reads_back_with_three_runs_and_the_stretch(diagnosed: Path) -
     for label in ("measured", "nominal", "corrected"):
         assert any(label in path.split("/") or path.endswith(label) for path in held), (label, sorted(held))
     assert any(path.endswith("X/following_error/event_telling_stretch") for path in held)
+
+
+def test_recording_has_what_is_left_of_the_guilty_axis_effect_by_effect(diagnosed: Path) -> None:
+    held = read_recording(diagnosed / "diagnosis.rrd")
+    steps = {path: held[path]["Scalars:scalars"] for path in sorted(held) if path.startswith(f"{STEPS}/")}
+    assert [path.split("/")[-1].replace("\\", "") for path in steps] == ["00 machine file", "01 re-tuned", "02 + backlash on axis X"]
+    levels = [float(np.std(rows.array)) for rows in steps.values()]
+    assert levels[-1] < 0.2 * levels[0]
+
+
+def test_recording_opens_on_the_telling_stretch(diagnosed: Path, document: dict[str, Any]) -> None:
+    stretch = document["where"][0]["stretch"]
+    (played,) = read_layout(diagnosed / "diagnosis.rrd")["/time_panel"]["TimePanelBlueprint:time_selection"].values[0]
+    assert (played["min"], played["max"]) == pytest.approx((1e9 * stretch["from_s"], 1e9 * stretch["to_s"]))
 
 
 def test_numbers_are_told_in_engineers_units() -> None:

@@ -8,7 +8,9 @@ difference is read in several currencies:
     signals       what the record of the axis shows: position, motor position, current
     times noise   RMS over all axes, runs and these signals, in multiples of what noise makes
 
-Contributions overlap. `alone` is the same asked from the other end: the nominal machine with this effect and no other.
+Contributions overlap. `alone` is the same asked from the other end: the nominal machine with this and nothing else. How much they overlap
+is what the contributions make together where they have nothing to do with each other, the root of the sum of their squares, against what
+the corrected machine changes: more says that they cancel each other, less that they add up in step.
 """
 
 from __future__ import annotations
@@ -69,6 +71,16 @@ class Budget:
     left_by_axis: dict[str, float]
 
     @property
+    def one_out(self) -> float:
+        """The contributions together, each taken out of the corrected machine, as if they had nothing to do with each other."""
+        return float(np.sqrt(sum(row.tool_point**2 for row in self.rows)))
+
+    @property
+    def one_in(self) -> float:
+        """The same, each added alone to the nominal machine."""
+        return float(np.sqrt(sum(row.alone**2 for row in self.rows)))
+
+    @property
     def before(self) -> float:
         """Tool-point gap of the nominal machine: what is explained and what is left, which have nothing to do with each other."""
         return float(np.hypot(self.explained, self.left))
@@ -82,7 +94,7 @@ class _Part(NamedTuple):
     axis: str
     moved: tuple[str, ...]  # axes whose motion it changes
     without: Machine
-    alone: Machine | None  # asked of effects only
+    alone: Machine
     setting: Setting | None
 
 
@@ -113,17 +125,15 @@ def budget_of(
     is that of each axis and signal [SI]."""
     parts = list(_parts(machine, corrected, found))
     tool = ToolPoint(machine)
-    plan = mapper(lambda v: _simulated(v, corrected, machine.axis_names), views)
-    nominal = mapper(lambda v: _simulated(v, machine, machine.axis_names), views)
+    plan = mapper(lambda v: simulated(v, corrected, machine.axis_names), views)
+    nominal = mapper(lambda v: simulated(v, machine, machine.axis_names), views)
     jobs = [(part, run) for part in parts for run in range(len(views))]
 
     def asked(job: tuple[_Part, int]) -> tuple[_Change, _Change]:
         part, run = job
         view = views[run]
-        out = _change(machine, tool, view, plan[run], _simulated(view, part.without, part.moved), part)
-        if part.alone is None:
-            return out, UNCHANGED
-        return out, _change(machine, tool, view, nominal[run], _simulated(view, part.alone, part.moved), part)
+        out = _change(machine, tool, view, plan[run], simulated(view, part.without, part.moved), part)
+        return out, _change(machine, tool, view, nominal[run], simulated(view, part.alone, part.moved), part)
 
     changes = mapper(asked, jobs)
     samples = np.array([len(view.trace.time) for view in views], float)
@@ -158,7 +168,7 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
     for own in settings:  # what stands in no list: laws that were measured
         if own.key not in listed:
             rest = [s for s in settings if s is not own]
-            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
+            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), own)
     for own in normal:
         if own.key in effects:
             continue  # in series with the effect of the same name: one row
@@ -170,11 +180,13 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
                 continue
             name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
             moved = rotary if nuisance.quantity == "body" else (nuisance.owner,)
-            back = nuisance.apply(corrected, 1.0 / (1.0 + float(deviation)))
-            yield _Part("re-tuned", name, nuisance.owner, moved, back, None, None)
+            factor = 1.0 + float(deviation)
+            yield _Part(
+                "re-tuned", name, nuisance.owner, moved, nuisance.apply(corrected, 1.0 / factor), nuisance.apply(machine, factor), None
+            )
 
 
-def _simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
+def simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
     """True motion and signals of axes in a run, without noise; None where the machine cannot run. Axes that stand are among them:
     their screws grow, and they are the lever of a rotary axis."""
     own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
@@ -234,6 +246,14 @@ def _row(
         at_s=out[worst].at_s,
         at=out[worst].at,
         setting=part.setting,
+    )
+
+
+def overlap_text(budget: dict[str, Any]) -> str:
+    """How much the contributions of the contract's `budget` overlap, in words."""
+    return (
+        f"all together change {budget['explained']:.3g} um; taken out one at a time they make {budget['one_out']:.3g} um (root of the sum of "
+        f"squares), put in one at a time {budget['one_in']:.3g} um"
     )
 
 
@@ -306,5 +326,8 @@ def document_of(budget: Budget, machine: Machine, probability: dict[Any, float],
         "before": 1e6 * budget.before,
         "after": 1e6 * budget.left,
         "floor": 1e6 * budget.floor,
+        "explained": 1e6 * budget.explained,
+        "one_out": 1e6 * budget.one_out,
+        "one_in": 1e6 * budget.one_in,
         "rows": [row(r) for r in budget.rows],
     }

@@ -1,15 +1,26 @@
-"""The recording of a diagnosis: measured, nominal and corrected over each other, the telling stretches marked."""
+"""The recording of a diagnosis: measured, nominal and corrected over each other, the telling stretches marked, and the effects of the
+guilty axis one by one."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from twin.diagnose.budget import simulated
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import stretches
-from twin.diagnose.wording import verdict_sentence
+from twin.diagnose.state import Key
+from twin.diagnose.view import view_of
+from twin.diagnose.wording import effect_title, verdict_sentence
+from twin.effects import settings_of, with_effects
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
 from twin.replay.events import TELLING, Event
+from twin.simulation.gap import COMPARED
+
+if TYPE_CHECKING:
+    from twin.replay.curves import Curve
 
 
 def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
@@ -29,4 +40,37 @@ def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Pat
         trace = diagnosis.predictions[which][name].trace
         kept = {key: values for key, values in trace.signals.items() if key[0] in run.trace.axes}
         runs[label] = replace(trace, signals=kept, kinds={axis: kind for axis, kind in trace.kinds.items() if axis in run.trace.axes})
-    write_recording(path, diagnosis.machine, runs, summary=f"run {name}\n{verdict_sentence(document)}", also=marks)
+    steps = _effect_by_effect(diagnosis, run, marks[0].axis) if marks else []
+    write_recording(path, diagnosis.machine, runs, summary=f"run {name}\n{verdict_sentence(document)}", also=marks, steps=steps)
+
+
+def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list[Curve]:
+    """What is left of an axis' position in a run: of the machine file, re-tuned, then with one effect more after the other, the largest
+    at the tool point first. Empty where its position was not recorded or the twin cannot run."""
+    from twin.replay.curves import step_curves
+
+    axis = diagnosis.machine.axis(name)
+    signal = next((s for s in COMPARED if run.trace.has(name, s)), None)
+    view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
+    traces = {label: simulated(view, machine, (name,)) for label, machine in one_by_one(diagnosis, name).items()}
+    if signal is None or any(trace is None for trace in traces.values()):
+        return []
+    measured = run.trace.get(name, signal)
+    return step_curves(axis, run.trace.time, {label: measured - trace.get(name, signal) for label, trace in traces.items() if trace})
+
+
+def one_by_one(diagnosis: Diagnosis, axis: str) -> dict[str, Machine]:
+    """Machines from the file to the corrected one, by what was added last: re-tuning, then each effect and law of an axis."""
+    machine, corrected = diagnosis.machine, diagnosis.corrected
+    rows = [r for r in diagnosis.budget.rows if r.axis == axis and r.setting is not None] if diagnosis.budget else []
+    steps = {"machine file": machine}
+    if not rows:
+        return steps | {"corrected": corrected}
+    added: set[Key] = set()
+    of_rows = {row.setting.key for row in rows if row.setting}
+    everything = settings_of(corrected)
+    for label, setting in [("re-tuned", None), *((effect_title({"effect": r.name, "axis": r.axis}), r.setting) for r in rows)]:
+        added |= {setting.key} if setting else set()
+        machine = with_effects(corrected, [s for s in everything if s.key in added or s.key not in of_rows])
+        steps[label if setting is None else f"+ {label}"] = machine
+    return steps

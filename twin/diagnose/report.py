@@ -7,6 +7,7 @@ from typing import Any
 
 import jinja2
 
+from twin.diagnose.budget import overlap_text
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.law.figures import laws_figure
@@ -51,6 +52,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),
+        overlap=overlap_text(document["budget"]) if document["budget"] else "",
         budget=as_image(budget_figure(document["budget"])) if document["effects"] else "",
         program_picture=as_image(budget_figure(document["budget_on_program"])) if document["effects"] and diagnosis.on_program else "",
         waterfall=as_image(waterfall_figure(diagnosis.waterfall)),

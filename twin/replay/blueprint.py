@@ -19,13 +19,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
-from rerun.encodings import Plane3D
+from rerun.blueprint.components import AbsoluteTimeRange
+from rerun.encodings import Plane3D, TimeInt
 
 from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import Curve
 from twin.replay.key import GROUND as KEY_GROUND
-from twin.replay.names import CONTOUR_ERROR, EVENTS, SUMMARY, TIMELINE, axis_entity
+from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -76,6 +78,8 @@ class Content:
     legend_title: str = ""
     has_events: bool = False
     states: Sequence[str] = field(default=())
+    steps: Sequence[Curve] = ()
+    stretch: tuple[float, float] | None = None  # from and to [s]: what is played first, again and again
 
 
 def layout(content: Content) -> rrb.Blueprint:
@@ -100,7 +104,7 @@ def layout(content: Content) -> rrb.Blueprint:
     shares.append(3.0)
     curves = (
         contour_view(content.curves, content.states, content.keys),
-        axis_tabs(content.curves, content.axes, content.keys, content.first_axis),
+        axis_tabs(content.curves, content.axes, content.keys, content.first_axis, content.steps),
     )
     below = [view for view in curves if view is not None]
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
@@ -110,10 +114,18 @@ def layout(content: Content) -> rrb.Blueprint:
         rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
+        _time_panel(content.stretch),
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _time_panel(stretch: tuple[float, float] | None) -> rrb.TimePanel:
+    """The run plays in a loop, or a stretch of it does."""
+    if stretch is None:
+        return rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all")
+    selection = AbsoluteTimeRange(*(TimeInt(seconds=at) for at in stretch))
+    return rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="selection", time_selection=selection)
 
 
 def _machine_view(content: Content) -> rrb.View:
@@ -196,8 +208,10 @@ def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[s
     return rrb.Tabs(*views, active_tab=0) if views else None
 
 
-def axis_tabs(curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str) -> rrb.Container | None:
-    """A tab of plots for each axis, that of `first_axis` in front; None where no axis has a curve."""
+def axis_tabs(
+    curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[Curve] = ()
+) -> rrb.Container | None:
+    """A tab of plots for each axis, that of `first_axis` in front, and one of `steps`; None where no axis has a curve."""
     tabs = []
     for axis in axes:
         groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}
@@ -211,8 +225,17 @@ def axis_tabs(curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str,
             tabs.append(_with_key(rrb.Horizontal(*plots), keys.get(axis), f"Axis {axis}"))
     if not tabs:
         return None
+    if steps:
+        tabs.append(_steps_view(steps))
     first = axes.index(first_axis) if first_axis in axes else 0
     return rrb.Tabs(*tabs, active_tab=min(first, len(tabs) - 1))
+
+
+def _steps_view(steps: Sequence[Curve]) -> rrb.View:
+    """Steps over each other: the first and the last are seen, a click in the legend shows or hides one."""
+    hidden: dict[Any, Any] = {curve.path: rr.SeriesLines.from_fields(visible_series=[False]) for curve in steps[1:-1]}
+    legend = rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop)
+    return rrb.TimeSeriesView(origin=STEPS, name="Effect by effect", overrides=hidden, plot_legend=legend)
 
 
 def _plot(origin: str, name: str) -> rrb.View:

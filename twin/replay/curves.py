@@ -17,8 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import POSITIONS, Trace
-from twin.replay.names import CONTOUR_ERROR, axis_entity, entity
-from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
+from twin.replay.names import CONTOUR_ERROR, STEPS, axis_entity, entity
+from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, RUN_COLOURS, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
 from twin.units import AXIS_UNITS
 
 CONTOUR_COLOUR = AXIS_COLOURS["A"]
@@ -63,6 +63,23 @@ def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, a
     """The contour error of one run [um]."""
     name = "contour error" + ("" if alone else f", {label}") + " [um]"
     return Curve(entity(CONTOUR_ERROR, label), name, run_colour(order, CONTOUR_COLOUR), time, error * 1e6, label, order)
+
+
+def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[Curve]:
+    """A quantity of an axis (sample,) [m or rad] as it changes step by step, one curve for each (name -> values)."""
+    unit, factor = AXIS_UNITS[axis.kind].error
+    return [
+        Curve(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
+        for i, (name, values) in enumerate(steps.items())
+    ]
+
+
+def _between(i: int, count: int) -> Colour:
+    """The colour of step `i` of `count`: from that of the second run, the nominal one, to that of the third, the corrected one."""
+    first, last = RUN_COLOURS
+    share = i / max(count - 1, 1)
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last))
+    return red, green, blue
 
 
 def following_error(trace: Trace, axis: str) -> np.ndarray | None:

@@ -13,6 +13,7 @@ LEGEND = "/legend"
 STATES = "/states"
 KEY = "/key"
 CONTOUR_ERROR = "/contour_error"
+STEPS = "/steps"
 
 
 def entity(parent: str, *parts: str) -> str:

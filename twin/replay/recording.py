@@ -64,13 +64,15 @@ def write_recording(
     full: bool = False,
     events: bool = True,
     also: Sequence[Event] = (),
+    steps: Sequence[Curve] = (),
 ) -> Written:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
     The first run moves the machine; later ones are drawn over it, with their difference. `programmed` is the ideal path as
     set points on the clock of the first run (default: its set points); `summary` is a table of plain text for the text panel.
-    `full` keeps every sample, else a minute takes at most 5 MB; `also` are events of the caller's own. Raises InputError for
-    runs that cannot be shown.
+    `full` keeps every sample, else a minute takes at most 5 MB; `also` are events of the caller's own: the viewer opens on the
+    axis and the stretch of the first. `steps` are curves that are shown or hidden one by one. Raises InputError for runs that
+    cannot be shown.
     """
     check_runs(machine, runs)
     main, trace = next(iter(runs.items()))
@@ -79,13 +81,13 @@ def write_recording(
     found = [*also, *(find_events(machine, trace, paths.contours[main].error if paths else None) if events else ())]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
         shapes = log_scene(recording, scene)
-        steps = pose_steps(trace.time, full)
-        log_motion(recording, scene, trace.time[steps], local_poses(scene.model, followed_joints(trace, steps)))
+        poses = pose_steps(trace.time, full)
+        log_motion(recording, scene, trace.time[poses], local_poses(scene.model, followed_joints(trace, poses)))
         views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
         curves = axis_curves(machine, runs)
         for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
             curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
-        log_curves(recording, curves, full)
+        log_curves(recording, [*curves, *steps], full)
         keys = log_keys(recording, curves)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         recording.log(SUMMARY, rr.TextDocument(summary_text(machine, runs, paths, found, summary), media_type="text/markdown"), static=True)
@@ -98,7 +100,9 @@ def write_recording(
             axes=axes,
             keys=keys,
             paths=views,
-            first_axis=busiest_axis(machine, trace),
+            first_axis=also[0].axis if also else busiest_axis(machine, trace),
+            stretch=(also[0].start, also[0].end) if also and also[0].end > also[0].start else None,
+            steps=steps,
             legend=LEGEND if paths else "",
             legend_title=f"contour error of {main} [um]" if paths else "",
             has_events=bool(found),
