@@ -119,6 +119,23 @@ def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
 
 
+def test_a_single_run_is_predicted_half_by_half():
+    """Columns of chance take squares away from the run that they are fitted to, and predict its other half worse than nothing does."""
+    group = observe_once(runs_of([])[:1])
+    loop = ClosedLoop(group, ("X",), folds_of(1), in_turn)
+    state = state_of(X, X, ("X",), group.thresholds)
+    first, second = loop.fold_rows
+    assert np.array_equal(first, ~second)
+    assert abs(int(first.sum()) - int(second.sum())) <= len(group.channels)
+    rng = np.random.default_rng(0)
+    before, columns = rng.standard_normal(group.size), rng.standard_normal((group.size, 40))
+    left = before - columns @ np.linalg.lstsq(columns, before, rcond=None)[0]
+    nothing = np.zeros(40)
+    fitted = loop._judged(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
+    assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
+    assert fitted.without(0) == state  # nothing was left out of the machine that the file gets
+
+
 @dataclass(frozen=True)
 class _State:
     settings: tuple

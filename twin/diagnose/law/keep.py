@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.channel import Channel
 from twin.diagnose.observe import Group, Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.diagnose.tuning import zeros_of
@@ -164,8 +165,8 @@ class Fitted:
     left: np.ndarray  # (row,) weighted
     columns: np.ndarray = field(repr=False)  # (row, unknown)
     loss: float
-    held_out: float  # half the squares on runs left out
-    moves: tuple[np.ndarray, ...]  # of each fold, in steps
+    held_out: float  # half the squares on runs left out, of a single run on the half left out
+    moves: tuple[np.ndarray, ...]  # of each fold, in steps; of the only run none
     deviations: np.ndarray  # (unknown,) standard deviations in steps
 
     def without(self, fold: int) -> State:
@@ -178,12 +179,19 @@ class ClosedLoop:
 
     def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper) -> None:
         self.group, self.axes, self.mapper = group, tuple(axes), mapper
-        self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.axis in self.axes])
+        self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in self._channels()])
         self.root = np.sqrt(group.credit[self.rows])
         self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
+        self.only_run = len(folds) == 1
         self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
+        if self.only_run:  # its first half is predicted from its second one, and the other way round
+            first = np.concatenate([np.arange(c.rows.stop - c.rows.start) < (c.rows.stop - c.rows.start) // 2 for c in self._channels()])
+            self.fold_rows = [first, ~first]
         zeros = zeros_of(group)[self.rows] * self.root[:, None]
         self.zeros = np.linalg.qr(zeros[:, np.any(zeros != 0.0, axis=0)])[0]  # orthonormal
+
+    def _channels(self) -> list[Channel]:
+        return [c for c in self.group.channels if c.axis in self.axes]
 
     def left(self, state: State) -> np.ndarray:
         """What a state leaves of the measured runs (row,), weighted, beside the constants of each run that are zeros of encoders."""
@@ -260,11 +268,8 @@ class ClosedLoop:
         moves, held_out = [], 0.0
         for rows in self.fold_rows:
             own = columns[rows]
-            if len(self.fold_rows) > 1:
-                move = np.linalg.solve(normal - own.T @ own + 1e-9 * np.eye(len(normal)), slope - own.T @ left[rows])
-            else:
-                move = np.zeros(len(normal))
-            moves.append(move)
+            move = np.linalg.solve(normal - own.T @ own + 1e-9 * np.eye(len(normal)), slope - own.T @ left[rows])
+            moves.append(np.zeros(len(normal)) if self.only_run else move)
             held_out += 0.5 * float(np.sum((left[rows] - own @ move) ** 2))
         inflation = max(1.0, loss / max(self.expected, 1e-300))
         deviations = np.sqrt(np.diag(np.linalg.pinv(normal)) * inflation)
