@@ -82,3 +82,13 @@ def test_calls_that_move_no_axis(read, with_program_table, name: str, call: str)
     program = read(text, name, with_program_table('calls_without_motion = ["O9810", "CHECKTOOL"]'))
     assert ends(program)[:, 0].tolist() == [1, 3]
     assert any("moves no axis" in note for note in program.notes)
+
+
+def test_surface_normals_change_nothing_and_angles_about_them_are_refused(read) -> None:
+    moved, plain = "TRAORI\nG1 F500 X10 A3=0.1 B3=0 C3=1 {}\nX20\n", "A4=0 B4=0 C4=1 A5=0 B5=0.1 C5=1"
+    with_normals = read(moved.format(plain))
+    assert with_normals.moves.target.tolist() == read(moved.format("")).moves.target.tolist()
+    assert any("A5: surface normals" in note for note in with_normals.notes)
+    for word in ("LEAD=5", "TILT=0"):
+        with pytest.raises(InputError, match=r"set by the machine builder.*A3= B3= C3="):
+            read(moved.format(f"{plain} {word}"))

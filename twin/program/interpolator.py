@@ -126,12 +126,12 @@ def _interpolate_stretch(
         excess = _excess(start, axes, period, limits)
         if excess <= 1.0 + LIMIT_TOLERANCE or slower > 2.0:
             break
-        inside = lookahead.excess(spline, frames, limits, law)
         attempt += 1
-        if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
-            # the jerk is too high between two nodes: plan anew with less there
-            ease /= np.maximum(1.0, inside * 1.001)
-            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease))
+        inside = lookahead.excess(spline, frames, limits, law)
+        if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and max(v.max() for v in inside) > 1.0:
+            # too much between two nodes: plan anew with nodes between them, or less jerk there
+            nodes, piece, ease = lookahead.closer(law, ease, *inside)
+            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (nodes, piece, ease))
         else:
             slower *= excess * (1.0 + 1e-5)
     row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, u, side="right") - 1, len(stretch.row) - 1)]

@@ -159,8 +159,10 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(REFUSED, "diameters are programmed on lathes; this machine mills", "DIAMON DIAM90 DIAMONA DIAM90A"),
     **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "SD PW ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
     **_group(REFUSED, "a transformation of other machines; let the CAM system put out X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
+    **_group(NOTE, "surface normals, which only CUT3D and ORIPATH use", "A4 B4 C4 A5 B5 C5"),
+    **_group(REFUSED, "which way these angles turn the tool is set by the machine builder; let the CAM system put out A3= B3= C3=", "ORIPATH ORIPATHS LEAD TILT"),
     **_group(REFUSED, "the orientation is given by a law of its own; use A3= B3= C3= or ORIWKS", (
-        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIPATH ORIPATHS ORIROTA ORIROTR ORIROTT ORIROTC LEAD TILT THETA PHI PSI XH YH ZH A4 B4 C4 A5 B5 C5 A6 B6 C6 A7 B7 C7")),
+        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIROTA ORIROTR ORIROTT ORIROTC THETA PHI PSI XH YH ZH A6 B6 C6 A7 B7 C7")),
     **_group(REFUSED, "cutter radius in space; let the CAM system put out the tool centre", "CUT3DC CUT3DCC CUT3DCCD CUT3DCD CUT3DF CUT3DFS CUT3DFF CUT3DFD"),
     **_group(REFUSED, "a milling or turning cycle; let the CAM system put out the moves", (
         "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
