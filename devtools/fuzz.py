@@ -1,4 +1,4 @@
-"""Every fuzzer through one loop: spoilt files and options of all commands, mutilated recordings, changed programs.
+"""Every fuzzer through one loop: spoilt files, folders and options of all commands, mutilated recordings, changed programs.
 
 scripts/fuzz --cases 2000 --seed 1            all kinds in turn
 scripts/fuzz --cases 500 --only machine       one kind; --list names them
@@ -14,8 +14,11 @@ from pathlib import Path
 import random
 import time
 
-from devtools import fuzz_chain, fuzz_files, fuzz_import, fuzz_programs
+from devtools import fuzz_chain, fuzz_files, fuzz_folders, fuzz_import, fuzz_programs
 from devtools.fuzz_loop import SECONDS, Case, fuzz
+
+RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan")
+"""Kinds whose cases take longer than the others."""
 
 
 def kinds(data: Path) -> dict[str, Case]:
@@ -24,6 +27,7 @@ def kinds(data: Path) -> dict[str, Case]:
     chain = functools.cache(fuzz_chain.real)
     return {
         **fuzz_files.all_kinds(),
+        **fuzz_folders.all_kinds(),
         "program": program,
         "recording": lambda seed, folder: fuzz_import.run_case(seed, folder, real(data))[1],
         "chain": lambda seed, folder: fuzz_chain.run_case(seed, folder, chain(data), no_refine=True)[1],
@@ -67,7 +71,7 @@ def main() -> int:
         return 0 if args.list else 2
     begin = time.monotonic()
     chosen = {k: v for k, v in known.items() if k in (args.only or known)}
-    tally = fuzz(chosen, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds, args.minutes)
+    tally = fuzz(chosen, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds, args.minutes, RARELY)
     took = time.monotonic() - begin
     print(f"{tally.total} cases in {took:.0f} s, {60.0 * tally.total / took:.0f} a minute: {tally.cases}; {len(tally.faults)} faults")
     return 1 if tally.faults else 0

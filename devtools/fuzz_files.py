@@ -14,7 +14,9 @@ from pathlib import Path
 import random
 import re
 import struct
+from typing import Any
 
+from devtools import fuzz_programs
 from devtools.fuzz_loop import Case, called
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -168,8 +170,14 @@ def spoil_bytes(content: bytes, rng: random.Random) -> bytes:
     return bytes(data)
 
 
+def spoil_program(text: str, rng: random.Random) -> str:
+    """Other characters, words or lines; a cycle limit of jumps is not waited for."""
+    return fuzz_programs.mutate(text, rng)
+
+
 SPOIL: dict[str, Callable[[str, random.Random], str]] = {
     ".toml": spoil_toml, ".xml": spoil_xml, ".urdf": spoil_xml, ".csv": spoil_table, ".json": spoil_json,
+    ".mpf": spoil_program, ".ngc": spoil_program, ".nc": spoil_program, ".apt": spoil_program,
 }  # fmt: skip
 
 
@@ -212,6 +220,18 @@ def samples() -> dict[str, dict[str, bytes]]:
         'machine = "small"\n[[run]]\nfile = "a.csv"\nfeedforward = "velocity"\nstarted_at_s = 1.0\n[run.labels]\nload = 20.0\n'
         '[[run.channel]]\naxis = "U"\nsignal = "position"\nlatency_s = 0.0\n'
     )
+    long = "time [s],U.setpoint [mm],U.position [mm],U.current [A]\n" + "".join(
+        f"{i * 1e-3:.3f},{u:.6f},{u:.6f},{0.1 + 0.1 * np.sin(i / 9):.4f}\n" for i, u in enumerate(5.0 * (1 - np.cos(np.arange(700) / 60.0)))
+    )
+    turns = np.concatenate([np.linspace(0.0, 2.2 * np.pi, 200), np.linspace(2.2 * np.pi, 0.0, 200)])
+    stops = np.concatenate([np.full(30, u) for u in (0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0, -1.0, 0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0)])
+    circle, stairs = (
+        "time [s],X.setpoint [mm],X.position [mm],Y.setpoint [mm],Y.position [mm]\n"
+        + "".join(f"{i * 1e-2:.2f},{a:.6f},{a + 1e-3:.6f},{b:.6f},{b:.6f}\n" for i, (a, b) in enumerate(zip(x, y)))
+        for x, y in ((10.0 * np.cos(turns), 10.0 * np.sin(turns)), (stops, 0.0 * stops))
+    )
+    numbers = np.arange(51, dtype=np.uint64)
+    parquet = {"time [s]": numbers * 1e-3, "U.setpoint [mm]": numbers, "U.position [mm]": numbers.astype(np.int8)}
     part = (examples / "parts" / "part2_vertical_corner.toml").read_bytes()
     return {
         "machine": {**small},
@@ -220,6 +240,17 @@ def samples() -> dict[str, dict[str, bytes]]:
         "urdf": {"gantry.urdf": (examples / "gantry" / "gantry.urdf").read_bytes(), "spindle.stl": (examples / "gantry" / "spindle.stl").read_bytes()},
         "trace": {"move.csv": trace.encode(), **{k: v for k, v in small.items() if k != "move.csv"}},
         "campaign": {"campaign.toml": campaign.encode(), "a.csv": measured.encode(), **small},
+        "diagnose": {"campaign.toml": campaign.encode(), "a.csv": measured.encode(), **small},
+        "identify": {"campaign.toml": campaign.encode(), "a.csv": long.encode(), **small},
+        "plan": {**small},
+        "iso": {"circle.csv": circle.encode(), "stairs.csv": stairs.encode()},
+        "table": {"t.parquet": _parquet(parquet), **small},
+        "nc": {
+            "p.mpf": b"G54 G90 G64\nDEF INT I\nR1=3\nFOR I=1 TO 2\nG1 X=I Y=R1 F5000\nG2 X=I+1 Y4 I0 J1 F3000\nENDFOR\nCYCLE83(5,0,2,-2,,-1,,1,0.1,0.1,1,1)\nG0 X0 Y0\nM30\n",
+            "p.ngc": b"g21 g90 g17\n#1=2\ng0 x1 y1\ng1 x[#1*2] f3000\ng2 x5 y2 i0 j1\no1 if [#1 gt 1]\ng1 y0\no1 endif\nm2\n",
+            "p.nc": b"%\nO1\nG21 G90 G17\n#100=2\nWHILE [#100 GT 0] DO1\nG1 X[#100*2.] F3000.\n#100=#100-1\nEND1\nG2 X2. Y4. R9.\nM30\n%\n",
+            "p.apt": b"PARTNO/A\nUNITS/MM\nLOADTL/1\nFEDRAT/3000.0,MMPM\nRAPID\nGOTO/0,0,305\nGOTO/2.0,1.0,305.0\nDELAY/0.01\nGOTO/3.0,1.0,305.0\nFINI\n",
+        },
         "map": {
             "map.toml": (examples / "traces" / "map.toml").read_bytes(),
             "x_feedforward_off.csv": b"".join((examples / "traces" / "x_feedforward_off.csv").read_bytes().splitlines(keepends=True)[:300]),
@@ -254,6 +285,30 @@ def commands(kind: str, here: Path, rng: random.Random) -> tuple[object, ...]:
             ("replay", here / "move.csv", *small, "--out", here / "x.rrd"),
         ],
         "campaign": [("gap", here, *small, "--json", here / "gap.json"), ("compare", here, here, *out, *small)],
+        "diagnose": [("diagnose", here, *small, *out, "--quick")] * 8 + [("exam", "--plan", here, *small, *out)],
+        "identify": [
+            ("identify", here, *small, "--out", here / "out" / "m.toml", "--no-refine"),
+            ("gap", here, *small),
+            ("iso", "230-2", here, *small, "--json", here / "i.json"),
+            ("replay", here, *small, "--out", here / "x.rrd"),
+        ],
+        "plan": [
+            *[("plan", *small, *out, "--minutes", "0.1")] * 12,
+            ("plan", *small, *out, "--minutes", "1"),
+            ("machine", "show", here / "small.toml"),
+            ("effects", "backlash", *small),
+            ("demo", *small, *out),
+        ],
+        "iso": [
+            ("iso", "230-4", here / "circle.csv", "--no-predict", "--json", here / "i.json", "--campaign", here / "out"),
+            ("iso", "230-2", here / "stairs.csv", "--json", here / "i.json", "--axis", "X"),
+        ],
+        "table": [
+            ("run", here / "t.parquet", *small, *out, "--no-recording"),
+            ("import", here / "t.parquet", *out, "--no-picture"),
+            ("compare", here / "t.parquet", here / "t.parquet", *small, *out),
+        ],
+        "nc": [(*c, here / f) for f in ("p.mpf", "p.mpf", "p.ngc", "p.nc", "p.apt") for c in _PROGRAM],
         "map": [("import", here / "x_feedforward_off.csv", "--map", here / "map.toml", *out, "--no-picture")],
         "study": [("study", here / "study.toml", *out, "--no-replay", "--threads", "1")],
         "suite": [("regress", here / "suite.toml", "--list"), ("regress", here / "suite.toml", *out, "--jobs", "1", "--no-evidence")],
@@ -262,7 +317,31 @@ def commands(kind: str, here: Path, rng: random.Random) -> tuple[object, ...]:
         "ballbar": [("iso", "230-4", here / "ballbar.csv", "--json", here / "out.json", "--radius-mm", "100", "--no-predict")],
         "sinumerik": [("import", here / "r.xml", *out, "--no-picture")],
     }
-    return rng.choice(table[kind])
+    command = rng.choice(table[kind])
+    if command[0] == "interpolate":
+        return (*command, "--out", here / "o.csv")
+    return (*command, *out, "--no-recording") if command[0] == "run" and kind == "nc" else command
+
+
+_PROGRAM: tuple[tuple[object, ...], ...] = (
+    ("check",),
+    ("check",),
+    ("check",),
+    ("interpolate",),
+    ("interpolate",),
+    ("interpolate",),
+    ("run",),
+)
+
+
+def _parquet(columns: dict[str, Any]) -> bytes:
+    """A Parquet file of columns, each in its own type."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    sink = pa.BufferOutputStream()
+    pyarrow.parquet.write_table(pa.table(columns), sink)
+    return bytes(sink.getvalue())
 
 
 def case_of(kind: str) -> Case:
@@ -274,9 +353,10 @@ def case_of(kind: str) -> Case:
         for name, content in files.items():
             (folder / name).write_bytes(content)
         names = list(files)
-        name = names[0] if rng.random() < 0.7 else rng.choice(names)
-        spoil(folder / name, rng)
         command = commands(kind, folder, rng)
+        named = [name for name in names if folder / name in command]
+        name = rng.choice(names) if rng.random() > 0.7 else named[0] if kind in ("nc", "iso") else names[0]
+        spoil(folder / name, rng)
         _, fault = called(command)
         if fault:  # the seed makes the files again
             return f"{name}: twin {' '.join(str(a).replace(str(folder), '.') for a in command)}: {fault}"
@@ -287,10 +367,11 @@ def case_of(kind: str) -> Case:
 
 OPTIONS = ("--out", "--machine", "--feedforward", "--json", "--seed", "--cases", "--zone-um", "--threads", "--jobs", "--precision", "--minutes",
            "--noise-seed", "--sample-period-ms", "--axis", "--plane", "--effect", "--only", "--size", "--at", "--limits", "--structure", "--part",
-           "--level", "--place", "--radius-mm", "--workers", "--html", "--plot", "--effects", "--map", "--torque-constant-within")  # fmt: skip
+           "--level", "--place", "--radius-mm", "--resume", "--richness", "--program", "--input", "--update", "--reason", "--campaign", "--diagnosis", "--rate-hz", "--workers", "--html", "--plot", "--effects", "--map", "--torque-constant-within")  # fmt: skip
 COMMANDS = (("run", "move.csv"), ("interpolate", "p.mpf"), ("check", "p.mpf"), ("cut", "p.mpf"), ("replay", "move.csv"), ("compare", ".", "."),
             ("effects", "backlash"), ("machine", "check"), ("machine", "new"), ("import", "move.csv"), ("plan",), ("identify", "."), ("gap", "."),
-            ("iso", "230-2", "move.csv"), ("iso", "230-4", "move.csv"), ("diagnose", "."), ("study", "s.toml"), ("regress", "s.toml"))  # fmt: skip
+            ("iso", "230-2", "move.csv"), ("iso", "230-4", "move.csv"), ("diagnose", "."), ("study", "s.toml"), ("regress", "s.toml"),
+            ("demo", "--setpoints", "d.csv"), ("completion", "bash"), ("desk", "none"), ("exam", "--plan", "."), ("exam", "--cases", "0"))  # fmt: skip
 ARGUMENTS = ("", "nan", "inf", "-1", "0", "1e300", "x", "é", "/dev/null/x", ".", "move.csv", "a=b", "backlash:X:clearance=nan", "backlash", "XY", "99999999999",
              "x" * 300, "1e-300", "*", "$HOME", "<b>", "none.toml", "a\nb", "backlash X clearance 1e300", "X", "programmed", "off")  # fmt: skip
 

@@ -1,5 +1,7 @@
 """One loop for all fuzzers: seeded cases in a process of their own, with limits on time and memory; what is no refusal in one line is a fault.
 
+Pictures are drawn in one case of `DRAWN`, they take longer than all else; and a kind in `rarely` comes once while the others come three times.
+
 A kind is a name and a function `case(seed, folder) -> fault or ""`. The loop draws the kinds in turn. The child process writes which case it is
 at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS` of processor time, memory above
 `BYTES`, a file outside the folder of the case, a process that ends.
@@ -7,7 +9,7 @@ at, so that a crash of the process is one fault, and goes on behind it. Beside w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, field
 import io
@@ -20,11 +22,14 @@ import tempfile
 import time
 import traceback
 from typing import Any
+from unittest import mock
 import warnings
 
 SECONDS = 60.0
 STANDS_STILL = 20.0
 """On a computer with other work a case gets a share of a core; one that waits takes no processor time at all."""
+DRAWN = 8
+"""One case in so many draws its pictures; in the others an empty one is written."""
 BYTES = 2_000_000_000
 """Memory that a case may take beside what the process has when all is loaded."""
 LONGEST_LINE = 420
@@ -82,14 +87,22 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
 
 
 def fuzz(
-    kinds: Mapping[str, Case], cases: int, seed: int, say: Callable[[str], Any] = print, seconds: float = SECONDS, minutes: float = math.inf
+    kinds: Mapping[str, Case],
+    cases: int,
+    seed: int,
+    say: Callable[[str], Any] = print,
+    seconds: float = SECONDS,
+    minutes: float = math.inf,
+    rarely: tuple[str, ...] = (),
 ) -> Tally:
     """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended; at most for so long."""
-    tally, at, names, end = Tally(), seed, list(kinds), time.monotonic() + 60.0 * minutes
+    often = [kind for kind in kinds if kind not in rarely]
+    names = [*often, *often, *often, *(kind for kind in kinds if kind in rarely)]
+    tally, at, end = Tally(), seed, time.monotonic() + 60.0 * minutes
     context = multiprocessing.get_context("spawn" if os.name == "nt" else "fork")
     while at < seed + cases and time.monotonic() < end:
         mine, theirs = context.Pipe(duplex=False)
-        child = context.Process(target=_carry_out, args=(kinds, at, seed + cases, theirs, seconds, end), daemon=False)
+        child = context.Process(target=_carry_out, args=(kinds, names, at, seed + cases, theirs, seconds, end), daemon=False)
         child.start()
         theirs.close()
         for done, fault in _messages(mine):
@@ -118,7 +131,7 @@ def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
         before, peak = os.getcwd(), _peak()
         os.chdir(here)
         try:
-            with _watch(seconds):
+            with _watch(seconds), contextlib.nullcontext() if seed % DRAWN == 0 else _undrawn():
                 fault = kind(seed, place)
         except TooLong:
             fault = f"takes longer than {seconds:g} s: {traceback.format_exc(limit=-3)}"
@@ -133,18 +146,32 @@ def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
     return fault
 
 
+@contextlib.contextmanager
+def _undrawn() -> Iterator[None]:
+    """Pictures are written, and nothing is on them."""
+    from matplotlib.figure import Figure
+
+    def empty(_: Figure, to: Any, **__: Any) -> None:
+        if isinstance(to, io.StringIO):
+            to.write("<svg></svg>")
+        else:
+            Path(to).write_bytes(b"")
+
+    with mock.patch.object(Figure, "savefig", empty), mock.patch("twin.report.figure.plain_text", lambda figure: figure):
+        yield
+
+
 _PEAK_LOADED = 600_000_000
 """Memory of a process that has all rooms loaded."""
 
 
-def _carry_out(kinds: Mapping[str, Case], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
+def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
     """The child: cases one after the other until the moment `last`, each reported when it is done."""
     with contextlib.suppress(ImportError, ValueError):
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (24_000_000_000, resource.RLIM_INFINITY))
-    names = list(kinds)
     for seed in range(start, end):
         if time.monotonic() >= last:
             break

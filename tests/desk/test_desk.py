@@ -186,3 +186,13 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Desk(tmp_path, 0) as other:
         assert main(["desk", str(tmp_path), "--port", str(other.server_address[1])]) == 2
         assert "give another --port" in capsys.readouterr().err
+
+
+def test_a_browser_that_goes_away_is_no_fault(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Desk(folder, 0) as desk:
+        for fault, said in ((BrokenPipeError, False), (ConnectionResetError, False), (ValueError, True)):
+            try:
+                raise fault
+            except fault:
+                desk.handle_error(None, ("127.0.0.1", 1))
+            assert bool(capsys.readouterr().err) == said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-import json
 import math
 from pathlib import Path
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 
 from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
+from twin.exam.answer import write_answer
 from twin.exam.budget import budget_of, groups_of
 from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of, truth_toml
 from twin.exam.mark import mark, mark_answer
@@ -27,7 +27,7 @@ from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import score
 from twin.exam.session import draw, sit
-from twin.machine.machine import default_machine_path, load_machine, write_machine
+from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
 
 MACHINE = tomllib.loads(SHIPPED_MACHINE.read_text())
@@ -276,10 +276,7 @@ def test_an_everyday_machine_goes_all_the_way(tmp_path: Path, monkeypatch: pytes
     def candidate(command: list[str], **_: object) -> subprocess.CompletedProcess:
         campaign, machine, answer = map(Path, command[3:6])
         assert [run.name for run in read_campaign(campaign, load_machine(machine)).runs] == ["acceleration"]
-        answer.mkdir(parents=True)
-        write_machine(load_machine(machine), answer / "machine.toml")
-        (answer / "baselines.json").write_text("{}", encoding="utf-8")
-        (answer / "diagnosis.json").write_text(json.dumps(said({largest: 1.1 * budget[largest], ("inertia", "X"): 5.0})), encoding="utf-8")
+        write_answer(answer, load_machine(machine), {}, said({largest: 1.1 * budget[largest], ("inertia", "X"): 5.0}))
         return subprocess.CompletedProcess(command, 0, "", "")
 
     monkeypatch.setattr("twin.exam.session.subprocess.run", candidate)

@@ -22,9 +22,10 @@ import pytest
 from twin.cli import main
 from twin.diagnose.settings import DEFAULT
 from twin.errors import InputError
+from twin.exam.answer import read_answer, write_answer
 from twin.exam.detectability import Answers, outlooks
 from twin.exam.draw import RUN_SETS
-from twin.exam.mark import NOT_DIAGNOSED, mark_answer
+from twin.exam.mark import NOT_DIAGNOSED, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
@@ -47,7 +48,7 @@ def test_the_plant_imports_nothing_of_the_twin() -> None:
 
 def test_the_candidate_cannot_see_the_truth() -> None:
     """The process that is examined imports neither the drawing nor the marking."""
-    for module in ("candidate", "baselines"):
+    for module in ("candidate", "baselines", "answer"):
         text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
         assert not re.search(r"(from|import) (twin\.exam)?\.(draw|mark|session|questions|score)\b", text), module
         assert "truth" not in text
@@ -420,3 +421,25 @@ def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:
     assert target_word({"target": 0.9, "met": False, **share(3, 30)}) == "missed"
     assert target_word({"target": 0.9, "met": True, **share(30, 30)}) == "met"
     assert target_word({"target": 0.9, "met": None}) == ""
+
+
+def test_an_answer_that_was_changed_is_refused_and_a_mark_made_again(tmp_path: Path) -> None:
+    machine = load_machine(default_machine_path())
+    write_answer(tmp_path / "answer", machine, {}, answer("none"))
+    assert read_answer(tmp_path / "answer")[0]["verdict"] == "none"
+    for name in ("diagnosis.json", "baselines.json", "machine.toml"):
+        file = tmp_path / "answer" / name
+        kept = file.read_text(encoding="utf-8")
+        file.write_text(kept + "\n", encoding="utf-8")
+        with pytest.raises(InputError, match="not what was sealed"):
+            read_answer(tmp_path / "answer")
+        file.write_text(kept, encoding="utf-8")
+    (tmp_path / "answer" / "answer.sha256").unlink()
+    with pytest.raises(InputError, match="not what was sealed"):
+        read_answer(tmp_path / "answer")
+    mark = {"case": "0000", "gap": {"before": 2.0}}
+    (tmp_path / "mark.json").write_text(json.dumps({**mark, "sha256": digest_of(mark)}), encoding="utf-8")
+    assert kept_mark(tmp_path / "mark.json") == mark
+    for damaged in ('{"case": "0001"}', "[]", "{"):
+        (tmp_path / "mark.json").write_text(damaged, encoding="utf-8")
+        assert kept_mark(tmp_path / "mark.json") is None

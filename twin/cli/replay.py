@@ -91,14 +91,14 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     if len(recordings) == len(sources) and not rebuild:
         for source in sources:
             if source.note:
-                print(f"twin: {source.note}", file=sys.stderr)
+                print(f"note: {source.note}", file=sys.stderr)
         return recordings
     if lacking is not None:
         if args.out or args.full or args.machine or len(recordings) < len(sources):
             raise InputError(
                 f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the folder or the trace of the run"
             )
-        print("twin: no trace beside the recordings: they are shown one by one, not overlaid", file=sys.stderr)
+        print("note: no trace beside the recordings: they are shown one by one, not overlaid", file=sys.stderr)
         return recordings
     machine = machine_of(args)
     runs: dict[str, Trace] = {}
@@ -113,7 +113,7 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
         notes += [source.note] if source.note else []
         notes += [f"{label} is shifted by {shift * 1e3:.4g} ms onto the set points of {next(iter(runs))}"] if shift else []
     for note in notes:
-        print(f"twin: {note}", file=sys.stderr)
+        print(f"note: {note}", file=sys.stderr)
     write_recording(out, machine, runs, summary="\n".join(notes), full=args.full)
     return [out]
 

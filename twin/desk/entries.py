@@ -11,7 +11,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.documents import read_json
+from twin.documents import read_json_table
 from twin.errors import InputError
 
 DEEPEST = 5
@@ -89,7 +89,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     document: Mapping[str, Any] = {}
     if name.endswith(".json"):
         try:
-            document = read_json(place / name)
+            document = read_json_table(place / name)
         except InputError as error:
             document = {"verdict": f"cannot be read: {error}"}
     report = place / REPORT if REPORT in names else None

@@ -14,6 +14,7 @@ from pathlib import Path
 import secrets
 import subprocess
 import sys
+from typing import Any
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
@@ -57,6 +58,11 @@ class Desk(ThreadingHTTPServer):
             super().__init__((HOST, port), _Answer)
         except OSError as error:
             raise InputError(f"port {port}: cannot be used ({error.strerror}); give another --port") from None
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away before it has its answer is no fault."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:

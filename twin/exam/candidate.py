@@ -8,17 +8,16 @@ Writes diagnosis.json and machine.toml as `twin diagnose` does, and baselines.js
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 import sys
 
 from twin.diagnose import diagnose
 from twin.errors import TwinError
-from twin.files import stamped, write_whole
-from twin.machine.machine import load_machine, write_machine
+from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 from twin.stopping import end_with_parent
 
+from .answer import write_answer
 from .baselines import baselines_of
 
 
@@ -36,11 +35,7 @@ def main() -> int:
     except TwinError as error:
         print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    given.out.mkdir(parents=True, exist_ok=True)
-    write_machine(diagnosis.corrected, given.out / "machine.toml")
-    said = baselines_of(diagnosis.found, machine)
-    write_whole(given.out / "baselines.json", json.dumps(said, indent=1) + "\n")
-    write_whole(given.out / "diagnosis.json", json.dumps(stamped(diagnosis.document(), "diagnosis"), indent=1) + "\n")  # the answer, last
+    write_answer(given.out, diagnosis.corrected, baselines_of(diagnosis.found, machine), diagnosis.document())
     return 0
 
 

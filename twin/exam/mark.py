@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import contextlib
 from dataclasses import replace
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -16,13 +17,14 @@ from twin.diagnose.encoder_zeros import without_zeros, zeros_left
 from twin.documents import read_json_table, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
-from twin.errors import TwinError
+from twin.errors import InputError, TwinError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
 from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 
+from .answer import read_answer
 from .draw import Case, truth_of, write_campaign
 from .mark_budget import VISIBLE, mark_budget, what_of
 from .questions import Question
@@ -48,8 +50,8 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     """The mark of one case, kept in `mark.json`."""
     place = Path(folder)
     kept = place / "mark.json"
-    if kept.exists():
-        return read_json_table(kept)
+    if (before := kept_mark(kept)) is not None:
+        return before
     truth = truth_of(case)
     result: dict[str, Any] = {
         "case": question.name,
@@ -61,16 +63,27 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     failure = place / "answer" / "failed.txt"
     if failure.exists():
         nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
-        result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8").strip()}
+        result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8", errors="replace").strip()}
     else:
-        answer = read_json_table(place / "answer" / "diagnosis.json")
+        answer, baselines = read_answer(place / "answer")
         result |= mark_answer(truth, answer)
-        result["baselines"] = {
-            name: marked_baseline(truth, said) for name, said in read_json_table(place / "answer" / "baselines.json").items()
-        }
+        result["baselines"] = {name: marked_baseline(truth, said) for name, said in baselines.items()}
     result["gap"] = _exam_gap(case, truth, place, machine_file)
-    write_whole(kept, json.dumps(result, indent=1) + "\n")
+    write_whole(kept, json.dumps({**result, "sha256": digest_of(result)}, indent=1) + "\n")
     return result
+
+
+def kept_mark(file: Path) -> dict[str, Any] | None:
+    """The mark that was made before; None where there is none, or not the one that was written: it is made again."""
+    try:
+        result = read_json_table(file)
+    except InputError:
+        return None
+    return result if result.pop("sha256", None) == digest_of(result) else None
+
+
+def digest_of(result: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(result).encode()).hexdigest()
 
 
 def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:

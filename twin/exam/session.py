@@ -12,6 +12,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 import contextlib
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 from pathlib import Path
@@ -86,16 +87,20 @@ def seal(text: str, out: Path) -> str:
     """Hash of the truths, written before anything is diagnosed; an examination that goes on must have the same."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     file = out / SEAL
-    if file.exists() and file.read_text(encoding="utf-8").strip() != digest:
+    if file.exists() and _sealed(out) != digest:
         raise InputError(f"{file}: another examination was sealed here (its machines are others); give another --out")
     write_whole(file, digest + "\n")
     return digest
 
 
+def _sealed(out: Path) -> str:
+    return (out / SEAL).read_text(encoding="utf-8", errors="replace").strip()
+
+
 def unseal(text: str, out: Path) -> None:
     """Write the truths; they must be what was sealed."""
     digest = hashlib.sha256(text.encode()).hexdigest()
-    if (out / SEAL).read_text(encoding="utf-8").strip() != digest:
+    if _sealed(out) != digest:
         raise InputError(f"{out / TRUTHS}: the truths are not those that were sealed; the examination is void")
     write_whole(out / TRUTHS, text)
 
@@ -127,8 +132,16 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
             write_whole(answer / "failed.txt", reason + "\n")
             return time.perf_counter() - started
         write_whole(answer / "seconds.txt", f"{time.perf_counter() - started:.1f}\n")
-    seconds = answer / "seconds.txt"
-    return float(seconds.read_text(encoding="utf-8")) if seconds.exists() else 0.0
+    return _seconds(answer / "seconds.txt")
+
+
+def _seconds(file: Path) -> float:
+    """How long the diagnosis took; 0 where that is not written."""
+    try:
+        seconds = float(file.read_bytes())
+    except (OSError, ValueError):
+        return 0.0
+    return seconds if math.isfinite(seconds) else 0.0
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from twin.effects import with_effects
+from twin.errors import InputError
 from twin.iso230.circles import GRID, CircleTest, circle_numbers
 from twin.machine.machine import Machine
 
@@ -42,7 +43,10 @@ def circle_budget(
     """
     tables = [dict(table) for table in corrected.document.get("effect", [])]
     whole = run(corrected)
-    probability = {(found["effect"], found["axis"]): float(found["probability"]) for found in diagnosis.get("effects", [])}
+    try:
+        probability = {(str(found["effect"]), str(found["axis"])): float(found["probability"]) for found in diagnosis.get("effects", [])}
+    except (KeyError, TypeError, ValueError):
+        raise InputError("diagnosis.json: an effect has no name, axis or probability; diagnose again") from None
     rows = []
     for i, table in enumerate(tables):
         without = run(with_effects(corrected, tables[:i] + tables[i + 1 :]))

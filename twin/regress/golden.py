@@ -11,7 +11,7 @@ from datetime import date
 from importlib.metadata import version
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 from twin.documents import read_json_table
 from twin.errors import InputError
@@ -23,6 +23,7 @@ from twin.replay.events import Event
 
 FORMAT = 1
 """Of the files; a golden result of another format cannot be read."""
+_Kept = TypeVar("_Kept", Feature, Event)
 VERSIONED = ("mujoco", "numba", "numpy", "scipy")
 
 
@@ -75,11 +76,11 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
             )
         if of_this_case and document["case"] != case.digest():
             raise InputError(f"{case.where} has changed since its golden result of {document['history'][-1]['date']}; {update}")
-        features = {name: Feature(**table) for name, table in document["features"].items()}
-        events = tuple(Event(**table) for table in document["events"])
-        found = Golden(features, None, events, document["versions"], document["history"], document["case"])
+        features = {name: _of(Feature, table) for name, table in document["features"].items()}
+        events = tuple(_of(Event, table) for table in document["events"])
+        found = Golden(features, None, events, dict(document["versions"]), list(document["history"]), str(document["case"]))
         has_trace = document["trace"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise InputError(f"{file}: not a golden result ({type(error).__name__}: {error}); restore it, or {update}") from None
     if not has_trace:
         return found
@@ -89,6 +90,16 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
         return replace(found, trace=read_trace(traced))
     except InputError as error:
         raise InputError(f"{' '.join(str(error).split())}; restore it, or {update}") from None
+
+
+def _of(kind: type[_Kept], table: Mapping[str, Any]) -> _Kept:
+    """The dataclass of a table; TypeError where a value is not of its field's type."""
+    found = kind(**table)
+    for name, wanted in get_type_hints(kind).items():
+        value = getattr(found, name)
+        if not isinstance(value, wanted) and not (isinstance(value, int) and isinstance(1.0, wanted)):
+            raise TypeError(f"{name} = {value!r:.40}")
+    return found
 
 
 def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:

@@ -65,7 +65,7 @@ def _of_folder(path: Path) -> Source:
         files = [file for file in files if file.is_file()]
         if files:
             others = ", ".join(file.name for file in files[1:])
-            note = f"{files[0].name} of {len(files)} runs of the campaign is shown" + (f"; others: {others}" if others else "")
+            note = f"{files[0].name} of {len(files)} runs of the campaign is shown; others: {others}" if others else ""
             return Source(path, files[0].stem, None, files[0], note)
     # cases of a regression or an examination have a folder each
     below = sorted(path.rglob("*.rrd"))

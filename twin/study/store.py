@@ -7,6 +7,7 @@ import contextlib
 import json
 from pathlib import Path
 import sqlite3
+from typing import Any
 
 from twin.errors import InputError
 from twin.files import output_folder
@@ -16,6 +17,14 @@ FILE = "study.sqlite"
 
 Row = tuple[int, list[float], dict[str, float], str | None]
 """Number, factors, responses, reason."""
+
+
+def _numbers(kind: type[Any], text: object) -> Any:
+    """A list or a table of numbers in JSON."""
+    found = json.loads(text) if isinstance(text, str) else None
+    if not isinstance(found, kind) or not all(isinstance(v, float | int) for v in (found.values() if kind is dict else found)):
+        raise ValueError
+    return found
 
 
 class Store:
@@ -60,7 +69,7 @@ class Store:
             if "locked" in str(error):
                 raise InputError(f"{self.path}: another study writes here; give another --out or wait for it") from None
             raise InputError(f"{self.path}: cannot be used ({error}); see to the disk or give another --out") from None
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the message of a damaged one may be no text
             raise InputError(f"{self.path}: not a database of a study ({error}); move it away or give another --out") from None
 
     def done(self) -> set[int]:
@@ -78,7 +87,10 @@ class Store:
         """All rows in the order of the design."""
         with self._said():
             found = self.connection.execute("SELECT number, factors, responses, reason FROM variant ORDER BY number").fetchall()
-        return [(n, json.loads(f), json.loads(r), reason) for n, f, r, reason in found]
+        try:
+            return [(n, _numbers(list, f), _numbers(dict, r), None if reason is None else str(reason)) for n, f, r, reason in found]
+        except ValueError:
+            raise InputError(f"{self.path}: a row is damaged; move the file away or give another --out") from None
 
     def close(self) -> None:
         """Let others write here."""
