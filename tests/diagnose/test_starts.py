@@ -57,7 +57,7 @@ def record_of(position, current):
         machine=load_machine(),
         motion=SimpleNamespace(position=position[:, None], speed=np.gradient(position, 1e-3)[:, None]),
         trace=SimpleNamespace(time=time),
-        reference=lambda axis: (None, None, np.ones(len(time), bool)),
+        rows_of=lambda axis, channel: np.ones(len(time), bool),
     )
     channel = SimpleNamespace(axis="X", run=0, name="current", rows=slice(0, len(current)))
     return SimpleNamespace(channels=[channel], views=[view], weights=np.ones(len(current)))

@@ -77,7 +77,7 @@ def samples_of(channel: Channel, view: RunView) -> np.ndarray:
     """Samples of the trace that a channel holds where it is no whole signal: position cycles, or where the set point moves."""
     if channel.name == "controller":
         return np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
-    return np.flatnonzero(view.reference(channel.axis)[2])
+    return np.flatnonzero(view.rows_of(channel.axis, channel.name))
 
 
 def _level_of(channel: Channel) -> float:

@@ -67,7 +67,7 @@ class Channel:
         free = ~rests(view, self.axis, self.thresholds.settled_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)
-        return free[view.reference(self.axis)[2]] if self.name in ("motor_minus_scale", "current") else free
+        return free[view.rows_of(self.axis, self.name)]
 
     @property
     def noise_weight(self) -> np.ndarray:

@@ -77,10 +77,11 @@ def with_drive_train(
     linear: Trial,
     residual: np.ndarray,
     mapper: Mapper,
+    largest: float,
 ) -> Tuning:
     """The tuning with the elasticity of an axis' drive train added, and its damping if that explains enough; each linear about its size.
 
-    `linear` is the estimate under a proportional response. The tuning comes back unchanged if no size near it explains `residual` (row,).
+    `linear` is the estimate under a proportional response, `largest` the share of the normal elasticity from which it is an effect. The tuning comes back unchanged if no size near it explains `residual` (row,).
     """
     tolerance, t = machine.parameter_tolerance, group.thresholds
     tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
@@ -102,7 +103,7 @@ def with_drive_train(
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
     share, damped = found
-    if share >= 1.0:  # softer than normal: that is an effect
+    if share >= largest:
         return tuning
     worth = tried.loss((share, 0.0)) - tried.loss(found)
     try:

@@ -25,13 +25,21 @@ KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
 
 
 def dirty_channels(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
-    """(axis, channel) of which `left` (row,), not weighted, is more than noise."""
-    return {(c.axis, c.name) for c in group.channels if not replace(c, residual=left[c.rows]).is_clean}
+    """(axis, channel) of which `left` (row,), not weighted, is more than noise, or may be: a circle is long beside what its reversals show."""
+    return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=left[c.rows]).is_clean}
 
 
 def shows_slip(dirty: Collection[tuple[str, str]], axis: str) -> bool:
     """Is a channel among them that slip of an axis changes?"""
     return any((axis, name) in dirty for name in ("position", "velocity", "current"))
+
+
+def largest_normal(group: Group, quantity: str) -> float:
+    """Size up to which an imperfection is re-tuned, in parts of the largest normal one.
+
+    A radius does not part a drive train that gives somewhat more than is normal from friction: it is no fault up to `widest`, as a parameter is none.
+    """
+    return group.thresholds.widest if quantity == "elasticity" and group.by_radius else 1.0
 
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
@@ -54,10 +62,11 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     for nuisance in wanted:
         trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)
         best = max((tried for share in SHARES if (tried := trial(share)) is not None), key=lambda tried: tried.gain, default=None)
-        if best is None or not 0.0 < best.size < 1.0 or best.gain < t.imperfection_earned:
+        largest = largest_normal(group, nuisance.quantity)
+        if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_earned:
             continue
         if nuisance.quantity == "elasticity":
-            current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper)
+            current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
         else:
             current = _with_slip(current, nuisance, best, trial, t)
     return current

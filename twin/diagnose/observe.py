@@ -80,6 +80,11 @@ class Group:
         """Rows of all channels."""
         return self.channels[-1].rows.stop if self.channels else 0
 
+    @property
+    def by_radius(self) -> bool:
+        """Was the radius of a circle all that was seen? Then nothing cuts one axis, or one block, from another."""
+        return any(view.ballbar is not None for view in self.views)
+
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """Weight of each row (row,)."""
@@ -110,7 +115,7 @@ class Group:
         `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
         `mapper` maps over the runs.
         """
-        if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
+        if not axes or self.by_radius:  # a radius shows what each of its axes does
             axes = self.axes
         axes = tuple(axes)
         out = np.zeros(self.size)
@@ -242,10 +247,10 @@ def channels_of(
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
             continue  # at rest the other signals show how it was stuck
-        for signal in ("position", "motor_position"):
-            if measured.has(name, signal):
-                out[name, "position"] = trace.get(name, signal)
-                break
+        if view.ballbar is not None and name in view.ballbar.axes:
+            out[name, "position"] = view.ballbar.seen(trace, name)
+        elif signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None):
+            out[name, "position"] = trace.get(name, signal)
         if measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
         if measured.has(name, axis.effort) and moving.sum() > view.thresholds.enough_samples:
@@ -333,7 +338,7 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
         inertia = commissioned_inertia(view.machine)[view.machine.axis_names.index(name)]
         moving = view.reference(name)[2]
         return np.asarray(gain**2 * off[moving] * inertia / (axis.ratio * axis.motor.torque_constant_nm_per_a))
-    return off if channel == "position" else gain * off
+    return off[view.rows_of(name, channel)] if channel == "position" else gain * off
 
 
 def _least(view: RunView, axis: Axis, channel: str) -> float:
@@ -377,5 +382,6 @@ def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: Run
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
-        sigma = np.hypot(sigma, np.where(rests(view, channel.axis, t.break_away_s), t.resting * normal_slip(axis, t), 0.0))
+        at_rest = rests(view, channel.axis, t.break_away_s)[view.rows_of(channel.axis, channel.name)]
+        sigma = np.hypot(sigma, np.where(at_rest, t.resting * normal_slip(axis, t), 0.0))
     return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)

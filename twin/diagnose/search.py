@@ -61,7 +61,7 @@ def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progres
     begun = begun if quick else with_slip_beside(begun, machine, mapper)
     found = _searched(begun, machine, folds, mapper, progress, quick)
     imperfect = any(n.quantity in NORMAL for n in begun.tuning.nuisances)
-    if imperfect and found.fit.settings and any(view.ballbar is not None for view in group.views):
+    if imperfect and found.fit.settings and group.by_radius:
         tuning = tuning_of(group, machine, mapper)
         retuned = no_effect(group, tuning)
         rigid = Found(group, group, tuning, retuned, retuned, inflation(group, retuned))

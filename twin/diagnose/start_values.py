@@ -95,10 +95,8 @@ class StartValues:
             values = self.values[channel.rows]
             q, v = view.motion.position[:, a], view.motion.speed[:, a]
             t = view.trace.time - view.trace.time[0]
-            if name in ("current", "motor_minus_scale"):
-                moving = view.reference(self.axis.name)[2]
-                q, v, t = q[moving], v[moving], t[moving]
-            yield values, q, v, t
+            rows = view.rows_of(self.axis.name, name)
+            yield values, q[rows], v[rows], t[rows]
 
     def _slow_pieces(self, low: float, high: float, per: float) -> tuple[float, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         """Highest number of waves a length `per` that enough of the motion is slow enough for, and residual of the current, position and

@@ -44,6 +44,14 @@ class RunView:
             self.references[name] = _command(self, axis), _delayed(self, axis), moving
         return self.references[name]
 
+    def rows_of(self, name: str, channel: str) -> np.ndarray:
+        """True (sample,) for the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
+        if channel in ("motor_minus_scale", "current"):
+            return self.reference(name)[2]
+        if channel == "position" and self.ballbar is not None and name in self.ballbar.axes:
+            return self.ballbar.readings_of(name)
+        return np.ones(len(self.trace.time), bool)
+
     @functools.cached_property
     def pushed(self) -> frozenset[str]:
         """Axes whose set point stands still while motor minus scale follows the motion of another axis."""
@@ -150,7 +158,7 @@ def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
     Along the circle of a ballbar no axis rests: where one turns round, the circle goes on, and what a bar shows of it is not chance.
     """
     if view.ballbar is not None:
-        return ~view.ballbar.measured
+        return np.zeros(len(view.trace.time), bool)
     moving = view.reference(name)[2]
     started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     resting = ~moving

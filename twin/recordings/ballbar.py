@@ -73,6 +73,16 @@ class Ballbar:
         x, y = self.radial.T
         return np.column_stack([x, y, x * x, y * y, x * y])
 
+    def readings_of(self, axis: str) -> np.ndarray:
+        """True (sample,) where the bar measures and points along an axis more than along the other: each reading counts for one of them."""
+        along = self.axes.index(axis)
+        return self.measured & (np.argmax(np.abs(self.radial), axis=1) == along)
+
+    def seen(self, trace: Trace, axis: str) -> np.ndarray:
+        """Deviation of the radius without what is geometry [m] at the readings of an axis (reading,), from a trace with seen positions."""
+        rows, along = self.readings_of(axis), self.axes.index(axis)
+        return np.asarray((trace.get(axis, "position") - self.commanded[:, along])[rows] / self.radial[rows, along])
+
     def noise_of(self, axis: str) -> np.ndarray:
         """Noise of the seen position of an axis (sample,) [m]."""
         return self.noise * np.abs(self.radial[:, self.axes.index(axis)]) * self.measured
