@@ -14,9 +14,10 @@ from tests.builders.study_files import FACTOR, write_spec
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
-from twin.program import interpolate, read_program
+from twin.program import interpolate, interpolator, read_program
 from twin.recordings.grid import pieces_of
 from twin.recordings.timing import Stretch, Timing
+from twin.recordings.trace import written
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 from twin.study.design import variants_of
@@ -39,6 +40,22 @@ def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machin
         interpolate(program, mikron)
     assert "p.mpf: line" in str(error.value)
     assert words in str(error.value)
+
+
+def test_set_points_that_fill_the_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "p.mpf").write_text(PROGRAMS["feed"][0])
+    line = refused(capsys, "interpolate", str(tmp_path / "p.mpf"), "--out", str(tmp_path / "p.parquet"))
+    assert "set points (167 h), the limit is 1e+08" in line
+    assert [p.name for p in tmp_path.iterdir()] == ["p.mpf"]
+
+
+def test_a_fault_behind_written_set_points_leaves_no_file(tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interpolator, "BLOCK", 100)
+    (tmp_path / "p.mpf").write_text("G1 X1 F1000\nG4 F1\nX2\nG4 F10\nM30\n")
+    program = read_program(tmp_path / "p.mpf", mikron)
+    with pytest.raises(InputError, match=r"p.mpf: line 4: .* the limit is 2e\+03"):
+        list(written(interpolator.set_point_blocks(program, mikron, most=2000), tmp_path / "p.parquet"))
+    assert [p.name for p in tmp_path.iterdir()] == ["p.mpf"]
 
 
 OTHER_PROGRAMS = {

@@ -5,6 +5,7 @@ Everything here is a shortened version of devtools/measure_interpolator.py, whic
 
 import math
 from pathlib import Path
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from tests.builders.random_programs import check, random_program
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program import error_budget, interpolate, interpolator, lookahead, read_program
-from twin.recordings.trace import Trace
+from twin.recordings.trace import Trace, joined, read_trace, written
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -139,6 +140,32 @@ def test_brisk_is_faster_than_soft(mikron: Machine, tmp_path: Path) -> None:
     )
     assert brisk.time[-1] < 0.8 * soft.time[-1]
     assert np.abs(np.diff(brisk.get("X", "setpoint"), 2)).max() / brisk.period**2 <= mikron.axis("X").max_acceleration * 1.001
+
+
+@pytest.mark.parametrize("cycle", ["position", "interpolation"])
+def test_set_points_in_blocks_are_those_of_the_whole(mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cycle: str) -> None:
+    text = "G1 X20 Y5 F3000\nG4 F0.7\nG60 X0\nX1\nX2\nG64 X30 Y20\nX0 Y0\n"
+    program = read_program(write(tmp_path, text), mikron)
+    whole = interpolate(program, mikron, cycle=cycle)
+    monkeypatch.setattr(interpolator, "BLOCK", 101)
+    blocks = list(interpolator.set_point_blocks(program, mikron, cycle=cycle))
+    assert len(blocks) > (3 if cycle == "interpolation" else 5)
+    assert max(len(block.time) for block in blocks) <= 2 * 101
+    parts = joined(blocks)
+    assert np.array_equal(parts.time, whole.time)
+    for key, values in whole.signals.items():
+        assert np.array_equal(parts.signals[key], values), key
+
+
+def test_hours_of_set_points_take_the_memory_of_a_block(mikron: Machine, tmp_path: Path) -> None:
+    program = read_program(write(tmp_path, "G1 X50 F1\nG4 F3600\nG4 F3600\n"), mikron)
+    tracemalloc.start()
+    count = sum(len(block.time) for block in written(interpolator.set_point_blocks(program, mikron), tmp_path / "long.parquet"))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count * mikron.position_cycle > 10_000.0
+    assert most < 100e6  # all at once are 500 MB
+    assert len(read_trace(tmp_path / "long.parquet", axes=mikron.kinds).time) == count
 
 
 def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp_path: Path) -> None:

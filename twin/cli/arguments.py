@@ -87,7 +87,16 @@ def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> 
 
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         return None, read_trace(source, axes=machine.kinds, need=("setpoint",))
-    from twin.program import interpolate, read_program
+    from twin.program import interpolate
+
+    program = program_of_input(source, machine, place)
+    with Progress("interpolating") as bar:
+        return program, interpolate(program, machine, progress=bar)
+
+
+def program_of_input(source: Path, machine: Machine, place: str) -> Program:
+    """A program, read; what it says that has no effect is noted."""
+    from twin.program import read_program
     from twin.program.place import OutsideTravel, placed
 
     try:
@@ -98,8 +107,7 @@ def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> 
         program = placed(error.program)
     for note in program.notes:
         print(f"note: {source.name}: {note}", file=sys.stderr)
-    with Progress("interpolating") as bar:
-        return program, interpolate(program, machine, progress=bar)
+    return program
 
 
 def picture_file(text: str) -> Path:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, add_place, machine_of, picture_file, setpoints_of_input
+from twin.cli.arguments import add_machine, add_place, machine_of, picture_file, program_of_input
 from twin.errors import InputError
+from twin.files import shipped_example
 from twin.program.read import PROGRAM_ENDINGS
+from twin.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,19 +22,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Program to set points only."""
-    from twin.program import plot_feed
-    from twin.recordings.trace import write_trace
+    """Program to set points only, written as they are made; for the picture they are held."""
+    from twin.program import interpolate, plot_feed, set_point_blocks
+    from twin.recordings.trace import written
 
     machine = machine_of(args)
     source, out = Path(args.program), Path(args.out)
     if source.suffix.lower() not in PROGRAM_ENDINGS:
         raise InputError(f"{source}: not a program; give a file ending in {', '.join(PROGRAM_ENDINGS)}")
     plot = picture_file(args.plot) if args.plot else None
-    _, trace = setpoints_of_input(source, machine, args.place)
-    write_trace(trace, out)
-    print(f"{source.name}: {trace.time[-1]:.3f} s of set points every {trace.period * 1e3:g} ms, written to {out}")
+    program = program_of_input(shipped_example(source), machine, args.place)
+    with Progress("interpolating") as bar:
+        traces = [interpolate(program, machine, progress=bar)] if plot else set_point_blocks(program, machine, progress=bar)
+        for trace in written(traces, out):
+            last = trace
+    print(f"{source.name}: {last.time[-1]:.3f} s of set points every {machine.position_cycle * 1e3:g} ms, written to {out}")
     if plot:
-        plot_feed(trace, plot, source.name)
+        plot_feed(last, plot, source.name)
         print(f"programmed and reached feed: {plot}")
     return 0

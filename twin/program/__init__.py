@@ -1,7 +1,7 @@
 """Part programs: reading (Sinumerik and ISO G-code, APT/CL), interpolation to set points, error budget of one program."""
 
 from twin.program.budget import ErrorBudget, error_budget
-from twin.program.interpolator import interpolate
+from twin.program.interpolator import interpolate, set_point_blocks
 from twin.program.moves import Move, Moves, Program
 from twin.program.plot import plot_budget, plot_feed
 from twin.program.read import PROGRAM_ENDINGS, read_program
@@ -17,4 +17,5 @@ __all__ = [
     "plot_budget",
     "plot_feed",
     "read_program",
+    "set_point_blocks",
 ]

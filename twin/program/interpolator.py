@@ -9,8 +9,10 @@ the jerk between two nodes of the time law lies above, the law is planned anew w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +20,16 @@ from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
-from twin.program import blend, lookahead, sampling, timelaw
-from twin.program.axis_path import frames_of
+from twin.program import axis_path, blend, lookahead, sampling, timelaw
 from twin.program.collect import travel_text
 from twin.program.moves import Program
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
-from twin.recordings.trace import PROGRAM, Trace
+from twin.recordings.trace import PROGRAM, Trace, joined
 
-MOST_SETPOINTS = 10_000_000
-"""Set points of one program: 2.8 hours at 1 kHz, 1.5 GB on the way."""
+MOST_SETPOINTS, MOST_WRITTEN = 10_000_000, 100_000_000
+"""Set points of one program that is held: 2.8 hours at 1 kHz, 1 GB; of one that is written as it is made: 28 hours, 10 GB of disk."""
+BLOCK = 131_072
+"""Set points that are made at once: 13 MB."""
 REST = 0.1
 """Time [s] at rest after the last move."""
 LIMIT_TOLERANCE = 1.5e-4
@@ -57,14 +60,41 @@ def interpolate(
     (N number, -1 without), `line`, `feed` as programmed [m/s, rad/s where only A and C move, 0 in rapid moves], `path_speed` in the same
     unit, `path_length` of the tip [m], `feedforward` (1 on, 0 off). `progress` gets the share done.
     """
+    return joined(set_point_blocks(program, machine, cycle=cycle, progress=progress, gap=gap, most=MOST_SETPOINTS))
+
+
+def set_point_blocks(
+    program: Program,
+    machine: Machine,
+    *,
+    cycle: str = "position",
+    progress: Progress | None = None,
+    gap: float = timelaw.GAP,
+    most: float = MOST_WRITTEN,
+) -> Iterator[Trace]:
+    """The same set points in traces of about BLOCK samples that follow each other: what is held does not grow with the time of the motion."""
     period = machine.position_cycle
     every = max(1, round(machine.interpolation_cycle / period))
+    columns = _Columns(program, machine, period, every if cycle == "interpolation" else 1)
+    held, count = [_standing(program.start, 0, 1)], 1
+    for piece in _pieces(program, machine, period, every, gap, most, progress):
+        held.append(piece)
+        count += len(piece.axes)
+        if count >= BLOCK:
+            yield columns.trace(held)
+            held, count = [], 0
+    if held:
+        yield columns.trace(held)
+
+
+def _pieces(
+    program: Program, machine: Machine, period: float, every: int, gap: float, most: float, progress: Progress | None
+) -> Iterator[_Piece]:
+    """Set points of each stretch and wait, at most BLOCK samples at once."""
     starts = program.starts()
     circles = great_circle_rows(program, starts)
-    parts = stretches(program)
-    pieces: list[_Piece] = []
     at, total = program.start, 0.0
-    for first, last in parts:
+    for first, last in stretches(program):
         stretch = stretch_of(program, starts, first, last, circles)
 
         def report(share: float, first: int = first, last: int = last) -> None:
@@ -73,24 +103,28 @@ def interpolate(
 
         pause = float(program.moves.pause[last])
         if stretch is not None:
-            piece = _interpolate_stretch(program, machine, stretch, at, period, every, gap, report)
-            pieces.append(piece)
-            at = piece.axes[-1]
-            total += len(piece.axes)
+            for piece in _stretch_pieces(program, machine, stretch, at, period, every, gap, most, report):
+                yield piece
+                at = piece.axes[-1]
+                total += len(piece.axes)
         if pause > 0.0 or last == len(program) - 1:
             rest = pause + (REST if last == len(program) - 1 else 0.0)
             total += rest / period
-            _check_length(total * period, period, program, last)
-            pieces.append(_standing(at, last, max(1, math.ceil(rest / (period * every) - 1e-9)) * every))
+            _check_length(total * period, period, program, last, most)
+            left = max(1, math.ceil(rest / (period * every) - 1e-9)) * every
+            while left:
+                yield _standing(at, last, min(left, BLOCK))
+                left -= min(left, BLOCK)
         report(1.0)
-    return _trace(program, machine, pieces, period, every if cycle == "interpolation" else 1)
 
 
-class _Piece:
-    """Set points of a stretch or a wait: axes (sample, 5), row of the moves (sample,), path speed (sample,), tip speed (sample,)."""
+class _Piece(NamedTuple):
+    """Set points that follow each other: axes (sample, 5), row of the moves (sample,), path speed (sample,), tip speed (sample,)."""
 
-    def __init__(self, axes: np.ndarray, row: np.ndarray, path_speed: np.ndarray, tip_speed: np.ndarray) -> None:
-        self.axes, self.row, self.path_speed, self.tip_speed = axes, row, path_speed, tip_speed
+    axes: np.ndarray
+    row: np.ndarray
+    path_speed: np.ndarray
+    tip_speed: np.ndarray
 
 
 def _standing(at: np.ndarray, row: int, count: int) -> _Piece:
@@ -102,28 +136,56 @@ def spline_of(stretch: Stretch) -> blend.Spline:
     return blend.blend(stretch.elements, stretch.tolerance, stretch.angle_tolerance, stretch.distance)[0]
 
 
-def _interpolate_stretch(
-    program: Program, machine: Machine, stretch: Stretch, start: np.ndarray, period: float, every: int, gap: float, report: Progress
-) -> _Piece:
+class _Samples(NamedTuple):
+    """Samples of a stretch: axes (sample, 5), u, speed of the tip and of A and C together (sample,)."""
+
+    axes: np.ndarray
+    u: np.ndarray
+    tip: np.ndarray
+    turn: np.ndarray
+
+
+def _sampled(
+    spline: blend.Spline, frames: axis_path.Frames, law: lookahead.Law, times: np.ndarray, slower: float, period: float, count: int
+) -> Iterator[_Samples]:
+    """The set points of a stretch, at most BLOCK at once; the start itself is the last sample of what came before."""
+    for begin in range(0, count, BLOCK):
+        n = min(BLOCK, count - begin)
+        out = _Samples(np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n))
+        sampling.sample(spline, frames, law.nodes, law.piece, law.a, law.slope, times, slower, begin, period, n, *out)
+        yield out
+
+
+def _stretch_pieces(
+    program: Program,
+    machine: Machine,
+    stretch: Stretch,
+    start: np.ndarray,
+    period: float,
+    every: int,
+    gap: float,
+    most: float,
+    report: Progress,
+) -> Iterator[_Piece]:
     limits = limits_of(machine, stretch.brisk, program.kinematics)
-    frames = frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
+    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
     feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
     with np.errstate(over="ignore"):
         at_feed = np.diff(stretch.elements.u) / feeds.speed  # s, an estimate
     slowest = int(stretch.row[int(np.argmax(at_feed))])
-    _check_length(float(at_feed.sum()), period, program, slowest)
+    _check_length(float(at_feed.sum()), period, program, slowest, most)
     spline = spline_of(stretch)
     law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report)
     ease = np.ones(len(law.piece))
     slower, attempt = 1.0, 0
     while True:
         times = sampling.node_times(law.nodes, law.a, law.slope)
-        _check_length(times[-1] * slower, period, program, stretch.row[0])
+        _check_length(times[-1] * slower, period, program, stretch.row[0], most)
         count = math.ceil(times[-1] * slower / (period * every) - 1e-9) * every
-        axes, u, tip, turn = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
-        # the start itself is the last sample of what came before
-        sampling.sample(spline, frames, law.nodes, law.piece, law.a, law.slope, times, slower, period, period, count, axes, u, tip, turn)
-        excess = _excess(start, axes, period, limits)
+        blocks: Iterable[_Samples] = _sampled(spline, frames, law, times, slower, period, count)
+        if count <= BLOCK:
+            blocks = list(blocks)
+        excess = _excess(start, (block.axes for block in blocks), period, limits)
         if excess <= 1.0 + LIMIT_TOLERANCE or slower > 2.0:
             break
         attempt += 1
@@ -134,29 +196,35 @@ def _interpolate_stretch(
             law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (nodes, piece, ease))
         else:
             slower *= excess * (1.0 + 1e-5)
-    row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, u, side="right") - 1, len(stretch.row) - 1)]
-    _check_travel(program, axes, row)
-    return _Piece(axes, row, np.where(program.moves.rotary[row], turn, tip), tip)
+    if count > BLOCK:
+        blocks = _sampled(spline, frames, law, times, slower, period, count)  # once measured, they are made again rather than kept
+    for block in blocks:
+        row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
+        _check_travel(program, block.axes, row)
+        yield _Piece(block.axes, row, np.where(program.moves.rotary[row], block.turn, block.tip), block.tip)
 
 
-def _check_length(seconds: float, period: float, program: Program, row: int) -> None:
-    """Refuse a motion that takes for ever, before its set points take the memory."""
+def _check_length(seconds: float, period: float, program: Program, row: int, most: float) -> None:
+    """Refuse a motion that takes for ever, before its set points take the memory or the disk."""
     refuse_above(
         seconds / period,
-        MOST_SETPOINTS,
+        most,
         f"set points ({seconds / 3600.0:.3g} h)",
         program.place(int(row)),
         "raise the feed, or split the program",
     )
 
 
-def _excess(start: np.ndarray, axes: np.ndarray, period: float, limits: lookahead.Limits) -> float:
+def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limits: lookahead.Limits) -> float:
     """By which factor the motion must be slower so that differences of the set points keep every limit."""
     worst = 1.0
-    padded = np.vstack([np.tile(start, (3, 1)), axes, np.tile(axes[-1:], (3, 1))])  # at rest before and behind
-    for order, limit in enumerate(limits, start=1):
-        ratio = np.abs(np.diff(padded, order, axis=0)).max(axis=0, initial=0.0) / period**order / limit
-        worst = max(worst, float(ratio.max()) ** (1.0 / order))
+    before = np.tile(start, (3, 1))  # at rest before and behind
+    for axes in itertools.chain(blocks, (None,)):
+        padded = np.vstack([before, np.tile(before[-1:], (3, 1)) if axes is None else axes])
+        for order, limit in enumerate(limits, start=1):
+            ratio = np.abs(np.diff(padded, order, axis=0)).max(axis=0, initial=0.0) / period**order / limit
+            worst = max(worst, float(ratio.max()) ** (1.0 / order))
+        before = padded[-3:]
     return worst
 
 
@@ -169,25 +237,31 @@ def _check_travel(program: Program, axes: np.ndarray, row: np.ndarray) -> None:
         )
 
 
-def _trace(program: Program, machine: Machine, pieces: list[_Piece], period: float, every: int) -> Trace:
-    """All pieces behind each other, after one sample at rest on the start."""
-    m = program.moves
-    first = _standing(program.start, 0, 1)
-    pieces = [first, *pieces]
-    axes = np.concatenate([p.axes for p in pieces])
-    row = np.concatenate([p.row for p in pieces])
-    path_speed = np.concatenate([p.path_speed for p in pieces])
-    tip_speed = np.concatenate([p.tip_speed for p in pieces])
-    length = np.concatenate([[0.0], np.cumsum(0.5 * (tip_speed[1:] + tip_speed[:-1]) * period)])
-    feed = np.where(np.isfinite(m.feed), m.feed, 0.0)[row]
-    signals = {(name, "setpoint"): axes[::every, i] for i, name in enumerate(program.kinematics.names) if name in machine.axis_names}
-    columns = {
-        "block": m.block[row].astype(float),
-        "line": m.line[row].astype(float),
-        "feed": feed,
-        "path_speed": path_speed,
-        "path_length": length,
-        "feedforward": m.feedforward[row].astype(float),
-    }
-    signals |= {(PROGRAM, name): values[::every] for name, values in columns.items()}
-    return Trace(np.arange(len(axes))[::every] * period, signals, machine.kinds)
+class _Columns:
+    """Makes traces of pieces, one after the other; keeps where the last one ended."""
+
+    def __init__(self, program: Program, machine: Machine, period: float, every: int) -> None:
+        self.program, self.machine, self.period, self.every = program, machine, period, every
+        self.count, self.length, self.tip_speed = 0, 0.0, 0.0
+
+    def trace(self, pieces: list[_Piece]) -> Trace:
+        """Each `every`-th sample of the pieces."""
+        m = self.program.moves
+        axes, row, path_speed, tip_speed = (np.concatenate(parts) for parts in zip(*pieces))
+        way = 0.5 * (tip_speed + np.concatenate([[self.tip_speed], tip_speed[:-1]])) * self.period
+        length = np.cumsum(np.concatenate([[self.length], way]))[1:]
+        keep = slice(-self.count % self.every, None, self.every)
+        time = np.arange(self.count, self.count + len(axes))[keep] * self.period
+        self.count, self.length, self.tip_speed = self.count + len(axes), float(length[-1]), float(tip_speed[-1])
+        names = self.program.kinematics.names
+        signals = {(name, "setpoint"): axes[keep, i] for i, name in enumerate(names) if name in self.machine.axis_names}
+        columns = {
+            "block": m.block[row].astype(float),
+            "line": m.line[row].astype(float),
+            "feed": np.where(np.isfinite(m.feed), m.feed, 0.0)[row],
+            "path_speed": path_speed,
+            "path_length": length,
+            "feedforward": m.feedforward[row].astype(float),
+        }
+        signals |= {(PROGRAM, name): values[keep] for name, values in columns.items()}
+        return Trace(time, signals, self.machine.kinds)

@@ -74,16 +74,16 @@ def node_times(nodes, a, slope):
 
 
 @compiled(allocates=True)
-def sample(s, f, nodes, piece, a, slope, times, stretch, first, period, count, axes, u, tip_speed, turn_speed):
+def sample(s, f, nodes, piece, a, slope, times, stretch, begin, period, count, axes, u, tip_speed, turn_speed):
     """Fill axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
 
-    Sample i is taken at first + i period [s] after the start; `stretch` slows the law down. Times outside the motion give its ends.
+    Sample i is taken begin + i + 1 periods [s] after the start; `stretch` slows the law down. Times outside the motion give its ends.
     """
     n = nodes.shape[0] - 1
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     i = 0
     for m in range(count):
-        t = (first + m * period) / stretch
+        t = (period + (begin + m) * period) / stretch
         if t <= 0.0:
             at, x, i = nodes[0], 0.0, 0
         elif t >= times[n]:

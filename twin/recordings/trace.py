@@ -6,7 +6,8 @@ heading. Signals without an axis (block number, path feed) belong to the pseudo 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, field, replace
 import html
 from pathlib import Path
@@ -249,20 +250,38 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     return trace
 
 
+def joined(traces: Iterable[Trace]) -> Trace:
+    """Traces of the same signals that follow each other in time as one."""
+    first, *others = traces
+    if not others:
+        return first
+    parts = [dict(t.signals) for t in (first, *others)]
+    time = np.concatenate([t.time for t in (first, *others)])
+    return replace(first, time=time, signals={key: np.concatenate([part.pop(key) for part in parts]) for key in first.signals})
+
+
 def write_trace(trace: Trace, path: str | Path) -> None:
     """Write Parquet or CSV by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
+    for _ in written((trace,), path):
+        pass
+
+
+def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
+    """Write traces that follow each other into one file, each as it comes, and hand them on; the file is there after the last one."""
     import pyarrow.csv
     import pyarrow.parquet
 
     path = Path(path)
-    table = trace.to_table()
     if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"{path}: a trace is written as .parquet or .csv; give the file one of these endings")
-    with beside(path) as partial:
-        if path.suffix == ".csv":
-            pyarrow.csv.write_csv(table, partial)
-        else:
-            pyarrow.parquet.write_table(table, partial)
+    make = pyarrow.csv.CSVWriter if path.suffix == ".csv" else pyarrow.parquet.ParquetWriter
+    with beside(path) as partial, contextlib.ExitStack() as stack:
+        writer = None
+        for trace in traces:
+            table = trace.to_table()
+            writer = writer or stack.enter_context(make(str(partial), table.schema))
+            writer.write_table(table)
+            yield trace
 
 
 def _read_table(path: Path) -> dict[str, np.ndarray]:
