@@ -129,22 +129,26 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
-    """Write a PNG: simulated, measured and their difference [um] on one colour scale."""
+    """Write a PNG: simulated and measured [um] on one colour scale, and their difference on its own."""
     from matplotlib.figure import Figure
 
-    maps = {
-        "simulated": simulated.height,
-        "measured, registered": found.measured,
-        "measured - simulated": found.measured - simulated.height,
-    }
+    difference = found.measured - simulated.height
     end = colour_end(simulated.height * 1e6)
+    depths = [f"deepest {depth * 1e6:.1f} um below the mean" for depth in found.depth(simulated.height)]
+    maps = (
+        (f"simulated: {label}; {depths[0]}", simulated.height, end),
+        (f"measured, registered; {depths[1]}", found.measured, end),
+        (f"measured - simulated: {found.rms * 1e6:.2f} um RMS", difference, colour_end(difference[np.isfinite(difference)] * 1e6)),
+    )
     figure = Figure(figsize=(12.0, 7.0), dpi=130, facecolor="white", layout="constrained")
-    for ax, (name, height) in zip(figure.subplots(3, 1, sharex=True), maps.items()):
+    panels = figure.subplots(3, 1, sharex=True)
+    for ax, (title, height, end) in zip(panels, maps):
         extent = tuple(float(x) * 1e3 for x in (simulated.u[0], simulated.u[-1], simulated.v[0], simulated.v[-1]))
         drawn = ax.imshow(height * 1e6, extent=extent, origin="lower", cmap=COLOUR_MAP, vmin=-end, vmax=end, aspect="auto")
         figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
-        ax.set_title(f"{name}: {label}", loc="left")
+        ax.set_title(title, loc="left")
         ax.set_ylabel("v [mm]")
+    panels[-1].set_xlabel("along the surface, u [mm]")
     _save(figure, path)
 
 
