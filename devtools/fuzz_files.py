@@ -87,6 +87,8 @@ def spoil_xml(text: str, rng: random.Random) -> str:
         if what < 4 and attributes:
             m = rng.choice(attributes)
             value = rng.choice((*WORDS, rng.choice(attributes)[2]))
+            if value == "nan" and m[1] in _NAMES:  # is printed, and what is printed is looked at for it
+                value = "x"
             text = text[: m.start(2)] + value + text[m.end(2) :]
         elif what == 4 and attributes:
             m = rng.choice(attributes)
@@ -103,6 +105,7 @@ def spoil_xml(text: str, rng: random.Random) -> str:
     return text
 
 
+_NAMES = ("name", "link", "joint", "body", "mesh", "model", "prefix")
 _ELEMENTS = (
     '<replicate count="99999999"><geom size="1"/></replicate>', '<hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/>',
     '<texture name="t" type="2d" builtin="flat" width="99999" height="99999"/>', '<include file="m.xml"/>', '<include file="/etc/hostname"/>',
@@ -369,7 +372,7 @@ OPTIONS = ("--out", "--machine", "--feedforward", "--json", "--seed", "--cases",
            "--noise-seed", "--sample-period-ms", "--axis", "--plane", "--effect", "--only", "--size", "--at", "--limits", "--structure", "--part",
            "--level", "--place", "--radius-mm", "--resume", "--richness", "--program", "--input", "--update", "--reason", "--campaign", "--diagnosis", "--rate-hz", "--workers", "--html", "--plot", "--effects", "--map", "--torque-constant-within")  # fmt: skip
 COMMANDS = (("run", "move.csv"), ("interpolate", "p.mpf"), ("check", "p.mpf"), ("cut", "p.mpf"), ("replay", "move.csv"), ("compare", ".", "."),
-            ("effects", "backlash"), ("machine", "check"), ("machine", "new"), ("import", "move.csv"), ("plan",), ("identify", "."), ("gap", "."),
+            ("effects", "backlash"), ("machine", "check"), ("machine", "new"), ("import", "move.csv"), ("plan", "--minutes", "0.1"), ("identify", "."), ("gap", "."),
             ("iso", "230-2", "move.csv"), ("iso", "230-4", "move.csv"), ("diagnose", "."), ("study", "s.toml"), ("regress", "s.toml"),
             ("demo", "--setpoints", "d.csv"), ("completion", "bash"), ("desk", "none"), ("exam", "--plan", "."), ("exam", "--cases", "0"))  # fmt: skip
 ARGUMENTS = ("", "nan", "inf", "-1", "0", "1e300", "x", "é", "/dev/null/x", ".", "move.csv", "a=b", "backlash:X:clearance=nan", "backlash", "XY", "99999999999",

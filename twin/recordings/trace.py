@@ -59,6 +59,8 @@ _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
 
 MOST_VALUES = 250_000_000
 """Numbers in one file: 2 GB in memory."""
+LARGEST_VALUE = 1e30
+"""In SI units; no quantity of a machine is so large, and products of several such stay numbers."""
 RELATIVE_PERIOD_TOLERANCE = 0.02
 """Sample times may scatter about the constant period by this fraction (printed times are rounded)."""
 
@@ -376,11 +378,11 @@ def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: 
 
 
 def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:
-    """Finite values, at least two samples, strictly increasing time, constant period."""
+    """Finite values that a quantity can have, at least two samples, strictly increasing time, constant period."""
     for name, values in zip(names, [trace.time, *trace.signals.values()]):
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) < LARGEST_VALUE))
         if bad.size:
-            held = "NaN (no number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}"
+            held = "NaN (no number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}, which no quantity has"
             raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds {held}; repair or cut the recording")
     if len(trace.time) < 2:
         raise InputError(f"{path}: only one sample; a trace needs at least two")
