@@ -188,12 +188,12 @@ def _stretch_pieces(
         excess = _excess(start, (block.axes for block in blocks), period, limits)
         if excess <= 1.0 + LIMIT_TOLERANCE or slower > 2.0:
             break
-        attempt += 1
         inside = lookahead.excess(spline, frames, limits, law)
-        if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and max(v.max() for v in inside) > 1.0:
-            # too much between two nodes: plan anew with nodes between them, or less jerk there
-            nodes, piece, ease = lookahead.closer(law, ease, *inside)
-            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (nodes, piece, ease))
+        attempt += 1
+        if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
+            # the jerk is too high between two nodes: plan anew with less there
+            ease /= np.maximum(1.0, inside * 1.001)
+            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease))
         else:
             slower *= excess * (1.0 + 1e-5)
     if count > BLOCK:

@@ -25,8 +25,6 @@ DIVIDE = 0.06
 BEND = 0.1  # change of direction [rad] within an interval
 FINEST = 65.0  # nodes at least over a run-up
 WINDOW = 20_000  # nodes planned at once
-AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
-COARSE, DIVIDED = 1.05, 3  # an interval with more than this share of a jerk limit inside is divided into so many
 FELT = 6.0  # run-ups to feed that an invented stop is felt
 JOIN = 64  # nodes over which two windows are joined
 SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
@@ -82,31 +80,6 @@ def _along(w, feed, rotary):
 
 
 @compiled(allocates=True)
-def _at_ease(s, j, f, limits, feed, rotary):
-    """Do all axes follow piece j at its feed with at most the share AT_EASE of every limit? The feed alone then decides its speed."""
-    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
-    step = 0.5 * (s.t[j + 1] - s.t[j])
-    a = np.empty(3)
-    for part in range(3):
-        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
-        a[part] = _along(w, feed, rotary) ** 2
-    if not np.isfinite(a).all():
-        return False
-    bend = (a[0] - 2.0 * a[1] + a[2]) / step**2
-    for part in range(3):
-        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
-        axis_path.axis_jet(f, w, work, q)
-        slope = (a[2] - a[0]) / (2.0 * step) + bend * (part - 1.0) * step
-        for k in range(5):
-            speed = abs(q[1, k]) * np.sqrt(a[part])
-            acceleration = abs(0.5 * q[1, k] * slope + q[2, k] * a[part])
-            jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a[part]) * np.sqrt(a[part])
-            if max(speed / limits.speed[k], acceleration / limits.acceleration[k], jerk / limits.jerk[k]) > AT_EASE:
-                return False
-    return True
-
-
-@compiled(allocates=True)
 def _slope_change(s, j):
     """How much the direction of the path changes within piece j (rad, for small changes)."""
     h = s.t[j + 1] - s.t[j]
@@ -144,8 +117,7 @@ def grid(s, e, f, limits, feeds):
         size = (s.t[j + 1] - s.t[j]) / min(8.0, max(1.0, np.ceil(change / BEND)))
         step[j] = min(step[j], size) if j else size
         step[j + 1] = size
-        bent = (change > 0.05 * BEND or f.active) and not _at_ease(s, j, f, limits, feeds.speed[i], feeds.rotary[i])
-        if bent or feeds.speed[i] != feeds.speed[before]:
+        if change > 0.05 * BEND or f.active or feeds.speed[i] != feeds.speed[before]:
             far[j] = 0.0
             far[j + 1] = 0.0
     # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
@@ -292,17 +264,17 @@ def plan(
     feeds: Feeds,
     gap: float = timelaw.GAP,
     progress: Callable[[float], None] | None = None,
-    grid_of: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    eased: tuple[Law, np.ndarray] | None = None,
 ) -> Law:
     """The time law of a stretch; `progress` is called with the share done.
 
-    `grid_of` are the nodes, the pieces and the factors (interval,) on the jerk limits with which it is planned anew, see `closer`.
+    `eased` is an earlier law and the factors (interval,) on its jerk limits with which it is planned anew.
     """
-    if grid_of is None:
+    if eased is None:
         nodes, piece, _ = grid(s, e, f, limits, feeds)
         ease = np.ones(len(piece))
     else:
-        nodes, piece, ease = grid_of
+        nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
     if len(piece) <= WINDOW:
         c, _ = _window(Way(s, e, f), limits, feeds, nodes, piece, ease, gap)
     else:
@@ -353,10 +325,10 @@ def _plan_long(
 
 @compiled(allocates=True)
 def excess(s, f, limits, law):
-    """Greatest acceleration and jerk within each interval as shares of their limits (interval,), looked at between the nodes."""
+    """Greatest jerk within each interval as a share of its limit (interval,), looked at between the nodes."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     n = law.piece.shape[0]
-    acceleration, jerk = np.zeros(n), np.zeros(n)
+    out = np.zeros(n)
     for i in range(1, n - 1):
         h = law.nodes[i + 1] - law.nodes[i]
         bend = (law.slope[i + 1] - law.slope[i]) / h
@@ -367,24 +339,6 @@ def excess(s, f, limits, law):
             axis_path.spline_jet(s, law.piece[i], law.nodes[i] + x, w)
             axis_path.axis_jet(f, w, work, q)
             for k in range(5):
-                second = abs(0.5 * q[1, k] * slope + q[2, k] * a)
-                third = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a) * np.sqrt(max(a, 0.0))
-                acceleration[i] = max(acceleration[i], second / limits.acceleration[k])
-                jerk[i] = max(jerk[i], third / limits.jerk[k])
-    return acceleration, jerk
-
-
-def closer(law: Law, ease: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes, pieces and `ease` for planning a law anew whose axes come above their limits between the nodes, see `excess`.
-
-    The nodes are too far apart where they come far above: each such interval is divided; elsewhere the jerk limit is eased.
-    """
-    coarse = (acceleration > 1.0) | (jerk > COARSE)
-    coarse[1:-1] |= coarse[:-2] | coarse[2:]
-    coarse[[0, -1]] = False  # these have a law of their own
-    ease = ease / np.where(coarse, 1.0, np.maximum(1.0, jerk * 1.001) ** 2)
-    parts = np.where(coarse, DIVIDED, 1)
-    of = np.repeat(np.arange(len(parts)), parts)
-    within = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    nodes = law.nodes[of] + np.diff(law.nodes)[of] * (within / parts[of])
-    return np.append(nodes, law.nodes[-1]), law.piece[of], ease[of]
+                jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a) * np.sqrt(max(a, 0.0))
+                out[i] = max(out[i], jerk / limits.jerk[k])
+    return out

@@ -171,5 +171,5 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
         worse = min(go_primal, go_dual)
         settled = worse > 0.6
         # the bolder the last step, the more the multipliers are asked to fall
-        mu = gap / rows * max(0.3, 1.0 - worse) if steps > 1 else mu
+        mu = gap / rows * max(0.08, min(0.9, (1.0 - worse) ** 2)) if steps > 1 else mu
     return c, time, MAX_STEPS, STALLED
