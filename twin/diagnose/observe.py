@@ -82,8 +82,8 @@ class Group:
 
     @property
     def by_radius(self) -> bool:
-        """Was the radius of a circle all that was seen? Then nothing cuts one axis, or one block, from another."""
-        return any(view.ballbar is not None for view in self.views)
+        """Was the radius of circles all that was seen of these axes? Then nothing cuts one axis, or one block, from another."""
+        return all(view.ballbar is not None for view in self.views if any(view.moves(a) for a in self.axes))
 
     @functools.cached_property
     def weights(self) -> np.ndarray:
@@ -115,7 +115,7 @@ class Group:
         `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
         `mapper` maps over the runs.
         """
-        if not axes or self.by_radius:  # a radius shows what each of its axes does
+        if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
             axes = self.axes
         axes = tuple(axes)
         out = np.zeros(self.size)
