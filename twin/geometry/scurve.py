@@ -10,6 +10,11 @@ import math
 
 import numpy as np
 
+from twin.limits import refuse_above
+
+MOST_SAMPLES = 10_000_000
+"""Of one motion, as of a program."""
+
 
 def phases_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[float, float, float]:
     """Times [s] of a move over `distance` > 0: of a jerk phase, of constant acceleration, of constant speed.
@@ -26,6 +31,19 @@ def phases_of_move(distance: float, speed: float, acceleration: float, jerk: flo
     t_j = min((distance / (2.0 * jerk)) ** (1.0 / 3.0), acceleration / jerk)
     t_a = max(-1.5 * t_j + math.sqrt(0.25 * t_j**2 + distance / (jerk * t_j)), 0.0)
     return t_j, t_a, 0.0
+
+
+def sample_times(seconds: float, period: float) -> np.ndarray:
+    """Times (sample,) from 0 to at least `seconds`, every `period` [s].
+
+    Raises:
+        InputError: there would be more than `MOST_SAMPLES`.
+    """
+    what = f"set points ({seconds / 3600.0:.3g} h)"
+    refuse_above(
+        seconds / period, MOST_SAMPLES, what, "a move from rest to rest", "raise the speed, acceleration or jerk of the machine file"
+    )
+    return np.arange(math.ceil(seconds / period - 1e-9) + 1) * period
 
 
 def time_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> float:
@@ -60,7 +78,7 @@ def moves_in_turn(
     for distance in distances:
         begins.append(begin)
         begin += time_of_move(distance, speed, acceleration, jerk) + dwell
-    times = np.arange(math.ceil(begin / period - 1e-9) + 1) * period
+    times = sample_times(begin, period)
     position = np.full(len(times), start)
     for at, distance in zip(begins, distances):
         position += jerk_limited_move(distance, speed, acceleration, jerk, times - at)

@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import write_json, write_whole
-from twin.geometry.scurve import jerk_limited_move, time_of_move
+from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.direct import Direct, direct_route
@@ -108,7 +108,7 @@ def move(distance: float, speed: float, acceleration: float, jerk: float, period
     if distance == 0.0:
         return np.zeros(1)
     lasts = time_of_move(distance, speed, acceleration, jerk)
-    return jerk_limited_move(distance, speed, acceleration, jerk, np.arange(math.ceil(lasts / period) + 1) * period)
+    return jerk_limited_move(distance, speed, acceleration, jerk, sample_times(lasts, period))
 
 
 def _reach(axis: Axis) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from twin.errors import InputError
-from twin.geometry.scurve import jerk_limited_move, phases_of_move, time_of_move
+from twin.geometry.scurve import jerk_limited_move, phases_of_move, sample_times, time_of_move
 from twin.iso230.circles import CircleTest
 from twin.machine.machine import Machine
 from twin.recordings.ballbar import FINEST, GEOMETRY, OVERLAP, ballbar_of
@@ -88,7 +88,7 @@ def _commanded(test: CircleTest) -> Trace:
         now = math.ceil((now + first) / period) * period - first
         moves.append((now, (end - begin) * test.radius))
         now, at = now + time_of_move((end - begin) * test.radius, *limits) + DWELL, end
-    times = np.arange(math.ceil(now / period) + 1) * period
+    times = sample_times(now, period)
     along = sum(jerk_limited_move(distance, *limits, times - begin) for begin, distance in moves)
     angle = start + along / test.radius
     signals = {(axis, "setpoint"): test.radius * wave for axis, wave in zip(test.axes, (np.cos(angle), np.sin(angle)))}
