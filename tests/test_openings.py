@@ -111,6 +111,7 @@ WRITES = {
         "write_text": 1,
     },  # apart from the package; runs before the campaign.toml that makes them count, and a truth
     "recordings/formats/delimited.py": {"copyfile": 1},  # its own scratch files
+    "recordings/trace.py": {"write_table": 1},  # blocks of a file that `beside` opened
     "recordings/write.py": {"write_table": 1},  # a piece of a file that `beside` opened
     "report/figure.py": {"savefig": 1},  # into memory
     "study/evaluate.py": {"write_bytes": 2},  # scratch folders of a worker
