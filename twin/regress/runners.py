@@ -76,9 +76,7 @@ def _run(case: Case, machine: Machine) -> Outcome:
     for axis, table in summary_of(machine, run)["axes"].items():
         for name, value in flat("", table, {}).items():
             if not isinstance(value, str):
-                what, _, last = name.rpartition("_")
-                unit = table.get(f"{what}_unit", _SUMMARY_UNITS.get(last, ""))
-                features[f"{axis}.{name}"] = Feature(value, unit, axis)
+                features[f"{axis}.{name}"] = Feature(value, _unit_of(name, table), axis)
     trace = run.trace
     if program is not None:
         from twin.program import error_budget
@@ -89,6 +87,14 @@ def _run(case: Case, machine: Machine) -> Outcome:
                 features[f"error budget.{row['error']}.{name}"] = Feature(row[name], "um", "", block)
         trace = with_program_columns(trace, commanded)
     return Outcome(features, trace, tuple(find_events(machine, trace)), machine)
+
+
+def _unit_of(name: str, table: dict[str, Any]) -> str:
+    """Unit of a number of an axis' summary: all errors have that of the following error; '' for counts and shares."""
+    what, _, last = name.rpartition("_")
+    if name == "reversal_peak" or what == "error_without_delay":
+        what = "following_error"
+    return str(table.get(f"{what}_unit", _SUMMARY_UNITS.get(last, "")))
 
 
 def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
