@@ -162,7 +162,7 @@ def measure_geometry() -> None:
     base = TangentPlanes(passes=0, tolerance=0.005)
     shapes += [(f"part 1: radius {r:g} mm, slope 20 deg", replace(base, radius=r)) for r in (5.0, 10.0, 20.0, 40.0, 80.0)]
     shapes += [(f"part 1: radius 20 mm, slope {s:g} deg", replace(base, slope_deg=s)) for s in (5.0, 10.0, 30.0)]
-    shapes += [(f"part 1: radius 20 mm, rounding {t * 1e3:g} um", replace(base, tolerance=t)) for t in (0.001, 0.02)]
+    shapes += [(f"part 1: radius 20 mm, rounding {t * 1e3:g} um", replace(base, tolerance=t)) for t in (0.001, 0.0048, 0.0052, 0.02)]
     shapes += [(f"part 2: outer corner {a:g} deg", VerticalCorner(turn_deg=a, tolerance=0.005)) for a in (45.0, 90.0, 120.0)]
     shapes += [
         ("part 2: outer corner 90 deg, rounding 1 um", VerticalCorner(tolerance=0.001)),
