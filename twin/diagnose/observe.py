@@ -83,7 +83,8 @@ class Group:
     @property
     def by_radius(self) -> bool:
         """Was the radius of circles all that was seen of these axes? Then nothing cuts one axis, or one block, from another."""
-        return all(view.ballbar is not None for view in self.views if any(view.moves(a) for a in self.axes))
+        moving = [view for view in self.views if any(view.moves(a) for a in self.axes)]
+        return bool(moving) and all(view.ballbar is not None for view in moving)
 
     @functools.cached_property
     def weights(self) -> np.ndarray:

@@ -72,5 +72,7 @@ def one_by_one(diagnosis: Diagnosis, axis: str) -> dict[str, Machine]:
     for label, setting in [("re-tuned", None), *((effect_title({"effect": r.name, "axis": r.axis}), r.setting) for r in rows)]:
         added |= {setting.key} if setting else set()
         machine = with_effects(corrected, [s for s in everything if s.key in added or s.key not in of_rows])
-        steps[label if setting is None else f"+ {label}"] = machine
+        step = label if setting is None else f"+ {label}"
+        same = sum(known.startswith(step) for known in steps)  # two waves or two laws of one axis have one title
+        steps[f"{step} ({same + 1})" if same else step] = machine
     return steps
