@@ -52,7 +52,7 @@ ALLOWED = {
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
     "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
-    "recordings/trace.py": {"ParquetFile": 1, "read_csv": 2},  # a trace that the command names, or a campaign by named_file
+    "recordings/table_file.py": {"ParquetFile": 1, "read_csv": 2},  # a trace that the command names, or a campaign by named_file
     "replay/reading.py": {"RrdReader": 1},  # a recording that the command names
     "replay/viewer.py": {"RrdReader": 1, "open": 3},  # a recording that the command names, the viewer's picture, its client
     "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote

@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.files import beside
-from twin.limits import refuse_above
+from twin.recordings.table_file import read_table
 from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
 
 if TYPE_CHECKING:
@@ -57,8 +57,6 @@ _MOTION = {signal: order for order, own in enumerate((POSITIONS, SPEEDS, ACCELER
 _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
 
-MOST_VALUES = 250_000_000
-"""Numbers in one file: 2 GB in memory."""
 LARGEST_VALUE = 1e30
 """In SI units; no quantity of a machine is so large, and products of several such stay numbers."""
 RELATIVE_PERIOD_TOLERANCE = 0.02
@@ -217,7 +215,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     `need` names signals that every axis of the file must have. Raises InputError with file, column and row.
     """
     path = Path(path)
-    table = _read_table(path)
+    table = read_table(path)
     names = list(table)
     if not names or not _TIME_HEADING.match(names[0]):
         raise InputError(f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}")
@@ -284,72 +282,6 @@ def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
             writer = writer or stack.enter_context(make(str(partial), table.schema))
             writer.write_table(table)
             yield trace
-
-
-def _read_table(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a Parquet or CSV file as float arrays."""
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
-    try:
-        table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read; check its permissions") from None
-    except (pa.ArrowException, OSError, UnicodeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a readable {'Parquet' if path.suffix == '.parquet' else 'CSV'} file ({reason})") from None
-    if table.num_rows == 0:
-        raise InputError(f"{path}: the trace is empty; record at least two samples")
-    if len(set(table.column_names)) != len(table.column_names):
-        twice = next(n for n in table.column_names if table.column_names.count(n) > 1)
-        raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
-    columns = {}
-    for name in table.column_names:
-        column = table.column(name)
-        if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
-            row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
-            raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is no number; correct or remove it")
-        columns[name] = column.cast(pa.float64(), safe=False).to_numpy()  # missing cells become NaN
-    return columns
-
-
-def _parquet(path: Path) -> Any:
-    """The table of a Parquet file whose size its head says."""
-    import pyarrow.parquet
-
-    file = pyarrow.parquet.ParquetFile(path)
-    about = file.metadata
-    refuse_above(about.num_rows * about.num_columns, MOST_VALUES, "values", str(path), "cut the recording into runs")
-    return file.read()
-
-
-def _csv(path: Path) -> Any:
-    """The table of a CSV file in UTF-8, or else in Latin-1, which German controls write."""
-    import pyarrow as pa
-    import pyarrow.csv
-
-    refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
-    try:
-        table = pyarrow.csv.read_csv(path)
-        if table.column_names:  # decoded here
-            return table
-    except pa.ArrowException as error:
-        if "UTF8" not in str(error):
-            raise
-    except UnicodeDecodeError:
-        pass
-        return pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
-
-
-def _is_number(cell: object) -> bool:
-    try:
-        float(str(cell))
-    except ValueError:
-        return False
-    return True
 
 
 def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:

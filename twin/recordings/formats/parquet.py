@@ -9,7 +9,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.signals import How, Recording, share_time, split_heading, starts_with
-from twin.recordings.trace import MOST_VALUES
+from twin.recordings.table_file import MOST_VALUES
 
 
 def read(path: Path, how: How) -> Recording:

@@ -1,0 +1,80 @@
+"""A Parquet or CSV file as columns of numbers; what is no number, twice there or too large is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.limits import refuse_above
+
+MOST_VALUES = 250_000_000
+"""Numbers in one file: 2 GB in memory."""
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a Parquet or CSV file as float arrays."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
+    try:
+        table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
+    except PermissionError:
+        raise InputError(f"{path}: cannot be read; check its permissions") from None
+    except (pa.ArrowException, OSError, UnicodeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a readable {'Parquet' if path.suffix == '.parquet' else 'CSV'} file ({reason})") from None
+    if table.num_rows == 0:
+        raise InputError(f"{path}: the trace is empty; record at least two samples")
+    if len(set(table.column_names)) != len(table.column_names):
+        twice = next(n for n in table.column_names if table.column_names.count(n) > 1)
+        raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
+    columns = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+            row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
+            raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is no number; correct or remove it")
+        columns[name] = column.cast(pa.float64(), safe=False).to_numpy()  # missing cells become NaN
+    return columns
+
+
+def _parquet(path: Path) -> Any:
+    """The table of a Parquet file whose size its head says."""
+    import pyarrow.parquet
+
+    file = pyarrow.parquet.ParquetFile(path)
+    about = file.metadata
+    refuse_above(about.num_rows * about.num_columns, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    return file.read()
+
+
+def _csv(path: Path) -> Any:
+    """The table of a CSV file in UTF-8, or else in Latin-1, which German controls write."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    try:
+        table = pyarrow.csv.read_csv(path)
+        if table.column_names:  # decoded here
+            return table
+    except pa.ArrowException as error:
+        if "UTF8" not in str(error):
+            raise
+    except UnicodeDecodeError:
+        pass
+        return pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(str(cell))
+    except ValueError:
+        return False
+    return True
