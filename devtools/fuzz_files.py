@@ -6,7 +6,7 @@ carried out in this process. Done or refused in one line is right; all else is a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import functools
 import json
 import os
@@ -20,6 +20,8 @@ from devtools import fuzz_programs
 from devtools.fuzz_loop import Case, called
 
 ROOT = Path(__file__).resolve().parents[1]
+Files = Mapping[str, bytes]
+"""Name below a folder -> content."""
 
 VALUES = (
     "[]", "{}", '""', "[[1]]", "[1, 2]", '["X"]', '{ a = 1 }', "true", "false", "nan", "inf", "-inf", "0", "-1", "1e308", "-1e308", "1e-308",
@@ -173,14 +175,9 @@ def spoil_bytes(content: bytes, rng: random.Random) -> bytes:
     return bytes(data)
 
 
-def spoil_program(text: str, rng: random.Random) -> str:
-    """Other characters, words or lines; a cycle limit of jumps is not waited for."""
-    return fuzz_programs.mutate(text, rng)
-
-
 SPOIL: dict[str, Callable[[str, random.Random], str]] = {
     ".toml": spoil_toml, ".xml": spoil_xml, ".urdf": spoil_xml, ".csv": spoil_table, ".json": spoil_json,
-    ".mpf": spoil_program, ".ngc": spoil_program, ".nc": spoil_program, ".apt": spoil_program,
+    ".mpf": fuzz_programs.mutate, ".ngc": fuzz_programs.mutate, ".nc": fuzz_programs.mutate, ".apt": fuzz_programs.mutate,
 }  # fmt: skip
 
 
@@ -326,15 +323,7 @@ def commands(kind: str, here: Path, rng: random.Random) -> tuple[object, ...]:
     return (*command, *out, "--no-recording") if command[0] == "run" and kind == "nc" else command
 
 
-_PROGRAM: tuple[tuple[object, ...], ...] = (
-    ("check",),
-    ("check",),
-    ("check",),
-    ("interpolate",),
-    ("interpolate",),
-    ("interpolate",),
-    ("run",),
-)
+_PROGRAM: tuple[tuple[object, ...], ...] = (*[("check",)] * 3, *[("interpolate",)] * 3, ("run",))
 
 
 def _parquet(columns: dict[str, Any]) -> bytes:
@@ -347,23 +336,31 @@ def _parquet(columns: dict[str, Any]) -> bytes:
     return bytes(sink.getvalue())
 
 
+def laid(files: Files, folder: Path) -> None:
+    """Write the files of a sample into a folder."""
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def told(name: str, command: tuple[object, ...], folder: Path, fault: str) -> str:
+    """A fault with what led to it."""
+    return f"{name}: twin {' '.join(str(a).replace(str(folder), '.') for a in command)}: {fault}" if fault else ""
+
+
 def case_of(kind: str) -> Case:
     """The case of a kind: its files, one of them spoilt, through a command."""
 
     def case(seed: int, folder: Path) -> str:
         rng = random.Random(f"{kind} {seed}")
         files = samples()[kind]
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
+        laid(files, folder)
         names = list(files)
         command = commands(kind, folder, rng)
         named = [name for name in names if folder / name in command]
         name = rng.choice(names) if rng.random() > 0.7 else named[0] if kind in ("nc", "iso") else names[0]
         spoil(folder / name, rng)
-        _, fault = called(command)
-        if fault:  # the seed makes the files again
-            return f"{name}: twin {' '.join(str(a).replace(str(folder), '.') for a in command)}: {fault}"
-        return ""
+        return told(name, command, folder, called(command)[1])
 
     return case
 

@@ -8,7 +8,7 @@ examination (the draw, the diagnosis, the exam's own runs) is done once or left 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 import contextlib
 import functools
@@ -25,17 +25,8 @@ from typing import Any
 from unittest import mock
 from urllib.parse import quote, urlencode
 
-from devtools.fuzz_files import samples, spoil
+from devtools.fuzz_files import Files, laid, samples, spoil, told
 from devtools.fuzz_loop import Case, called
-
-Files = Mapping[str, bytes]
-
-
-def laid(files: Files, folder: Path) -> None:
-    """Write the files of a sample into a folder."""
-    for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
 
 
 def made_by(
@@ -117,11 +108,6 @@ def spoilt(files: Files, folder: Path, rng: random.Random, most: Callable[[str],
     else:
         spoil(folder / name, rng)
     return name
-
-
-def told(name: str, command: tuple[object, ...], folder: Path, fault: str) -> str:
-    """A fault with what led to it."""
-    return f"{name}: twin {' '.join(str(a).replace(str(folder), '.') for a in command)}: {fault}" if fault else ""
 
 
 def run(seed: int, folder: Path) -> str:

@@ -81,7 +81,8 @@ def with_drive_train(
 ) -> Tuning:
     """The tuning with the elasticity of an axis' drive train added, and its damping if that explains enough; each linear about its size.
 
-    `linear` is the estimate under a proportional response, `largest` the share of the normal elasticity from which it is an effect. The tuning comes back unchanged if no size near it explains `residual` (row,).
+    `linear` is the estimate under a proportional response, `largest` the share of the normal elasticity from which it is an effect. The
+    tuning comes back unchanged if no size near it explains `residual` (row,).
     """
     tolerance, t = machine.parameter_tolerance, group.thresholds
     tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)

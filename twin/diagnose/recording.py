@@ -49,14 +49,16 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
     at the tool point first. Empty where its position was not recorded or the twin cannot run."""
     from twin.replay.curves import step_curves
 
-    axis = diagnosis.machine.axis(name)
     signal = next((s for s in COMPARED if run.trace.has(name, s)), None)
-    view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
-    traces = {label: simulated(view, machine, (name,)) for label, machine in one_by_one(diagnosis, name).items()}
-    if signal is None or any(trace is None for trace in traces.values()):
+    if signal is None:
         return []
-    measured = run.trace.get(name, signal)
-    return step_curves(axis, run.trace.time, {label: measured - trace.get(name, signal) for label, trace in traces.items() if trace})
+    view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
+    left = {}
+    for label, machine in one_by_one(diagnosis, name).items():
+        if (trace := simulated(view, machine, (name,))) is None:
+            return []
+        left[label] = run.trace.get(name, signal) - trace.get(name, signal)
+    return step_curves(diagnosis.machine.axis(name), run.trace.time, left)
 
 
 def one_by_one(diagnosis: Diagnosis, axis: str) -> dict[str, Machine]:

@@ -10,10 +10,7 @@ import math
 
 import numpy as np
 
-from twin.limits import refuse_above
-
-MOST_SAMPLES = 10_000_000
-"""Of one motion, as of a program."""
+from twin.limits import MOST_SETPOINTS, refuse_above
 
 
 def phases_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[float, float, float]:
@@ -37,11 +34,11 @@ def sample_times(seconds: float, period: float) -> np.ndarray:
     """Times (sample,) from 0 to at least `seconds`, every `period` [s].
 
     Raises:
-        InputError: there would be more than `MOST_SAMPLES`.
+        InputError: there would be more than `MOST_SETPOINTS`.
     """
     what = f"set points ({seconds / 3600.0:.3g} h)"
     refuse_above(
-        seconds / period, MOST_SAMPLES, what, "a move from rest to rest", "raise the speed, acceleration or jerk of the machine file"
+        seconds / period, MOST_SETPOINTS, what, "a move from rest to rest", "raise the speed, acceleration or jerk of the machine file"
     )
     return np.arange(math.ceil(seconds / period - 1e-9) + 1) * period
 

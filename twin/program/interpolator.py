@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
-from twin.limits import refuse_above
+from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Machine
 from twin.program import axis_path, blend, lookahead, sampling, timelaw
 from twin.program.collect import travel_text
@@ -26,8 +26,8 @@ from twin.program.moves import Program
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
 from twin.recordings.trace import PROGRAM, Trace, joined
 
-MOST_SETPOINTS, MOST_WRITTEN = 10_000_000, 100_000_000
-"""Set points of one program that is held: 2.8 hours at 1 kHz, 1 GB; of one that is written as it is made: 28 hours, 10 GB of disk."""
+MOST_WRITTEN = 100_000_000
+"""Set points of one program that is written as it is made: 28 hours at 1 kHz, 10 GB of disk."""
 BLOCK = 131_072
 """Set points that are made at once: 13 MB."""
 REST = 0.1

@@ -183,10 +183,11 @@ class ClosedLoop:
         self.root = np.sqrt(group.credit[self.rows])
         self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
         self.only_run = len(folds) == 1
-        self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         if self.only_run:  # its first half is predicted from its second one, and the other way round
-            first = np.concatenate([np.arange(c.rows.stop - c.rows.start) < (c.rows.stop - c.rows.start) // 2 for c in self._channels()])
+            first = np.concatenate([np.arange(len(c.residual)) < len(c.residual) // 2 for c in self._channels()])
             self.fold_rows = [first, ~first]
+        else:
+            self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         zeros = zeros_of(group)[self.rows] * self.root[:, None]
         self.zeros = np.linalg.qr(zeros[:, np.any(zeros != 0.0, axis=0)])[0]  # orthonormal
 
