@@ -2,6 +2,7 @@
 
 from io import TextIOWrapper
 import sys
+import warnings
 
 from twin.stopping import ended, stoppable
 
@@ -9,6 +10,8 @@ from twin.stopping import ended, stoppable
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
+    if not sys.warnoptions:  # those of libraries, for who writes Python: a message of a command is one line
+        warnings.simplefilter("ignore")
     for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -198,6 +198,21 @@ def test_out_that_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "--out" in refused(capsys, "run", str(tmp_path / "trace.csv"), "--out", str(tmp_path / "trace.csv"))
 
 
+EMPTY = {
+    "a variable that is not set": (("machine", "show", "--machine", ""), "--machine ''"),
+    "behind an equals sign": (("machine", "show", "--machine="), "--machine="),
+    "an input": (("check", ""), "check ''"),
+    "a picture": (("interpolate", "examples/x_200mm.csv", "--plot", ""), "--plot ''"),
+}
+
+
+@pytest.mark.parametrize("case", EMPTY)
+def test_nothing_is_given(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty argument would go on with a default: another machine, no picture."""
+    arguments, said = EMPTY[case]
+    assert f"twin: {said}: nothing is given" in refused(capsys, *arguments)
+
+
 @pytest.mark.parametrize("arguments", [[], ["walk"], ["run"], ["run", "a.csv", "--sped", "3"], ["run", "a.csv", "--noise-seed", "x"]])
 def test_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert "--help" in refused(capsys, *arguments)

@@ -10,6 +10,7 @@ import warnings
 import pytest
 
 from tests.builders.other_structures import MJCF, machine_text, write_slides
+from tests.builders.refused import refused
 from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
 from twin.machine import model_limits
@@ -247,6 +248,22 @@ def test_a_joint_without_inertia_is_named_and_no_log_is_left(
         new_machine(Path("m.xml"), tmp_path / "out" / "m.toml")
     assert [p.name for p in tmp_path.iterdir()] == ["m.xml"]
     assert capfd.readouterr().err == ""
+
+
+def test_a_replay_of_a_model_with_hardly_any_inertia_says_no_more_than_its_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The engine warns of it on standard error while it compiles; `replay` simulates nothing."""
+    (tmp_path / "m.xml").write_text(NO_INERTIA)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "a joint has no name" in refused(capsys, "replay", str(tmp_path / "m.xml"), "--out", str(tmp_path / "m.rrd"))
+
+
+NO_INERTIA = """<mujoco><compiler inertiafromgeom="false"/><worldbody><body name="a">
+  <inertial pos="0 0 0" mass="40" diaginertia="1 1 1"/><joint name="U" type="slide" axis="1 0 0"/>
+  <body name="b"><inertial pos="0 0 0" mass="10" diaginertia="0.1 0.1 0.2"/><joint/><joint name="V" axis="0 0 1"/></body>
+</body></worldbody></mujoco>"""
 
 
 @pytest.mark.parametrize("coordinate", [1e30, 5e9])

@@ -92,6 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
         print(f"twin: {_NO_TEXT.format(one_line(ascii(unread)))}", file=sys.stderr)
         return 2
+    if (empty := _empty_in(arguments)) is not None:
+        print(
+            f"twin: {one_line(empty)}: nothing is given; give a value or leave it out (a variable of the shell that is not set?)",
+            file=sys.stderr,
+        )
+        return 2
     args = build_parser(_command_in(arguments)).parse_args(arguments)
     hold_folders()
     try:
@@ -127,6 +133,16 @@ def _is_text(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def _empty_in(arguments: Sequence[str]) -> str | None:
+    """What stands before the first argument that is empty, if any is: no command takes one, and read as "not given" it would go on with a default."""
+    for before, argument in zip(("twin", *arguments), arguments, strict=False):
+        if not argument:
+            return f"{before} ''"
+        if argument.startswith("--") and argument.endswith("=") and argument.count("=") == 1:
+            return argument
+    return None
 
 
 def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import subprocess
 import sys
 from typing import TYPE_CHECKING
+import warnings
 
 from twin.errors import InputError
 from twin.limits import refuse_above
@@ -63,6 +64,17 @@ def quiet_engine() -> None:
     config = mujoco.MjLogConfig()
     config.logto_console = config.logto_file = False
     mujoco.MjLogConfig.set(config)
+
+
+def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
+    """Compile a spec; errors in one line that says where. What the engine warns of (masses) is none: `refuse_singular` names the joint where it counts."""
+    import mujoco
+
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
 
 
 def refuse_singular(model: mujoco.MjModel, data: mujoco.MjData, where: str) -> None:

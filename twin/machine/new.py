@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 import math
 from pathlib import Path
-import warnings
 
 import mujoco
 import numpy as np
@@ -22,7 +21,7 @@ from twin.machine.check import ASSUMED
 from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
-from twin.machine.model_limits import refuse_singular
+from twin.machine.model_limits import compiled_spec, refuse_singular
 from twin.machine.sinumerik import DATA, control_cycles, plain_values, read_machine_data
 from twin.machine.urdf import JointLimits, spec_of_urdf
 from twin.simulation.plant_spec import load_spec
@@ -87,11 +86,7 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
 
 def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Path) -> list[JointFacts]:
     """Slides and hinges of a model with what they move, in the order of the tree."""
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of masses: the checks that follow name the body
-            model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct it there") from None
+    model = compiled_spec(spec, str(path))
     if model.njnt == 0:
         raise InputError(f"{path}: no slide and no hinge; a machine has at least one axis")
     model.opt.gravity[:] = (0.0, 0.0, -9.81)

@@ -13,10 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from twin.errors import InputError
 from twin.geometry.mesh_file import check_corners, load_mesh
 from twin.geometry.shape import Shape
-from twin.machine.model_limits import quiet_engine
+from twin.machine.model_limits import compiled_spec, quiet_engine
 from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 
 _GREY = (160, 164, 170, 255)
@@ -58,10 +57,7 @@ def read_visuals(path: Path) -> Visuals:
             _add_joint(body, joint)
             bodies[joint.child] = body
         waiting = [joint for joint in waiting if joint not in ready]
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: this tree cannot be built: {' '.join(str(error).split())}; correct it there") from None
+    model = compiled_spec(spec, str(path))
     shapes = [shape for name, link in robot.link_map.items() for shape in _shapes(link, model.body(name).id, robot, path)]
     mimics = {
         j.name: (j.mimic.joint, 1.0 if j.mimic.multiplier is None else float(j.mimic.multiplier), float(j.mimic.offset or 0.0))

@@ -16,9 +16,10 @@ import numpy as np
 from twin.geometry.body_poses import rotate
 from twin.geometry.shape import Shape
 from twin.machine.machine import Machine
+from twin.machine.model_limits import compiled_spec
 from twin.machine.urdf_visuals import read_visuals
 from twin.replay.names import entity
-from twin.simulation.plant_spec import compiled_spec, frames_of_model, load_spec
+from twin.simulation.plant_spec import frames_of_model, load_spec
 
 ROOT = "machine"
 LAST_SEEN_GROUP = 2

@@ -12,7 +12,6 @@ import functools
 import math
 from pathlib import Path
 from typing import TypeVar
-import warnings
 
 import mujoco
 import numpy as np
@@ -20,7 +19,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.model_file import check_safe, state_of_model
-from twin.machine.model_limits import compiles, quiet_engine, refuse_singular
+from twin.machine.model_limits import compiled_spec, compiles, quiet_engine, refuse_singular
 
 Answer = TypeVar("Answer")
 
@@ -126,16 +125,7 @@ def frames_of_model(machine: Machine) -> mujoco.MjModel:
     """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
     spec = load_spec(machine.model_path)
     _set_geometry(spec, machine)
-    with warnings.catch_warnings(action="ignore"):  # of masses: here bodies are places only
-        return compiled_spec(spec, str(machine.path or machine.name))
-
-
-def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
-    """Compile a spec; errors in one line that says where."""
-    try:
-        return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+    return compiled_spec(spec, str(machine.path or machine.name))
 
 
 def _set_engine(spec: mujoco.MjSpec) -> None:
@@ -163,10 +153,7 @@ def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
     from_shapes = [b for b in spec.bodies[1:] if b.geoms and (not b.explicitinertial or spec.compiler.inertiafromgeom == 1)]
     if not from_shapes or spec.compiler.inertiafromgeom == 0:
         return
-    try:
-        model = spec.copy().compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
+    model = compiled_spec(spec.copy(), where)
     for body in from_shapes:
         compiled = model.body(body.name) if body.name else model.body(body.id)
         body.mass, body.ipos, body.iquat, body.inertia = float(compiled.mass[0]), compiled.ipos, compiled.iquat, compiled.inertia
