@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from tests.builders.refused import refused
 from tests.builders.study_files import FACTOR, write_spec
+from twin.cli import main
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
@@ -24,6 +26,7 @@ from twin.study.design import variants_of
 from twin.study.spec import read_study
 from twin.surface.part import part_from_document
 
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "parts"
 PROGRAMS = {
     "feed": ("G1 X1 F0.0001\nM30\n", "set points (167 h), the limit is 1e+07: raise the feed"),
     "feed of nothing": ("G1 X1 F=1EX-300\nM30\n", "the limit is 1e+07"),
@@ -114,6 +117,29 @@ def test_a_zone_of_a_picometre() -> None:
     part = part_from_document(document, Path(), "part.toml")
     with pytest.raises(InputError, match="rays at 1e-06 um"):
         part.surfaces[0].rays(part, spacing=1e-12)
+
+
+@pytest.mark.parametrize("asked", ["--zone-um 1e-6", "zone_um = 1e-6", "spacing_mm = 1e-9"])
+def test_rays_are_estimated_before_a_run_is_simulated(
+    asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The zone of the dome is found by the feed: how large it is shows the cut, but none is smaller than its margin."""
+    monkeypatch.setattr("twin.cli.cut.paths_of", lambda *_, **__: pytest.fail("the program was simulated first"))
+    key, _, value = asked.partition(" = ")
+    text = (EXAMPLES / "part3_dome.toml").read_text(encoding="utf-8")
+    (tmp_path / "part.toml").write_text(re.sub(rf"(?m)^{key} = .*$", asked, text) if value else text, encoding="utf-8")
+    options = asked.split() if not value else []
+    program = str(EXAMPLES / "part3_dome.mpf")
+    line = refused(capsys, "cut", program, "--part", str(tmp_path / "part.toml"), "--out", str(tmp_path / "out"), *options)
+    assert "rays at 1e-06 um, the limit is 4e+06: enlarge spacing_mm or zone_um" in line
+
+
+def test_a_record_between_two_ticks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    set_points = [str(EXAMPLES.parent / "x_200mm.csv"), "--out", str(tmp_path / "out")]
+    assert "the control has a tick of 0.125 ms" in refused(capsys, "run", *set_points, "--sample-period-ms", "1e-9")
+    assert not (tmp_path / "out").exists()
+    assert main(["run", *set_points, "--sample-period-ms", "0.3", "--no-recording"]) == 0
+    assert "note: --sample-period-ms 0.3: recorded every 0.25 ms" in capsys.readouterr().err
 
 
 def thousands(estimate: float) -> Callable[[], None]:

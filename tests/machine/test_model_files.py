@@ -20,7 +20,7 @@ from twin.machine.model_limits import compiles
 from twin.machine.new import new_machine
 from twin.machine.urdf_file import check_urdf
 from twin.machine.urdf_visuals import read_visuals
-from twin.simulation.plant_spec import build_plant, load_spec
+from twin.simulation.plant_spec import build_plant, frames_of_model, load_spec
 
 ROOT = Path(__file__).resolve().parents[2]
 BOMB = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa">' + "".join(
@@ -258,6 +258,14 @@ def test_a_replay_of_a_model_with_hardly_any_inertia_says_no_more_than_its_fault
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert "a joint has no name" in refused(capsys, "replay", str(tmp_path / "m.xml"), "--out", str(tmp_path / "m.rrd"))
+
+
+def test_frames_of_an_axis_without_a_joint(tmp_path: Path) -> None:
+    """`identify` asks for the frames alone, and builds no plant."""
+    machine = write_slides(tmp_path)
+    (tmp_path / "slides.xml").write_text(MJCF.replace('name="X"', 'name="0"', 1), encoding="utf-8")
+    with pytest.raises(InputError, match="axis X has no joint in slides"):
+        frames_of_model(load_machine(machine))
 
 
 NO_INERTIA = """<mujoco><compiler inertiafromgeom="false"/><worldbody><body name="a">

@@ -7,6 +7,8 @@ import struct
 import zlib
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
 import pytest
 from scipy.io import savemat
 
@@ -247,6 +249,11 @@ def _patched(path: Path, at: int, data: bytes) -> None:
     path.write_bytes(content)
 
 
+def _parquet(path: Path, *names: str) -> Path:
+    parquet.write_table(pa.table([TIME] * len(names), names=list(names)), path)
+    return path
+
+
 BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
     "TDMS is none": ("run.tdms", lambda p: p.write_bytes(b"MDF     4.10"), ("not a TDMS file",)),
     "TDMS cut off": ("run.tdms", lambda p: _cut(write_tdms(p, move(TIME), 1e-3), 0.5), ("cut off",)),
@@ -278,6 +285,12 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         ("'ist'", "has 7 samples", "cannot be placed in time"),
     ),
     "Parquet is none": ("run.parquet", lambda p: p.write_bytes(b"TDSm" + bytes(100)), ("not a Parquet file",)),
+    "Parquet with a heading that is no text": (
+        "run.parquet",
+        lambda p: p.write_bytes(_parquet(p, "t", "soll", "ist").read_bytes().replace(b"soll", b"so\xffl")),
+        ("a damaged Parquet file",),
+    ),
+    "Parquet with a column twice": ("run.parquet", lambda p: _parquet(p, "t", "soll", "soll"), ("column 'soll' occurs twice",)),
     "unknown ending": (
         "run.xlsx",
         lambda p: p.write_bytes(b"PK\x03\x04" + zlib.compress(struct.pack("<I", 1))),

@@ -7,14 +7,14 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.cli.arguments import machine_of
+from twin.cli.arguments import add_machine, machine_of
 from twin.errors import InputError, nearest
 from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.program.read import PROGRAM_ENDINGS
 from twin.progress import Progress
 from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
-from twin.surface.machining import Machining, machine_part, report_of
+from twin.surface.machining import Machining, check_rays, machine_part, report_of
 from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import Part, read_part
 from twin.surface.shapes import MeshFile
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", help="folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)"
     )
-    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the Mikron UCP 710 that ships with twin)")
+    add_machine(parser)
     parser.add_argument(
         "--level",
         action="append",
@@ -68,14 +68,14 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"--zone-um {args.zone_um:g}: give a spacing above 0")
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
+    zone_spacing = args.zone_um * 1e-6 if args.zone_um else None
+    check_rays(part, zone_spacing)
     measured = read_height_map(Path(args.measured)) if args.measured else None
     out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
     with Progress("tool paths") as bar:
         paths = paths_of(Path(args.input), machine, part, levels, words, progress=bar)
     with Progress("cutting") as bar:
-        machining = machine_part(
-            part, paths, threads=args.threads, zone_spacing=args.zone_um * 1e-6 if args.zone_um else None, progress=bar
-        )
+        machining = machine_part(part, paths, threads=args.threads, zone_spacing=zone_spacing, progress=bar)
     reports = [report_of(machining, one) for one in machining.cuts]
     if measured is not None:
         _compare(machining, reports, measured, out)

@@ -70,8 +70,8 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"{source}: {warnings[0]}; slow the set points down or leave out --strict")
     for line in warnings:
         print(f"warning: {one_line(f'{source.name}: {line}')}", file=sys.stderr)
+    period = _sample_period(args, machine)
     out = output_folder(args.out or Path("out") / source.stem)
-    period = args.sample_period_ms * 1e-3 if args.sample_period_ms else None
     machine = machine.with_feedforward(args.feedforward or (program.feedforward if program else None))
     effects, feedforward = effects_line(machine), feedforward_line(machine)
     with Progress(f"simulating {setpoints.duration:.1f} s") as bar:
@@ -120,6 +120,20 @@ def carry_out(args: argparse.Namespace) -> int:
     print(f"written to {out}: {', '.join(written)}")
     open_report(args, out / ("report.html" if args.beside else "run.png"))
     return 0
+
+
+def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:
+    """The period [s] of `--sample-period-ms`, in whole ticks of the control; None where the machine file's counts."""
+    asked = args.sample_period_ms
+    if asked is None:
+        return None
+    tick_ms = machine.base_tick * 1e3
+    if asked < tick_ms * (1.0 - 1e-6):
+        raise InputError(f"--sample-period-ms {asked:g}: the control has a tick of {tick_ms:g} ms; give that or more")
+    whole = round(asked / tick_ms) * tick_ms
+    if abs(whole - asked) > 1e-6 * asked:
+        print(f"note: --sample-period-ms {asked:g}: recorded every {whole:g} ms, in whole ticks of {tick_ms:g} ms", file=sys.stderr)
+    return float(whole * 1e-3)
 
 
 def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:

@@ -128,14 +128,15 @@ _JUMPING = ("mark.u_mm", "mark.v_mm")
 
 def _cut(case: Case, machine: Machine) -> Outcome:
     from twin.surface.levels import LEVELS, levels_of_program
-    from twin.surface.machining import machine_part, report_of
+    from twin.surface.machining import check_rays, machine_part, report_of
     from twin.surface.part import read_part
 
-    part = read_part(case.path("part"))
+    part, spacing = read_part(case.path("part")), case.table.get("zone_um")
+    zone_spacing = spacing * 1e-6 if spacing else None
+    check_rays(part, zone_spacing)
     word = case.table.get("feedforward", "velocity+torque")
     levels = levels_of_program(case.path("input"), machine, part.tool, list(LEVELS), [word])
-    spacing = case.table.get("zone_um")
-    machining = machine_part(part, levels, threads=1, zone_spacing=spacing * 1e-6 if spacing else None)
+    machining = machine_part(part, levels, threads=1, zone_spacing=zone_spacing)
     features = {}
     for one in machining.cuts:
         report = report_of(machining, one)

@@ -97,16 +97,7 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _set_engine(spec)
     _set_inertias(spec, where)
-    names = [joint.name for joint in spec.joints]
-    for axis in machine.axes:
-        if axis.name not in names:
-            raise InputError(f"{where}: axis {axis.name} has no joint in {machine.model_path.name}; {nearest(axis.name, names)}")
-        slides = spec.joint(axis.name).type == mujoco.mjtJoint.mjJNT_SLIDE
-        if slides != (axis.kind == "linear"):
-            raise InputError(
-                f"{where}: axis {axis.name} is {axis.kind}, its joint in {machine.model_path.name} is a {'slide' if slides else 'hinge'}; "
-                "correct kind or joint"
-            )
+    _check_joints(spec, machine, where)
     _set_bodies(spec, machine, where)
     _set_moving_masses(spec, machine, where)
     _set_geometry(spec, machine)
@@ -121,11 +112,26 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     return compiled_spec(spec, where)
 
 
+def _check_joints(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
+    """Refuse a machine whose model has no joint, or one of the other kind, for an axis."""
+    names = [joint.name for joint in spec.joints]
+    for axis in machine.axes:
+        if axis.name not in names:
+            raise InputError(f"{where}: axis {axis.name} has no joint in {machine.model_path.name}; {nearest(axis.name, names)}")
+        slides = spec.joint(axis.name).type == mujoco.mjtJoint.mjJNT_SLIDE
+        if slides != (axis.kind == "linear"):
+            raise InputError(
+                f"{where}: axis {axis.name} is {axis.kind}, its joint in {machine.model_path.name} is a {'slide' if slides else 'hinge'}; "
+                "correct kind or joint"
+            )
+
+
 def frames_of_model(machine: Machine) -> mujoco.MjModel:
     """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
-    spec = load_spec(machine.model_path)
+    spec, where = load_spec(machine.model_path), str(machine.path or machine.name)
+    _check_joints(spec, machine, where)
     _set_geometry(spec, machine)
-    return compiled_spec(spec, str(machine.path or machine.name))
+    return compiled_spec(spec, where)
 
 
 def _set_engine(spec: mujoco.MjSpec) -> None:

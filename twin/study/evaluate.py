@@ -27,6 +27,7 @@ from twin.study.design import machine_of
 from twin.study.one_blas_thread import one_blas_thread
 from twin.study.responses import axis_responses, contour_responses, drive_responses, joined, mark_depth
 from twin.study.spec import Study, StudyRun
+from twin.surface.machining import check_rays
 from twin.surface.part import Part, read_part
 
 GEOMETRY = ("geometry", "frame", "tool")
@@ -122,7 +123,10 @@ class Answer:
 @one_blas_thread()
 def work_of(study: Study) -> Work:
     """Read the runs and the part of a study; programs are interpolated once where no factor changes how."""
-    return Work(study, tuple(_source(study, run, read_part(run.part) if run.part else None) for run in study.runs))
+    parts = [read_part(run.part) if run.part else None for run in study.runs]
+    for part in filter(None, parts):
+        check_rays(part)
+    return Work(study, tuple(_source(study, run, part) for run, part in zip(study.runs, parts, strict=True)))
 
 
 @one_blas_thread()

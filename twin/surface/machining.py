@@ -64,6 +64,12 @@ class Machining:
         return next((c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED), None)
 
 
+def check_rays(part: Part, zone_spacing: float | None = None) -> None:
+    """Refuse spacings that make too many rays, before the levels are there that `machine_part` cuts with."""
+    for surface in part.surfaces:
+        surface.check_rays(zone_spacing or surface.zone_spacing, FAST_MARGIN)
+
+
 def machine_part(
     part: Part,
     levels: Sequence[Level],

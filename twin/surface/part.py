@@ -10,7 +10,7 @@ u runs along the surface as it is first named, v across; the shapes are those of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -65,19 +65,28 @@ class Surface:
             return mesh_rays(self.name, self.shape, spacing, part.placed, part.allowance, self.depth)
         whole_u, whole_v = self.shape.extent
         ranges = (along or whole_u, across or whole_v)
-        rays = math.prod(max(2.0, (high - low) / spacing + 1.0) for low, high in ranges)
-        refuse_above(
-            rays,
-            MOST_RAYS,
-            f"rays at {spacing * 1e6:g} um",
-            f"surface '{self.name}'",
-            "enlarge spacing_mm or zone_um, or make the zone smaller",
-        )
+        self._check_number(spacing, [high - low for low, high in ranges])
         u, v = (_samples(ends, spacing) for ends in ranges)
         point, direction = self.shape.rays(u, v)
         grid = point.shape
         point, direction = part.placed(point.reshape(-1, 3), direction.reshape(-1, 3))
         return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth)
+
+    def check_rays(self, zone_spacing: float, zone_least: float) -> None:
+        """Refuse spacings that make too many rays before anything is simulated; a zone found by the feed is at least `zone_least` [m] long and wide."""
+        if isinstance(self.shape, MeshFile):
+            return  # its area is known when it is read
+        whole = [high - low for low, high in self.shape.extent]
+        self._check_number(self.spacing, whole)
+        if self.zone_spacing:
+            ranges = (self.zone_along, self.zone_across)
+            self._check_number(zone_spacing, [r[1] - r[0] if r else min(zone_least, w) for r, w in zip(ranges, whole, strict=True)])
+
+    def _check_number(self, spacing: float, lengths: Sequence[float]) -> None:
+        """Refuse a grid of more than `MOST_RAYS`."""
+        rays = math.prod(max(2.0, length / spacing + 1.0) for length in lengths)
+        where, remedy = f"surface '{self.name}'", "enlarge spacing_mm or zone_um, or make the zone smaller"
+        refuse_above(rays, MOST_RAYS, f"rays at {spacing * 1e6:g} um", where, remedy)
 
 
 @dataclass(frozen=True)

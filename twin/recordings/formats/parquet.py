@@ -24,10 +24,12 @@ def read(path: Path, how: How) -> Recording:
         size = file.metadata.num_rows * file.metadata.num_columns
         refuse_above(size, MOST_VALUES, "values", str(path), "export the recording in parts")
         table = file.read()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeError) as error:
         raise InputError(f"{path}: a damaged Parquet file ({str(error).splitlines()[0]}); export it again") from None
     columns: dict[str, tuple[np.ndarray, str]] = {}
     for name in table.column_names:
+        if table.column_names.count(name) > 1:
+            raise InputError(f"{path}: column '{name}' occurs twice; remove one")
         column = table.column(name)
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)
