@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import json
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from tests.conftest import ROOT
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.program import read_program
+from twin.program import check, interpolate, interpolator, read_program
 from twin.program.place import KEEP, OutsideTravel, axes_of, placed
+from twin.recordings.trace import Trace
+from twin.simulation.setpoints import LimitWatch, limit_warnings, setpoints_of
 
 FAR = "G54\nG0 X400 Y0 Z0\nG1 X500 Y0 F1000\nG3 X500 Y20 I0 J10\nG1 X400\nM30\n"
 """A part that lies 145 mm beyond X's travel of 355 mm, with an arc."""
@@ -74,6 +77,39 @@ def test_check_reads_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     far = next(p for p in json.loads(out.read_text(encoding="utf-8"))["programs"] if p["file"].endswith("far.mpf"))
     assert far["verdict"] == "ok"
     assert far["reach"]["X"]["high"] == pytest.approx(355.0, abs=0.3)
+
+
+def test_check_holds_a_block_of_set_points_and_finds_what_the_whole_shows(
+    tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "part.mpf"
+    path.write_text("G0 X0 Y0\nG1 X40 Y5 F9000\nG4 F1\nG2 X20 Y5 I-10 J0\nG1 A-5\n", encoding="utf-8")
+    weak = mikron.with_axis("X", max_jerk=0.5 * mikron.axis("X").max_jerk)
+    trace = interpolate(read_program(path, mikron), mikron)
+    whole = setpoints_of(trace, mikron)
+    monkeypatch.setattr(interpolator, "BLOCK", 101)
+    sizes = []
+    plain = interpolator.set_point_blocks
+
+    def blocks(*given: object) -> Iterator[Trace]:
+        for block in plain(*given):
+            sizes.append(len(block.time))
+            yield block
+
+    monkeypatch.setattr(check, "set_point_blocks", blocks)
+    found = check.check_program(path, mikron)
+    assert max(sizes) <= 2 * 101 < len(whole.position)
+    assert found.duration_s == trace.time[-1]
+    for axis, (low, high) in found.reach.items():
+        column = whole.position[:, mikron.axis_names.index(axis)]
+        assert (low, high) == (column.min(), column.max())
+    assert found.verdict == "ok"
+    # the same set points on a machine with half of X's jerk: told at the same place, in blocks or whole
+    watch = LimitWatch(weak, whole.period)
+    for begin in range(len(whole.position)):
+        watch.add(whole.position[begin : begin + 1])
+    assert watch.warnings() == limit_warnings(whole, weak)
+    assert len(watch.warnings()) == 1
 
 
 def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

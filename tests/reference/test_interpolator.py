@@ -63,6 +63,94 @@ def test_windows_join_to_the_same_law(mikron: Machine, tmp_path: Path, monkeypat
         assert over.max() <= 1.001
 
 
+def over_limits(trace: Trace, machine: Machine) -> float:
+    """Greatest difference of the set points over its limit, at rest before and behind."""
+    axes = np.pad(trace.matrix("setpoint", machine.axis_names), ((3, 3), (0, 0)), mode="edge")
+    limits = interpolator.limits_of(machine)
+    return max(
+        float((np.abs(np.diff(axes, order, axis=0)).max(axis=0) / trace.period**order / limit).max())
+        for order, limit in enumerate(limits, 1)
+    )
+
+
+@pytest.mark.parametrize("factor", [1e2, 1e3, 1e4, 1e5])
+def test_no_set_point_above_a_limit_whatever_law_was_planned(
+    mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float
+) -> None:
+    plain = lookahead.plan
+
+    def for_a_faster_machine(s, e, f, limits, feeds, *_given, **_named):  # type: ignore[no-untyped-def]
+        return plain(s, e, f, lookahead.Limits(*(factor * limit for limit in limits)), feeds)
+
+    monkeypatch.setattr(lookahead, "plan", for_a_faster_machine)
+    trace = interpolate(read_program(write(tmp_path, "G1 X0.3 F20000\nX0\n"), mikron), mikron)
+    assert over_limits(trace, mikron) <= 1.0003
+
+
+def slow_turning(rows: int, blocks: int) -> str:
+    """Short five-axis blocks at a slow feed through a changing tool axis; between the rows rapids, which want long run-ups."""
+    out = ["TRAORI", "CYCLE832(0.01,3)"]
+    k = np.arange(blocks)
+    for row in range(rows):
+        x = (0.25 * k - 20.0) * (-1) ** row
+        i, j = 0.15 * np.sin(0.13 * k + row) + 0.02 * np.cos(1.1 * k), 0.15 * np.cos(0.11 * k) - 0.2
+        lines = [f"X{a:.4f} Y{3 * row} Z{140.0 + 0.5 * math.sin(0.2 * a):.4f} A3={b:.6f} B3={c:.6f} C3=1" for a, b, c in zip(x, i, j)]
+        out += ["G0 " + lines[0], "G1 F200", *lines[1:], "G0 Z190", f"X{-x[-1]:.3f}"]
+    return "\n".join(out)
+
+
+def test_slow_turning_blocks_between_rapids_take_the_same_time_in_any_windows(
+    mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows that did not reach their optimum disagreed where they were joined: jerk above the limit there, and all moves slower for it."""
+    program = read_program(write(tmp_path, slow_turning(3, 60)), mikron)
+    seconds = []
+    for window in (lookahead.WINDOW, 4000, 1500):
+        monkeypatch.setattr(lookahead, "WINDOW", window)
+        trace = interpolate(program, mikron)
+        assert over_limits(trace, mikron) <= 1.0003, window
+        seconds.append(trace.time[-1])
+    assert max(seconds) < 1.002 * min(seconds), seconds
+
+
+def test_slow_moves_take_no_more_nodes_for_a_set_point_than_fast_ones(
+    mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # each move turns the tool axis: through the transformation its path bends all along, though the feed alone decides the speed
+    nodes: list[int] = []
+    plain = lookahead.grid
+
+    def counted(*given: object) -> tuple[np.ndarray, ...]:
+        found = plain(*given)
+        nodes.append(len(found[0]))
+        return found
+
+    monkeypatch.setattr(lookahead, "grid", counted)
+    cost = []
+    for feed in (2000, 200, 20):
+        nodes.clear()
+        moves = "X30 Y20 A3=0.1 B3=0.1 C3=1\nX0 Y0 A3=0.1 B3=-0.1 C3=1\nX10 A3=0 B3=0 C3=1\n"
+        text = f"TRAORI\nCYCLE832(0.01,3)\nG0 X0 Y0 Z60 A3=0 B3=0 C3=1\nG1 F{feed}\n{moves}"
+        count = len(interpolate(read_program(write(tmp_path, text), mikron), mikron).time)
+        cost.append(sum(nodes) / count)
+    assert cost[0] < 2.0
+    assert cost[1] < 0.5 * cost[0]
+    assert cost[2] < 0.1 * cost[0]
+
+
+def test_an_acceleration_above_its_limit_between_two_nodes_slows_that_place_only(mikron: Machine, tmp_path: Path) -> None:
+    head = "TRAORI\nCYCLE832(0.01,_FINISH,1)\nG0 X0 Y0 Z60 A0 C0\nG642 CTOL=0.01\n"
+    moves = (
+        "G1 X2.637 Y4.392 Z60.529 A=-5.234 C=10.611 F200\n"
+        "X4.522 Y4.265 Z59.162 A=-0.670 C=25.331 F100\n"
+        "X-3.141 Y4.925 Z63.599 A=-7.033 C=-10.038 F300\n"
+    )
+    program = read_program(write(tmp_path, head + moves), mikron)
+    seconds = interpolate(program, mikron).time[-1] - interpolator.REST
+    # C comes 10 % above its acceleration there: the whole motion would be 1.048 times as long
+    assert seconds < 1.01 * measure.planned_time(program, mikron)
+
+
 def test_polyline_of_a_circle_runs_like_the_circle(mikron: Machine, tmp_path: Path) -> None:
     """0.05 mm chords with the program's own rounding: the feed drops by little against the arc."""
     angle = np.arange(0.0, 2 * math.pi, 0.05 / 20.0)

@@ -13,10 +13,10 @@ import numpy as np
 
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
-from twin.program.interpolator import interpolate
+from twin.program.interpolator import set_point_blocks
 from twin.program.place import OutsideTravel, placed
 from twin.program.read import PROGRAM_ENDINGS, read_program
-from twin.simulation.setpoints import limit_warnings, setpoints_of
+from twin.simulation.setpoints import LimitWatch, setpoints_of
 from twin.units import AXIS_UNITS
 
 NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html", ".xml", ".c", ".h", ".sh", ".ini", ".hal", ".log")
@@ -60,7 +60,7 @@ def programs_in(path: Path) -> list[Path]:
 
 
 def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bool = True) -> Checked:
-    """Read one program and, with `plan`, interpolate it; `place` shifts a part that lies outside the travel."""
+    """Read one program and, with `plan`, interpolate it block by block; `place` shifts a part that lies outside the travel."""
     where = f"{path}: "
     try:
         try:
@@ -78,17 +78,19 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
         return Checked(path, "no place on the table" in reason, False, reason=reason)
     if not plan:
         return Checked(path, True, True, moves=len(program), notes=program.notes)
+    watch = LimitWatch(machine, machine.position_cycle)
+    low, high = np.full(len(machine.axes), np.inf), np.full(len(machine.axes), -np.inf)
+    end = 0.0
     try:
-        trace = interpolate(program, machine)
+        for block in set_point_blocks(program, machine):
+            position = setpoints_of(block, machine).position
+            watch.add(position)
+            low, high = np.minimum(low, position.min(axis=0)), np.maximum(high, position.max(axis=0))
+            end = float(block.time[-1])
     except TwinError as error:
         return Checked(path, True, False, moves=len(program), reason=str(error).removeprefix(where), notes=program.notes)
-    setpoints = setpoints_of(trace, machine)
-    reach = {
-        axis.name: (float(column.min()), float(column.max()))
-        for axis, column in zip(machine.axes, setpoints.position.T)
-        if np.ptp(column) > 0.0
-    }
-    return Checked(path, True, True, len(program), float(trace.time[-1]), reach, tuple(limit_warnings(setpoints, machine)), program.notes)
+    reach = {axis.name: (float(a), float(b)) for axis, a, b in zip(machine.axes, low, high) if b > a}
+    return Checked(path, True, True, len(program), end, reach, tuple(watch.warnings()), program.notes)
 
 
 def check_programs(

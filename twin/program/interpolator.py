@@ -32,10 +32,12 @@ BLOCK = 131_072
 """Set points that are made at once: 13 MB."""
 REST = 0.1
 """Time [s] at rest after the last move."""
-LIMIT_TOLERANCE = 1.5e-4
+LIMIT_TOLERANCE = 1e-4
 """By this fraction the set points may be too fast: a speed limit is exceeded by it, acceleration by twice, jerk by three times it."""
-WORTH_PLANNING, ATTEMPTS = 2e-3, 4
+WORTH_PLANNING, ATTEMPTS = 2e-3, 8
 """An excess up to the first makes the stretch slower as a whole; above, it is planned anew, at most so many times."""
+FAR_ABOVE = 1.1
+"""A place with this share of a limit between two nodes gets a limit that is lower by its square: what comes out there falls by less."""
 NO_LIMIT = 1e9
 """Limit of an axis that the machine lacks, which never moves."""
 
@@ -175,8 +177,9 @@ def _stretch_pieces(
     slowest = int(stretch.row[int(np.argmax(at_feed))])
     _check_length(float(at_feed.sum()), period, program, slowest, most)
     spline = spline_of(stretch)
-    law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report)
-    ease = np.ones(len(law.piece))
+    windows: lookahead.Windows = {}
+    law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, kept=windows)
+    ease = np.ones((2, len(law.piece)))
     slower, attempt = 1.0, 0
     while True:
         times = sampling.node_times(law.nodes, law.a, law.slope)
@@ -186,14 +189,14 @@ def _stretch_pieces(
         if count <= BLOCK:
             blocks = list(blocks)
         excess = _excess(start, (block.axes for block in blocks), period, limits)
-        if excess <= 1.0 + LIMIT_TOLERANCE or slower > 2.0:
+        if excess <= 1.0 + LIMIT_TOLERANCE:
             break
         inside = lookahead.excess(spline, frames, limits, law)
         attempt += 1
         if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
-            # the jerk is too high between two nodes: plan anew with less there
-            ease /= np.maximum(1.0, inside * 1.001)
-            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease))
+            # too much between two nodes: plan anew with less there
+            ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
+            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease), windows)
         else:
             slower *= excess * (1.0 + 1e-5)
     if count > BLOCK:

@@ -25,7 +25,9 @@ DIVIDE = 0.06
 BEND = 0.1  # change of direction [rad] within an interval
 FINEST = 65.0  # nodes at least over a run-up
 WINDOW = 20_000  # nodes planned at once
+AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
 FELT = 6.0  # run-ups to feed that an invented stop is felt
+MUCH_LONGER = 4.0  # a run-up so many times as long as those behind it begins a new stretch
 JOIN = 64  # nodes over which two windows are joined
 SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
 """Limits are planned with these factors, since between two nodes they may be exceeded a little."""
@@ -55,6 +57,10 @@ class Law(NamedTuple):
     slope: np.ndarray
 
 
+Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+"""First and last node of each window planned so far -> the factors on its limits, its coefficients."""
+
+
 @compiled(allocates=True)
 def _run_up(s, j, f, limits, feed, rotary):
     """Way [m of u] from rest to feed in the direction of piece j under the jerk and acceleration limits."""
@@ -77,6 +83,31 @@ def _along(w, feed, rotary):
     square = w[1, 3] ** 2 + w[1, 4] ** 2 if rotary else w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2
     size = np.sqrt(square)
     return feed / size if size > 1e-9 else np.inf
+
+
+@compiled(allocates=True)
+def _at_ease(s, j, f, limits, feed, rotary):
+    """Do all axes follow piece j at its feed with at most the share AT_EASE of every limit? The feed alone then decides its speed."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    step = 0.5 * (s.t[j + 1] - s.t[j])
+    a = np.empty(3)
+    for part in range(3):
+        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
+        a[part] = _along(w, feed, rotary) ** 2
+    if not np.isfinite(a).all():
+        return False
+    bend = (a[0] - 2.0 * a[1] + a[2]) / step**2
+    for part in range(3):
+        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
+        axis_path.axis_jet(f, w, work, q)
+        slope = (a[2] - a[0]) / (2.0 * step) + bend * (part - 1.0) * step
+        for k in range(5):
+            speed = abs(q[1, k]) * np.sqrt(a[part])
+            acceleration = abs(0.5 * q[1, k] * slope + q[2, k] * a[part])
+            jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a[part]) * np.sqrt(a[part])
+            if max(speed / limits.speed[k], acceleration / limits.acceleration[k], jerk / limits.jerk[k]) > AT_EASE:
+                return False
+    return True
 
 
 @compiled(allocates=True)
@@ -117,7 +148,8 @@ def grid(s, e, f, limits, feeds):
         size = (s.t[j + 1] - s.t[j]) / min(8.0, max(1.0, np.ceil(change / BEND)))
         step[j] = min(step[j], size) if j else size
         step[j + 1] = size
-        if change > 0.05 * BEND or f.active or feeds.speed[i] != feeds.speed[before]:
+        bent = (change > 0.05 * BEND or f.active) and not _at_ease(s, j, f, limits, feeds.speed[i], feeds.rotary[i])
+        if bent or feeds.speed[i] != feeds.speed[before]:
             far[j] = 0.0
             far[j + 1] = 0.0
     # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
@@ -242,15 +274,16 @@ class Way(NamedTuple):
 def _window(
     along: Way, limits: Limits, feeds: Feeds, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray, gap: float
 ) -> tuple[np.ndarray, int]:
-    """Coefficients of one window, from rest to rest."""
+    """Coefficients of one window, from rest to rest; `ease` (2, interval) scales the acceleration and the jerk limits."""
     n = len(piece)
     q1, q2, q3, top = np.empty((n + 1, 5)), np.empty((n + 1, 5)), np.empty((n, 2, 5)), np.empty(n + 1)
     limit_rows(*along, limits, feeds, nodes, piece, q1, q2, q3, top)
     moving = np.flatnonzero(np.any(np.abs(q1) > 1e-12, axis=0) | np.any(np.abs(q2) > 1e-12, axis=0))
     q1, q2, q3 = (np.ascontiguousarray(q[..., moving]) for q in (q1, q2, q3))
-    limit_a, limit_j = ACCELERATION_MARGIN * limits.acceleration[moving], JERK_MARGIN * limits.jerk[moving]
+    at_node = np.minimum(np.append(ease[0], 1.0), np.append(1.0, ease[0]))
+    limit_a, limit_j = ACCELERATION_MARGIN * np.outer(at_node, limits.acceleration[moving]), JERK_MARGIN * limits.jerk[moving]
     h = np.diff(nodes)
-    c, _, steps, status = timelaw.time_law(h, q1, q2, q3, ease, top, rest_bounds(q1, q2, q3, h, limit_j), limit_a, limit_j, gap)
+    c, _, steps, status = timelaw.time_law(h, q1, q2, q3, ease[1], top, rest_bounds(q1, q2, q3, h, limit_j), limit_a, limit_j, gap)
     if status == timelaw.NOT_STARTED:
         raise TwinError("interpolator: no feasible start was found for the time law; report this program")
     return c, steps
@@ -265,22 +298,45 @@ def plan(
     gap: float = timelaw.GAP,
     progress: Callable[[float], None] | None = None,
     eased: tuple[Law, np.ndarray] | None = None,
+    kept: Windows | None = None,
 ) -> Law:
     """The time law of a stretch; `progress` is called with the share done.
 
-    `eased` is an earlier law and the factors (interval,) on its jerk limits with which it is planned anew.
+    `eased` is an earlier law and the factors (2, interval) on its acceleration and jerk limits with which it is planned anew; of its windows
+    those in `kept` are taken again whose factors are still the same.
     """
     if eased is None:
         nodes, piece, _ = grid(s, e, f, limits, feeds)
-        ease = np.ones(len(piece))
+        ease = np.ones((2, len(piece)))
     else:
         nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
     if len(piece) <= WINDOW:
         c, _ = _window(Way(s, e, f), limits, feeds, nodes, piece, ease, gap)
     else:
         way = run_ups(s, e, f, limits, feeds)
-        c = _plan_long(Way(s, e, f), limits, feeds, nodes, piece, ease, way, gap, progress)
+        c = _plan_long(Way(s, e, f), limits, feeds, nodes, piece, ease, way, gap, progress, {} if kept is None else kept)
     return Law(nodes, piece, *node_values(np.diff(nodes), c))
+
+
+@compiled(allocates=True)
+def felt_to(nodes, piece, way, first, last):
+    """The node from which on, going back from `last`, a stop at `last` is not felt any more (-1: it is felt beyond `first`).
+
+    It is forgotten over FELT run-ups of a stretch in which no run-up is longer. A rapid move close to the stop does not count
+    where such a stretch of slow moves lies before it.
+    """
+    from_node = last  # end of the stretch that is looked at
+    longest = -1.0  # nothing of it yet
+    for i in range(last - 1, first - 1, -1):
+        here = way[piece[i]]
+        if longest >= 0.0 and here > MUCH_LONGER * longest:
+            from_node = i
+            longest = -1.0
+            continue
+        longest = max(longest, here)
+        if nodes[from_node] - nodes[i] >= FELT * longest:
+            return i
+    return -1
 
 
 def _plan_long(
@@ -293,6 +349,7 @@ def _plan_long(
     way: np.ndarray,
     gap: float,
     progress: Callable[[float], None] | None,
+    kept: Windows,
 ) -> np.ndarray:
     """Windows one after the other, joined where both keep clear of their invented stops."""
     total = len(piece)
@@ -301,7 +358,17 @@ def _plan_long(
     window = WINDOW
     while True:
         end = min(begin + window, total)
-        new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[begin:end], gap)
+        if end < total:
+            join = felt_to(nodes, piece, way, begin, end) - JOIN
+            begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
+            if join <= join_at + JOIN or begin_next <= begin:
+                # the run-ups are longer than the window: take a larger one
+                window *= 2
+                continue
+        factors, new = kept.get((begin, end), (None, np.empty(0)))
+        if factors is None or not np.array_equal(factors, ease[:, begin:end]):
+            new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end], gap)
+            kept[begin, end] = ease[:, begin:end].copy(), new
         if begin == 0:
             c[: end + 2] = new
         else:
@@ -313,22 +380,15 @@ def _plan_long(
             progress(end / total)
         if end == total:
             return c
-        reach = FELT * way[piece[max(begin, end - window // 4)] : piece[end - 1] + 1].max()
-        join = int(np.searchsorted(nodes, nodes[end] - reach)) - JOIN
-        begin_next = int(np.searchsorted(nodes, nodes[max(join, 0)] - reach)) - JOIN
-        if join <= join_at + JOIN or begin_next <= begin:
-            # the run-ups are longer than the window: take a larger one
-            window *= 2
-            continue
         begin, join_at, window = begin_next, join, WINDOW
 
 
 @compiled(allocates=True)
 def excess(s, f, limits, law):
-    """Greatest jerk within each interval as a share of its limit (interval,), looked at between the nodes."""
+    """Greatest acceleration and jerk within each interval as shares of their limits (2, interval), looked at between the nodes."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     n = law.piece.shape[0]
-    out = np.zeros(n)
+    out = np.zeros((2, n))
     for i in range(1, n - 1):
         h = law.nodes[i + 1] - law.nodes[i]
         bend = (law.slope[i + 1] - law.slope[i]) / h
@@ -339,6 +399,8 @@ def excess(s, f, limits, law):
             axis_path.spline_jet(s, law.piece[i], law.nodes[i] + x, w)
             axis_path.axis_jet(f, w, work, q)
             for k in range(5):
-                jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a) * np.sqrt(max(a, 0.0))
-                out[i] = max(out[i], jerk / limits.jerk[k])
+                second = abs(0.5 * q[1, k] * slope + q[2, k] * a)
+                third = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a) * np.sqrt(max(a, 0.0))
+                out[0, i] = max(out[0, i], second / limits.acceleration[k])
+                out[1, i] = max(out[1, i], third / limits.jerk[k])
     return out

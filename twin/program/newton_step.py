@@ -25,7 +25,7 @@ def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
     for i in range(1, intervals):
         least = min(least, left, top[i] - left)
         for k in range(q1.shape[1]):
-            least = min(least, limit_a[k] - abs(0.5 * q1[i, k] * left_slope + q2[i, k] * left))
+            least = min(least, limit_a[i, k] - abs(0.5 * q1[i, k] * left_slope + q2[i, k] * left))
         if i == intervals - 1:
             return min(least, rest_top[1] - left)
         least = min(least, 0.5 * (top[i] + top[i + 1]) - c[i + 1])
@@ -91,8 +91,8 @@ def assemble(
             fs = 0.5 * q1[i, k]
             fa = q2[i, k]
             f = fs * slope + fa * a
-            up = 1.0 / (limit_a[k] - f)
-            down = 1.0 / (limit_a[k] + f)
+            up = 1.0 / (limit_a[i, k] - f)
+            down = 1.0 / (limit_a[i, k] + f)
             if fresh:
                 dual_a[i, k, 0] = mu * up
                 dual_a[i, k, 1] = mu * down
@@ -226,8 +226,8 @@ def dual_steps(
         for k in range(axes):
             f = 0.5 * q1[i, k] * slope + q2[i, k] * a
             df = 0.5 * q1[i, k] * dslope + q2[i, k] * da
-            up = 1.0 / (limit_a[k] - f)
-            down = 1.0 / (limit_a[k] + f)
+            up = 1.0 / (limit_a[i, k] - f)
+            down = 1.0 / (limit_a[i, k] + f)
             primal = max(primal, df * up, -df * down)
             move_a[i, k, 0] = mu * up - dual_a[i, k, 0] * (1.0 - df * up)
             move_a[i, k, 1] = mu * down - dual_a[i, k, 1] * (1.0 + df * down)

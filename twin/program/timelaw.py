@@ -30,7 +30,7 @@ CONVERGED, NOT_STARTED, STALLED = 0, 1, 2
 
 GAP = 0.001
 """The iteration ends when limits times multipliers (the duality gap) fall below this fraction of the time."""
-MAX_STEPS = 60
+MAX_STEPS = 200
 START_SHARE = 0.5  # share of the jerk limit that the first guess aims at
 TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
 
@@ -45,7 +45,7 @@ def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
         a[n] = top[n]
         for k in range(q1.shape[1]):
             if abs(q2[n, k]) > 0.0:
-                a[n] = min(a[n], START_SHARE * limit_a[k] / abs(q2[n, k]))
+                a[n] = min(a[n], START_SHARE * limit_a[n, k] / abs(q2[n, k]))
             third = abs(q3[min(n, intervals - 1), 0, k])
             if n:
                 third = max(third, abs(q3[n - 1, 1, k]))
@@ -71,7 +71,7 @@ def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
 def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
     """Coefficients c (interval + 2,) of a(u), the time [s], the number of Newton steps and a status.
 
-    `ease` (interval,) scales the jerk limits (1: as given). `top` (node,) is the greatest a by speed and feed; `rest_top`
+    `limit_a` (node, axis); `ease` (interval,) scales `limit_j` (axis,) (1: as given). `top` (node,) is the greatest a by speed and feed; `rest_top`
     (2,) bounds a at the first and last inner node so that
     the constant jerk from or to rest keeps the limits. At least four intervals.
     """
@@ -171,5 +171,5 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
         worse = min(go_primal, go_dual)
         settled = worse > 0.6
         # the bolder the last step, the more the multipliers are asked to fall
-        mu = gap / rows * max(0.08, min(0.9, (1.0 - worse) ** 2)) if steps > 1 else mu
+        mu = gap / rows * max(0.3, 1.0 - worse) if steps > 1 else mu
     return c, time, MAX_STEPS, STALLED

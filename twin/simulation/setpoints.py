@@ -59,6 +59,9 @@ AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
 LIMIT_TOLERANCE = 0.01
 """Fraction by which set points may exceed a limit before a warning: recorded ones are rounded."""
 
+ROUNDING = 1e-8
+"""Greatest step of the grid [m or rad] on which rounded set points lie."""
+
 
 class Setpoints:
     """Set points of the driven axes as continuous functions of time; position (sample, axis) [m, rad], period [s].
@@ -349,31 +352,61 @@ def check_travel(setpoints: Setpoints, machine: Machine, where: str) -> None:
 
 def limit_warnings(setpoints: Setpoints, machine: Machine) -> list[str]:
     """One line for each axis and limit (speed, acceleration, jerk) that the set points exceed, with place and amount."""
-    lines = []
-    for a, axis in enumerate(machine.axes):
-        unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", deg_from_rad(1.0))
-        # differences over at least a position cycle, so that the rounding of recorded set points does not count as jerk
-        every = max(1, round(machine.position_cycle / setpoints.period))
-        position = setpoints.position[::every, a]
-        period = every * setpoints.period
-        if len(position) < 4:
-            continue
-        # what rounding of the recorded set points alone does to each difference
-        rounding = _rounding(position)
-        quantities = (("speed", axis.max_velocity, "/s"), ("acceleration", axis.max_acceleration, "/s2"), ("jerk", axis.max_jerk, "/s3"))
-        for order, (name, limit, per) in enumerate(quantities, start=1):
-            values = np.abs(np.diff(position, order)) / period**order
-            worst = int(np.argmax(values))
-            if values[worst] > limit * (1.0 + LIMIT_TOLERANCE) + rounding * 2**order / period**order:
-                lines.append(
-                    f"axis {axis.name}: set points reach a {name} of {values[worst] * factor:.4g} {unit}{per} at {worst * period:.3f} s, "
-                    f"the limit is {limit * factor:.4g} {unit}{per}"
-                )
-    return lines
+    # differences over at least a position cycle, so that the rounding of recorded set points does not count as jerk
+    every = max(1, round(machine.position_cycle / setpoints.period))
+    watch = LimitWatch(machine, every * setpoints.period)
+    watch.add(setpoints.position[::every])
+    return watch.warnings()
 
 
-def _rounding(position: np.ndarray) -> float:
-    """Half a step of the grid on which the recorded values seem to lie (0 if none is seen)."""
-    steps = np.abs(np.diff(position))
-    steps = steps[steps > 0]
-    return float(min(steps.min(), 1e-8)) / 2 if steps.size else 0.0
+class LimitWatch:
+    """The greatest speed, acceleration and jerk of each axis over set points (sample, axis) that come in blocks, one behind the other."""
+
+    def __init__(self, machine: Machine, period: float) -> None:
+        self.machine, self.period = machine, period
+        axes = len(machine.axes)
+        self.before = np.empty((0, axes))  # at most three samples
+        self.count = 0
+        self.worst, self.at = np.zeros((3, axes)), np.zeros((3, axes), int)  # differences, and the sample from which each goes
+        self.least_step = np.full(axes, np.inf)
+
+    def add(self, position: np.ndarray) -> None:
+        """The set points that follow."""
+        together = np.vstack([self.before, position])
+        first = self.count - len(self.before)
+        for order in range(1, 4):
+            if len(together) <= order:
+                break
+            values = np.abs(np.diff(together, order, axis=0))
+            if order == 1:
+                self.least_step = np.minimum(self.least_step, np.where(values > 0.0, values, np.inf).min(axis=0))
+            most = values.argmax(axis=0)
+            greatest = values.max(axis=0)
+            more = greatest > self.worst[order - 1]
+            self.at[order - 1] = np.where(more, first + most, self.at[order - 1])
+            self.worst[order - 1] = np.where(more, greatest, self.worst[order - 1])
+        self.count += len(position)
+        self.before = together[-3:]
+
+    def warnings(self) -> list[str]:
+        """One line for each axis and limit that they exceed, with place and amount."""
+        lines = []
+        for a, axis in enumerate(self.machine.axes):
+            unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", deg_from_rad(1.0))
+            if self.count < 4:
+                continue
+            # what rounding of the recorded set points alone does to each difference: half a step of the grid on which they seem to lie
+            rounding = min(self.least_step[a], ROUNDING) / 2 if np.isfinite(self.least_step[a]) else 0.0
+            quantities = (
+                ("speed", axis.max_velocity, "/s"),
+                ("acceleration", axis.max_acceleration, "/s2"),
+                ("jerk", axis.max_jerk, "/s3"),
+            )
+            for order, (name, limit, per) in enumerate(quantities, start=1):
+                value = self.worst[order - 1, a] / self.period**order
+                if value > limit * (1.0 + LIMIT_TOLERANCE) + rounding * 2**order / self.period**order:
+                    lines.append(
+                        f"axis {axis.name}: set points reach a {name} of {value * factor:.4g} {unit}{per} at "
+                        f"{self.at[order - 1, a] * self.period:.3f} s, the limit is {limit * factor:.4g} {unit}{per}"
+                    )
+        return lines
