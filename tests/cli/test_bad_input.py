@@ -154,6 +154,10 @@ MACHINES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "cycles": (lambda t: t.replace("position_cycle_us = 2000", "position_cycle_us = 2010"), ("position_cycle_us", "whole multiple")),
     "kind": (lambda t: t.replace('kind = "linear"', 'kind = "straight"', 1), ("kind = 'straight'", "'linear' or 'rotary'")),
     "no motor": (lambda t: t.replace("[axis.X.motor]", "[axis.X.moter]"), ("[axis.X]", "unknown key 'moter'", "did you mean 'motor'")),
+    "linear and endless": (
+        lambda t: t.replace('kind = "rotary"', 'kind = "linear"').replace("travel_deg = [", 'travel_deg = "endless" # ['),
+        ("travel_deg",),
+    ),
     "no model": (lambda t: t.replace('model = "mikron_ucp710.xml"', ""), ("'model' is missing",)),
     "model not there": (lambda t: t.replace("mikron_ucp710.xml", "other.xml"), ("'other.xml'", "no such file beside")),
     "no TOML": (lambda t: t.replace("[control]", "[control"), ("not a valid TOML file",)),

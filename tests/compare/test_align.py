@@ -32,7 +32,7 @@ def test_a_lag_is_found_though_the_recording_begins_later(mikron: Machine) -> No
     found = compare(stroke(), stroke(start=0.5, lag=7e-6), mikron)
     assert found.differences[0].max == pytest.approx(7.0, abs=0.6)
     assert found.differences[0].rms == pytest.approx(7.0, abs=0.1)
-    assert "differs from" in found.verdict
+    assert "differ on" in found.verdict
 
 
 def test_other_motion_is_refused(mikron: Machine) -> None:

@@ -154,7 +154,7 @@ def test_two_runs_are_compared_by_ticking_them(folder: Path) -> None:
         assert status == 303
         status, page, _ = ask(desk, report)
         assert status == 200
-        assert "differs from" in page
+        assert "differ on" in page
     assert json.loads((folder / "compared" / "first-worn & old" / "compare.json").read_text())["errors"]
 
 
@@ -173,7 +173,7 @@ def test_the_desk_in_a_real_browser(folder: Path, tmp_path: Path) -> None:
         assert here.ask("document.querySelectorAll('input:checked').length") == 2
         here.click("button:not(.plain)", leaves=True)
         assert here.ask("location.pathname") == "/file/compared/first-worn%20%26%20old/report.html"
-        assert "differs from" in here.ask("document.body.innerText")
+        assert "differ on" in here.ask("document.body.innerText")
         drawn = "[...document.querySelectorAll('svg, img')].map(e => e.getBoundingClientRect().width)"
         assert max(here.ask(drawn)) > 300.0
         here.open(desk.address)

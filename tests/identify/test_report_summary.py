@@ -5,7 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from twin.identify.report import _summary
+import pytest
+
+from twin.identify.report import _number, _summary
 from twin.identify.result import Range
 
 
@@ -36,3 +38,17 @@ def test_nothing_changed() -> None:
     section = _summary(identified(before=1.92))
     assert section.items == []
     assert section.paragraphs[-1] == "No number of the machine file lies outside the 95 % interval that was identified."
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "shown"),
+    [
+        (0.00856756, 7e-5, "0.008568"),
+        (1.66082, 2.2, "1.7"),
+        (5.46458, 0.0, "5.46458"),
+        (2.0, float("inf"), "2"),
+        (1.23456789, 1e-9, "1.23457"),
+    ],
+)
+def test_digits_that_an_interval_leaves_standing(value: float, half: float, shown: str) -> None:
+    assert _number(Range(value, value - half, value + half)) == shown

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from twin.errors import InputError
 from twin.identify.between_samples import convolved, fast_loop_of, fit_fast_loop, missing_mean, ripples, sawtooth_of, step_responses
 from twin.machine.machine import Machine
 from twin.simulation.run import simulate
@@ -62,3 +63,9 @@ def test_inductance_and_load_are_read_off_the_saw_tooth(mikron: Machine, factor:
     assert fit.loop.inductance == pytest.approx(true.inductance, rel=0.02)
     assert missing_mean(fit.loop, 2)[0].sum() == pytest.approx(missing_mean(true, 2)[0].sum(), abs=4.0 * fit.mean_deviation)
     assert fit.misfit == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_loop_that_cannot_settle_is_refused(mikron: Machine) -> None:
+    """Its response grew until numbers overflowed."""
+    with pytest.raises(InputError, match="is unstable; correct the machine file"):
+        step_responses(fast_loop_of(mikron, mikron.axis("X"), 1e-9))

@@ -71,3 +71,12 @@ def test_whiteness_tells_white_from_coloured() -> None:
     rng = np.random.default_rng(3)
     assert whiteness(rng.standard_normal(5000))[1] < 0.15
     assert whiteness(coloured(rng, 5000, 0.9))[1] > 0.3
+
+
+def test_one_stroke_alone_is_not_exact() -> None:
+    """Its scores add up to nothing: the interval was 1e-13 of the value."""
+    rng = np.random.default_rng(3)
+    columns = np.column_stack([np.linspace(-1.0, 1.0, 40), np.ones(40)])
+    fit = regress(columns, columns @ [2.0, 1.0] + rng.normal(0.0, 0.1, 40), np.zeros(40))
+    assert (fit.deviations > 0.01).all()
+    assert (np.abs(fit.values - [2.0, 1.0]) < fit.quantile * fit.deviations).all()

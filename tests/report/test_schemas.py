@@ -67,7 +67,7 @@ def test_run_gap_and_compare(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert (
         main(["gap", str(ROOT / "examples" / "campaign"), "--json", str(tmp_path / "gap.json"), "--html", str(tmp_path / "gap.html")]) == 0
     )
-    assert capsys.readouterr().out.startswith("b differs from a on X")
+    assert capsys.readouterr().out.startswith("a and b differ on X")
     assert check(tmp_path / "gap.json")["verdict"] == "X, Y, Z, A and C as they should be"
     assert "<svg" in (tmp_path / "gap.html").read_text(encoding="utf-8")
 

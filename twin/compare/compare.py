@@ -73,7 +73,7 @@ class Comparison:
         axes = ", ".join(self.differing)
         most = f", most on {worst.axis}" if len(self.differing) > 1 else ""
         return (
-            f"{self.names[1]} differs from {self.names[0]} on {axes}{most}: {worst.signal.replace('_', ' ')} by up to "
+            f"{self.names[0]} and {self.names[1]} differ on {axes}{most}: {worst.signal.replace('_', ' ')} by up to "
             f"{worst.max:.3g} {worst.unit} at {worst.at_s:.3f} s."
         )
 
@@ -92,6 +92,8 @@ class Comparison:
             peaks = ["-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)]
             cells = [f"{d.max:.3g} {d.unit}" if (d := of_axis.get(s)) else "-" for s in self._shown]
             rows.append([e.axis, f"{e.first:.2f} {e.unit}", f"{e.second:.2f} {e.unit}", *peaks, *cells])
+        if not rows:
+            return ""
         a, b = self.names
         heading = ["axis", f"error {a}", f"error {b}", f"reversal {a}", f"reversal {b}"]
         return table([*heading, *(f"{s.replace('_', ' ')} differs by" for s in self._shown)], rows)

@@ -62,7 +62,8 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     notes = []
     if campaign.machine_name and _plain(campaign.machine_name) not in _names(machine):
         notes.append(f"campaign.toml names machine {campaign.machine_name}, it is held against {machine.name}")
-    axes = sorted({a for run in campaign.runs for a in run.trace.axes})
+    recorded = {a for run in campaign.runs for a in run.trace.axes}
+    axes = [a for a in machine.axis_names if a in recorded]
     for signal, lost in (
         ("motor_position", "transmission and measurement cannot be cut from the mechanics"),
         ("velocity_setpoint", "the position controller cannot be cut from the speed controller"),
@@ -74,7 +75,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         for a in axes:
             if not _recorded(machine.axis(a), signal, campaign):
                 lacking.setdefault(machine.axis(a).effort if signal == "current" else signal, []).append(a)
-        notes += [f"no {name} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
+        notes += [f"no {name.replace('_', ' ')} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:
         notes.append(f"axis {', '.join(still)} does not move: nothing is said of it")

@@ -43,8 +43,12 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
     if not pairs:
         return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
     _, best, rival = min(pairs, key=lambda p: p[0])
-    name = best.setting.effect.name
-    reason = f"separates {name} from {rival.setting.effect.name}" if rival else f"confirms {name} on a run that it was not found on"
+    name = best.setting.effect.name.replace("_", " ")
+    reason = (
+        f"separates {name} from {rival.setting.effect.name.replace('_', ' ')}"
+        if rival
+        else f"confirms {name} on a run that it was not found on"
+    )
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 

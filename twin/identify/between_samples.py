@@ -20,6 +20,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
 SETTLED_CYCLES = 48
@@ -79,6 +80,10 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     )
 
 
+UNSTABLE = 1e100
+"""A unit step makes no such current or speed in a loop that settles."""
+
+
 def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[np.ndarray, np.ndarray]]:
     """Current [A] and motor speed [rad/s], each (cycle, tick), after a unit step of the speed set point [rad/s] and of the torque
     feedforward [Nm].
@@ -130,6 +135,10 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     starts = np.zeros((cycles, n, 2))
     for c in range(cycles - 1):
         starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
+        if not np.abs(starts[c + 1]).max() < UNSTABLE:
+            raise InputError(
+                f"a speed loop with a gain of {loop.speed_gain:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; correct the machine file"
+            )
     seen = np.einsum("tij,cjk->kict", free[:ticks, [0, 5]], starts) + forced[:ticks, [0, 5]].transpose(2, 1, 0)[:, :, None]
     return [(seen[k, 1], seen[k, 0]) for k in range(2)]
 

@@ -216,6 +216,10 @@ def residual_figure(result: Identification) -> Any:
             trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)
         trace.set_ylabel(f"{axis.name} [mNm]")
         correlation, outside = whiteness(residual)
+        if not correlation.any():
+            white.set_axis_off()
+            white.text(0.5, 0.5, "too few rows to tell", transform=white.transAxes, ha="center", va="center", fontsize=8.5, color=INK)
+            continue
         white.axhspan(-1.96 / np.sqrt(len(residual)), 1.96 / np.sqrt(len(residual)), color=SOFT, alpha=0.3, lw=0)
         white.vlines(np.arange(len(correlation)) * apart_ms, 0.0, correlation, color=colour, lw=1.2)
         white.set_title(f"{100 * outside:.0f} % of lags outside the white band", fontsize=8.5)

@@ -149,12 +149,12 @@ def _parameters(result: Identification) -> Section:
                 p.axis,
                 p.name.replace("_", " "),
                 p.unit,
-                f"{p.before:.6g}",
-                f"{p.value.value:.6g}",
+                f"{p.before:.4g}",
+                _number(p.value),
                 _half(p.value),
-                f"{p.estimate.value:.6g}" if p.product else "",
+                _number(p.estimate) if p.product else "",
                 _half(p.estimate) if p.product else "",
-                f"{p.refined.value:.6g}" if p.refined else "",
+                _number(p.refined),
                 _half(p.refined),
                 _aside(p),
                 f"{p.condition:.0f}" if math.isfinite(p.condition) else "",
@@ -170,6 +170,14 @@ def _parameters(result: Identification) -> Section:
     return Section("Parameters before and after", [note], tables=[Table(heading, rows, left=3, marked=frozenset(marked))])
 
 
+def _number(r: Range | None) -> str:
+    """A value with the digits that its interval leaves standing, at least two and at most six."""
+    if r is None:
+        return ""
+    standing = abs(r.value) / max(r.half, 1e-5 * abs(r.value), 1e-300)
+    return f"{r.value:.{max(math.ceil(math.log10(max(standing, 1.0))) + 1, 2)}g}"
+
+
 def _half(r: Range | None) -> str:
     if r is None:
         return ""
@@ -178,7 +186,7 @@ def _half(r: Range | None) -> str:
 
 
 def _aside(p: Parameter) -> str:
-    return f"{p.left_out.value:.6g} {_half(p.left_out)}" if p.left_out else ""
+    return f"{_number(p.left_out)} {_half(p.left_out)}" if p.left_out else ""
 
 
 def _gap(result: Identification, picture: Figure | None) -> Section:

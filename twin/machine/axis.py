@@ -223,9 +223,10 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
 def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str) -> None:
     """Every key of an axis and of its tables known, present and possible."""
     own, parts = keys.tables_of_axis(kind, direct, structure, table, where)
-    if table.get("travel_deg") == "endless":
+    endless = kind == "rotary" and table.get("travel_deg") == "endless"
+    if endless:
         del own["travel_deg"]
-    keys.check_table(table, own, where, ("kind", "travel_deg", "structure", "encoder", "drive", *parts))
+    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", "encoder", "drive", *parts))
     for part, part_keys in parts.items():
         if part not in table and part != "commissioned":
             raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")

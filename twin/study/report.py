@@ -15,7 +15,7 @@ from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
 from twin.study.holding_figure import holding_figure
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
-from twin.study.outcomes import depends, middle_of
+from twin.study.outcomes import Effect, depends, middle_of
 from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
@@ -79,17 +79,26 @@ def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
             (0.1, "10 %") if factor.relative else (100.0, "100 kg") if unit == "kg" else (width / 10.0, f"{width / 10.0:.3g} {unit}")
         )
         effect = change[factor.name]
-        low, value, high = (2.0 * v / width * step * scale_of(r.name) for v in (effect.low, effect.value, effect.high))
+        low, value, high = (2.0 * v / width * step * scale_of(r.name) for v in (effect.low, _rounded(effect), effect.high))
         band = f"{low:+.3g} .. {high:+.3g}" if np.isfinite(low) else "-"
         lines.append([factor.name, f"{value:+.3g} {unit_of(r.name)} per {said}", band])
     return lines
+
+
+def _rounded(effect: Effect) -> float:
+    """The change of an effect; 0 where rounding alone makes it, far inside its interval."""
+    return 0.0 if abs(effect.value) < 1e-6 * (effect.high - effect.low) else effect.value
 
 
 def effect_rows(r: Response) -> list[list[str]]:
     """A line for each effect: factors, change from the low to the high end, its 95 % interval."""
     twice = 2.0 * scale_of(r.name)
     return [
-        [" x ".join(e.factors), f"{twice * e.value:+.4g}", f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-"]
+        [
+            " x ".join(e.factors),
+            f"{twice * _rounded(e):+.4g}",
+            f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-",
+        ]
         for e in r.effects[:MOST_BARS]
     ]
 
