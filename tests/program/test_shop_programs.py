@@ -9,8 +9,9 @@ import pytest
 
 from devtools import fuzz_programs, words_table
 from twin.errors import InputError
-from twin.machine.machine import load_machine, write_machine
+from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import interpolate, read_program
+from twin.program.apt_words import WITHOUT_EFFECT
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
 from twin.program.tables import ACTS, ISO_G, ISO_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
@@ -403,6 +404,95 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
         if not set(outcomes) - {"silent", "unknown"}:
             silent.append((word, outcomes))
     assert not silent, silent
+
+
+def meaning(path: Path, machine: Machine) -> tuple[object, set[str]] | None:
+    """All that a program means, and its notes; None where it is refused, also for its axes when it is finished."""
+    try:
+        out = understand(path, machine)
+    except InputError:
+        return None
+    moves = (out.kinds, [list(map(float, t)) for t in out.targets], out.feeds, out.stops, out.arcs, out.tool_axes, out.pauses)
+    return str((*moves, [str(out.all_modes[k]) for k in out.mode_of])), set(out.notes)
+
+
+def ignored(with_word: tuple[object, set[str]] | None, without: tuple[object, set[str]] | None) -> bool:
+    """Is a program with one more word accepted with the same meaning, and nothing said of the word?"""
+    assert without is not None
+    return with_word is not None and with_word[0] == without[0] and with_word[1] <= without[1]
+
+
+HEAD, TAIL = "G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\n", "X9 Y2\nX3 Y7\nG2 X5 Y9 I2 J0\n"
+
+
+MODES_HERE = [
+    "MSG",
+    "SUPA",
+    "CYCLE832",
+    "CYCLE800",
+    "MCALL",
+    "ADIS",
+    "ADISPOS",
+    "B2",
+    "B3",
+    "B4",
+    "B5",
+    "ORIEULER",
+    "ORIRPY",
+    "ORIVIRT1",
+    "ORIRPY2",
+]
+"""Names that change the meaning of later words only, end what is not on, say something to the operator, or are letters of an axis that the machine lacks."""
+
+
+def test_no_name_beside_a_move_is_ignored(write, mikron) -> None:
+    """Each name of the table, alone, with a value and as a call, in two states: the moves with it are others, or a note or an error names it."""
+    words = [word for n, (kind, _) in SINUMERIK_NAMES.items() if kind != REFUSED for word in (n, f"{n}=3", f"{n}(3)")]
+    silent = set(words)
+    for head in (HEAD, "G0 X0 Y0 Z200\nTRAORI\nORIMKS\nBRISK\nFFWOF\nG1 X1 Y1 F100 S100\n"):
+        without = meaning(write(f"{head}X5 Y5\n{TAIL}"), mikron)
+        silent &= {word for word in words if ignored(meaning(write(f"{head}X5 Y5 {word}\n{TAIL}"), mikron), without)}
+    assert {re.split(r"[=(]", word)[0] for word in silent} <= set(MODES_HERE), silent
+
+
+@pytest.mark.parametrize("name", ["SOFT", "BRISK", "FFWON", "ORIWKS", "ORIEULER", "TRAFOOF"])
+@pytest.mark.parametrize("value", ["=3", "(3)"])
+def test_a_value_that_a_mode_does_not_take_is_refused(read, name: str, value: str) -> None:
+    with pytest.raises(InputError, match=rf"{name} takes no value"):
+        read(f"G1 X1 F100\nX5 {name}{value}\n")
+
+
+@pytest.mark.parametrize("word", ["RND=1", "CHF=1", "CHR=1", "RNDM=1"])
+def test_a_corner_word_at_a_corner_is_never_thrown_away(write, mikron, word: str) -> None:
+    for block in ("G1 X5 Y5", "G1 X5 Y1"):
+        for following in ("X9 Y2", "Y9", "G2 X=IC(4) Y=IC(4) I4 J0", "G1 X5 Y9 Z5"):
+            without, now = (meaning(write(f"{HEAD}{block} {w}\n{following}\n"), mikron) for w in ("", word))
+            assert not ignored(now, without), (block, following)
+
+
+@pytest.mark.parametrize("number", [73, 74, 76, 81, 82, 83, 84, 85, 86, 88, 89])
+@pytest.mark.parametrize("name", ["part.nc", "part.ngc"])
+def test_no_word_of_a_cycle_is_ignored(write, mikron, number: int, name: str) -> None:
+    cycle = f"G{number} X3. Y2. Z-1. R1. {'Q0.4' if number in (73, 76, 83) else ''}"
+    without = meaning(write(f"{HEAD}{cycle}\nX4.\nG80\n", name), mikron)
+    if without is None:
+        assert (name, number) in (("part.ngc", 76), ("part.ngc", 88))  # LinuxCNC has none of these
+        return
+    words = [f"{letter}{value}" for letter in "ABCEHIJKLPQUVW" for value in ("2.", "1.5") if letter not in cycle]
+    silent = [w for w in words if letter_of_no_axis(w) and ignored(meaning(write(f"{HEAD}{cycle} {w}\nX4.\nG80\n", name), mikron), without)]
+    assert not silent, silent
+
+
+def letter_of_no_axis(word: str) -> bool:
+    """Letters of axes that the machine lacks are refused when the program is finished, not while it is read."""
+    return word[0] not in "BUVW"
+
+
+@pytest.mark.parametrize("word", sorted(WITHOUT_EFFECT))
+def test_each_statement_of_cl_data_without_effect_is_noted(write, mikron, word: str) -> None:
+    program = "UNITS/MM\nFEDRAT/500\nGOTO/0,0,150\n{}GOTO/5,0,150\n"
+    without, now = (meaning(write(program.format(w), "part.apt"), mikron) for w in ("", f"{word}/1\n"))
+    assert not ignored(now, without)
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,8 @@ class Corners(Control):
         straight = before.is_straight and following.is_straight and following.kind != mv.RAPID
         if not straight or min(lengths) < 1e-9:
             if what == "RNDM":
+                if following.kind != mv.RAPID and not following.is_straight:
+                    self.note("RNDM: a corner between a line and an arc is not rounded; write it as blocks where it is no tangent")
                 self._go(before)
                 return
             raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)

@@ -15,6 +15,8 @@ from twin.program.expressions import WordError
 from twin.program.iso_variables import IsoVariables
 
 CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 88, 89}
+USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 88, 89}, "Q": {73, 76, 83}, "I": {76}, "J": {76}}
+"""The cycles that a word acts in; it is kept for those that follow."""
 MOST_REPEATS = 10_000
 
 
@@ -40,6 +42,8 @@ class IsoDrilling(IsoVariables):
         absolute = {n: self.absolute or coordinates[n].how == "AC" for n in coordinates}  # G16 gives places
         for name in "RPQIJ":
             if name in w:
+                if number not in USED_BY.get(name, CYCLES) or (self.linuxcnc and name == "P" and number in (73, 83)):
+                    self.note(f"G{number}: {name} is not used by this cycle; one that uses it finds it")
                 self.sticky[name] = w.pop(name).value
         depth_axis = LINEAR[across]
         if depth_axis in named:
@@ -47,7 +51,10 @@ class IsoDrilling(IsoVariables):
         repeats = 1
         for name in ("L", "K"):
             if name in w:
-                repeats = int(w.pop(name).value)
+                word = w.pop(name)
+                repeats = int(word.value)
+                if repeats != word.value:
+                    raise WordError(f"{name}{word.value:g} is no whole number of repetitions; correct it", word.column)
         if not (coordinates or codes & CYCLES or repeats != 1):
             return
         if "Z" not in self.sticky or "R" not in self.sticky:
@@ -79,7 +86,7 @@ class IsoDrilling(IsoVariables):
             self.note("G76: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
             self.note("G88: the halt at the bottom is passed over")
-        pause = self.sticky.get("P", 0.0) if number in (74, 76, 82, 84, 86, 89, 73, 83, 88) else 0.0
+        pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0
         if number in (73, 83, 85, 81) and self.linuxcnc:

@@ -46,6 +46,27 @@ def _plain_block(*letters: str) -> re.Pattern[str]:
     return re.compile(pattern.replace("(?:@", "(?:"), re.A)
 
 
+WITHOUT_VALUE = frozenset(
+    [
+        "TRAFOOF",
+        "ORIWKS",
+        "ORIVECT",
+        "ORIPLANE",
+        "ORIMKS",
+        "ORIAXES",
+        "ORIEULER",
+        "ORIRPY",
+        "ORIVIRT1",
+        "ORIRPY2",
+        "FFWON",
+        "FFWOF",
+        "SOFT",
+        "BRISK",
+    ]
+)
+"""Names of modes: a value behind one would change nothing."""
+
+
 class Sinumerik(SinumerikCalls):
     """Reads the blocks of one SINUMERIK program."""
 
@@ -322,13 +343,18 @@ class Sinumerik(SinumerikCalls):
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""
         name, out = word.name, self.out
         kind, meaning = SINUMERIK_NAMES[name]
+        given = (word.text or "").strip()
         if kind == REFUSED:
             raise WordError(f"{name} is not supported: {meaning}", word.column)
         if kind == NOTE:
             if name == "FGROUP" and {t for t, _ in split_arguments(word.text or "")} - set(LINEAR) - {""}:
                 self.note("FGROUP: the feed is that of the tool tip all the same")
             self.note(f"{name}: {meaning}")
+        elif name in WITHOUT_VALUE and given:
+            raise WordError(f"{name} takes no value; remove '{given[:20]}'", word.column)
         elif name in ("TRAORI", "TRAFOOF"):
+            if given:
+                self.note("TRAORI: its number is passed over; the transformation is that of the model")
             self._release()
             self._unswivel()
             self.transform(name == "TRAORI")
