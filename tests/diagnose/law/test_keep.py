@@ -155,6 +155,29 @@ def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effe
     assert [s.key for s in _named_instead(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings] == named
 
 
+def test_a_fit_next_to_another_takes_its_slopes_and_comes_to_the_same(monkeypatch):
+    loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
+    simulated = []
+    left = loop.left
+    monkeypatch.setattr(loop, "left", lambda state: simulated.append(state) or left(state))
+
+    def fitted(height, like=None):
+        simulated.clear()
+        fit = loop.fit(state_of(X, with_effects(X, [{**BELL, "height": height}]), ("X",), DEFAULT), X.parameter_tolerance, like=like)
+        assert fit is not None
+        return fit, len(simulated)
+
+    first, _ = fitted(-290.0)
+    alone, simulated_alone = fitted(-280.0)
+    beside, simulated_beside = fitted(-280.0, like=first)
+    assert simulated_beside < 0.5 * simulated_alone
+    assert beside.held_out == pytest.approx(alone.held_out, rel=1e-4)
+    assert beside.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-3)
+    # slopes that say the opposite are taken again
+    wrong, _ = fitted(-280.0, like=replace(first, columns=-first.columns))
+    assert wrong.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-2)
+
+
 def test_a_height_of_the_wrong_sign_comes_through_nothing_to_its_own():
     loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
     start = state_of(X, with_effects(X, [{**BELL, "height": 1.0}]), ("X",), DEFAULT)

@@ -11,14 +11,14 @@ from twin.diagnose.law.laws import MOST_EFFECTS, _settings
 from twin.effects import EFFECTS, Setting
 
 
-def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch):
-    """Axes that are asked for a law, of a group of which only X was recorded."""
+def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
+    """Axes that are asked for a law, of a group of which only X was recorded; without `before` effects explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
     monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
     found = [replace(found_of(group), unknown=unknown)]
-    list(step.laws_beside(found, levels, levels, loudest, mikron, mikron, [[0]], map, print))
+    list(step.laws_beside(found, before or levels, levels, loudest, mikron, mikron, [[0]], map, print))
     return asked
 
 
@@ -30,6 +30,11 @@ def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, mon
 def test_an_axis_is_asked_for_the_sake_of_one_loud_signal(mikron, monkeypatch):
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch) == [["X"], ["X"]]
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.4}, mikron, monkeypatch) == []
+
+
+def test_one_loud_signal_is_small_beside_what_effects_explain(mikron, monkeypatch):
+    assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 15.0}) == [["X"], ["X"]]
+    assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 70.0}) == []
 
 
 def test_many_effects_that_leave_noise_alone_are_an_answer():

@@ -56,6 +56,10 @@ class Unknown:
     nuisance: Nuisance | None = None
 
 
+Name = Nuisance | tuple[tuple[str, str, str | None], str]
+"""A toleranced parameter, or a parameter of the setting with this key."""
+
+
 @dataclass(frozen=True)
 class State:
     """A machine in the making: the nominal one, what of its file is changed, settings, and deviations of toleranced parameters."""
@@ -143,6 +147,14 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
     return found
 
 
+def _name(unknown: Unknown, state: State) -> Name:
+    """Which number of which state's machine this is, whatever its index there."""
+    if unknown.nuisance is not None:
+        return unknown.nuisance
+    assert unknown.setting is not None
+    return state.settings[unknown.setting].key, unknown.name
+
+
 def _is_in_proportion(unknown: Unknown, state: State) -> bool:
     """Does the machine answer in proportion to a number, which may then go as far as it asks for, through nothing to the other sign?"""
     if unknown.setting is None:
@@ -168,6 +180,11 @@ class Fitted:
     held_out: float  # half the squares on runs left out, of a single run on the half left out
     moves: tuple[np.ndarray, ...]  # of each fold, in steps; of the only run none
     deviations: np.ndarray  # (unknown,) standard deviations in steps
+
+    @property
+    def slopes(self) -> dict[Name, np.ndarray]:
+        """The columns by what they are the slope of, for one unit of it instead of a step."""
+        return {_name(u, self.state): self.columns[:, i] / u.step for i, u in enumerate(self.unknowns)}
 
     def without(self, fold: int) -> State:
         """The state fitted to the other folds."""
@@ -202,34 +219,48 @@ class ClosedLoop:
         return rest - self.zeros @ (self.zeros.T @ rest)
 
     def fit(self, state: State, tolerance: float, steps: int = STEPS, like: Fitted | None = None) -> Fitted | None:
-        """Gauss-Newton from a state; None where it cannot be simulated. Toleranced parameters answer as in the fit `like`."""
+        """Gauss-Newton from a state; None where it cannot be simulated.
+
+        Slopes are those of the fit `like` where it has them. They are taken again only where a step does not bring what they promise, and
+        those of toleranced parameters never: the machine answers to these in proportion.
+        """
         unknowns = unknowns_of(state, self.axes, tolerance)
         prior = np.array([PRIOR_WEIGHT_ROWS if u.nuisance is not None else 1e-6 for u in unknowns])
         try:
             left = self.left(state)
         except TwinError:
             return None
-        columns = np.zeros((len(self.rows), len(unknowns)))
+        known = like.slopes if like else {}
+        names = [_name(u, state) for u in unknowns]
+        columns = np.zeros((len(self.rows), len(unknowns)), order="F")
+        for i, name in enumerate(names):
+            columns[:, i] = known[name] * unknowns[i].step if name in known else 0.0
+        asked = [i for i, name in enumerate(names) if name not in known]
+        bent = {i for i, u in enumerate(unknowns) if u.nuisance is None}
+        taken_here: set[int] = set()  # slopes that were taken at this state
         # of the nuisances from what the machine file says, in steps
         offset = np.array(
             [state.deviations[state.nuisances.index(u.nuisance)] / u.step if u.nuisance is not None else 0.0 for u in unknowns]
         )
         loss = 0.5 * float(left @ left)
-        known = {u.nuisance: like.columns[:, i] for i, u in enumerate(like.unknowns)} if like else {}
-        for step in range(steps):
-            for i, u in enumerate(unknowns):
-                if u.nuisance is not None and (step or u.nuisance in known):  # their answers are linear
-                    columns[:, i] = known.get(u.nuisance, columns[:, i])
-                    continue
+        for _ in range(steps):
+            for i in asked:
                 columns[:, i] = self._slope(state, unknowns, i, left)
+            taken_here |= set(asked)
+            asked = sorted(bent - taken_here)
             better = self._better(state, unknowns, columns, left, prior, offset)
+            if better is None and asked:
+                continue  # slopes from elsewhere led nowhere
             if better is None:
                 break
-            state, left, taken = better
-            offset = offset + np.where(prior == PRIOR_WEIGHT_ROWS, taken, 0.0)
-            gained, loss = loss - 0.5 * float(left @ left), 0.5 * float(left @ left)
-            if gained < CONVERGED * loss:
+            state, after, move = better
+            offset = offset + np.where(prior == PRIOR_WEIGHT_ROWS, move, 0.0)
+            promised, gained = loss - 0.5 * float(np.sum(np.square(left - columns @ move))), loss - 0.5 * float(after @ after)
+            holds = gained > self.group.thresholds.slopes_hold * promised
+            left, loss = after, loss - gained
+            if gained < CONVERGED * loss and (holds or not asked):
                 break
+            taken_here, asked = set(), [] if holds else sorted(bent)
         return self._judged(state, unknowns, left, columns, loss, prior, offset)
 
     def _slope(self, state: State, unknowns: Sequence[Unknown], i: int, left: np.ndarray) -> np.ndarray:

@@ -27,6 +27,9 @@ LOUD = 3.0
 LOUD_SIGNAL = 1.5
 """The same of one signal: what only shows at reversals is little of an axis, and as evidence it counts next to nothing."""
 
+NEXT_TO_NOTHING = 1e-3
+"""Share of an axis' gap that effects may leave without being asked for the sake of one loud signal: it is small beside what they explain."""
+
 QUIET = 1.3
 """The same up to which an axis is at its noise, as nearly as runs left out say."""
 
@@ -39,8 +42,13 @@ def keeps_its_gap(before: float, after: float) -> bool:
 
     `before` and `after` correction: its gap over noise on runs left out.
     """
-    whole, left = (max(level**2 - 1.0, 0.0) for level in (before, after))
-    return (after > LOUD and left > ALL_BUT * whole) or (after > HARDLY_LOUD and left > 0.5 * whole)
+    left = share_left(before, after)
+    return (after > LOUD and left > ALL_BUT) or (after > HARDLY_LOUD and left > 0.5)
+
+
+def share_left(before: float, after: float) -> float:
+    """Share of an axis' gap above noise, in squares, that correction leaves; `before` and `after` it: its gap over noise."""
+    return max(after**2 - 1.0, 0.0) / max(before**2 - 1.0, 1e-300)
 
 
 def explained_by_many(found: Found, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
@@ -71,11 +79,13 @@ def laws_beside(
     signal of an axis after correction.
     """
     few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
-    loud = [
-        axis
-        for axis in few
-        if after.get(axis, 0.0) > LOUD or keeps_its_gap(before.get(axis, 0.0), after.get(axis, 0.0)) or loudest.get(axis, 0.0) > LOUD_SIGNAL
-    ]
+
+    def is_loud(axis: str) -> bool:
+        was, now = before.get(axis, 0.0), after.get(axis, 0.0)
+        one_is = loudest.get(axis, 0.0) > LOUD_SIGNAL and share_left(was, now) > NEXT_TO_NOTHING
+        return now > LOUD or keeps_its_gap(was, now) or one_is
+
+    loud = [axis for axis in few if is_loud(axis)]
     axes = [axis for f in found for axis in _recorded(f) if f.unknown or axis in loud]
     if not axes:
         return
