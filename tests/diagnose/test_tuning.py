@@ -48,3 +48,21 @@ def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
         found = found_of(group, tuning)
         assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
         assert (beyond_tolerance(found) < 0.0) is explained
+
+
+def test_a_column_that_is_held_explains_as_little_as_one_that_is_not_there(drawn):
+    tuning, column, residual = drawn
+    rng = np.random.default_rng(4)
+    # columns of very different size, as effects have them
+    further = np.asfortranarray(np.column_stack([1e4 * column, rng.normal(size=ROWS), 1e-3 * residual]))
+    every = tuning.with_free(further)
+    for held in ([0], [2], [0, 1]):
+        kept = [k for k in range(3) if k not in held]
+        others = tuning.with_free(further[:, kept])
+        about = every.holding(held)
+        assert about.jacobian is every.jacobian
+        assert about.loss(residual) == pytest.approx(others.loss(residual), rel=1e-9)
+        theta = about.solve(residual)
+        np.testing.assert_allclose(theta[2:][held] * np.abs(further[:, held]).max(axis=0), 0.0, atol=1e-6)
+        np.testing.assert_allclose(np.delete(theta, [2 + k for k in held]), others.solve(residual), rtol=1e-6, atol=1e-9)
+    assert every.loss(residual) < 0.1 * every.holding([0, 2]).loss(residual)

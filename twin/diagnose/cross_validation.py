@@ -181,5 +181,5 @@ def _linear(group: Group, fit: Fit) -> _Linear:
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:
     """Information about the first p parameters with the others free; never quite none, so that no direction divides by zero."""
-    information = normal[:p, :p] - normal[:p, p:] @ np.linalg.lstsq(normal[p:, p:], normal[p:, :p], rcond=None)[0]
+    information = normal[:p, :p] - normal[:p, p:] @ solved(normal[p:, p:], normal[p:, :p])
     return information + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)

@@ -204,20 +204,28 @@ def fit_effects(
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
-            gain, promised = best - lower.loss, float(gradient @ lower.move - 0.5 * lower.move @ information @ lower.move)
+            gain, promised = best - lower.loss, _promised(gradient, information, lower.move)
             best, settings, response = lower.loss, lower.settings, lower.response
             reach = np.clip(np.abs(lower.move), narrowest, t.slope)
             if gain < t.converged * max(1.0, 0.002 * best):
                 break
-            # slopes that promise what they hold serve for the next step, too
-            asked = [] if gain > t.slopes_hold * promised else list(range(len(free)))
+            # slopes that promise what they hold serve for the next step, too, and so do those that promise nothing that decides
+            holds = gain > t.slopes_hold * promised or promised - gain < t.price
+            asked = [] if holds else list(range(len(free)))
         elif len(asked) < len(free):
+            if _promised(gradient, information, move) < t.price:
+                break
             asked = list(range(len(free)))  # slopes from elsewhere led nowhere
         elif best < t.above_noise * group.expected_loss or np.all(reach <= narrowest):
             break
         else:
             reach = np.full(len(free), narrowest)
     return Fit(settings, free, best, tuning.solve(residual - response), response, columns, tuning)
+
+
+def _promised(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
+    """By how much the slopes say that a move lowers the loss."""
+    return float(gradient @ move - 0.5 * move @ information @ move)
 
 
 def _name(free: Free, settings: Sequence[Setting]) -> Slope:

@@ -27,7 +27,7 @@ from twin.diagnose.screen import Gain, Screening, remembered_answer, screening
 from twin.diagnose.slip import with_slip_beside
 from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, is_cut, localised_on, loud_axes
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import beside, tuning_of
+from twin.diagnose.tuning import Tuning, beside, tuning_of
 from twin.diagnose.unseen import unseen_effects
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -87,29 +87,47 @@ def _searched(found: Found, machine: Machine, folds: Folds, mapper: Mapper, prog
         asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
         if not asked:
             break
-        progress(f"{'+'.join(group.axes)}: screening beside {len(found.fit.settings)} effects")
-        starts = [s for s in starts_of(found.group, machine, found.fit.left(found.group)) if s.axis in asked and s.key not in found.keys]
-        screened = _screened(found, starts, mapper)
-        if not found.screened:
-            found = replace(found, screened=_listed(found, screened, machine))
-            if not quick:
-                found = replace(found, unseen=unseen_effects(found, starts, machine, len(folds), mapper))
-        refused = {key for key, times in asked_of.items() if times >= t.most_asked}
-        picks = _picked(found, screened, machine, refused, len(folds))
-        if not picks:
+        found, winners = _round(found, asked, asked_of, machine, folds, mapper, progress, quick)
+        if winners:
+            found = _with_effects(found, winners, machine, mapper)
+        elif quick or (slipping := with_slip_beside(found, machine, mapper)) is found:
             break
-        progress(f"{'+'.join(group.axes)}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
-        contests = _contests(found, screened, picks, machine, folds, mapper, quick)
-        found = replace(found, rounds=(*found.rounds, *(tuple(f.candidate for f in contest) for contest in contests)))
-        best = [next((f for f in contest if f.candidate.plausible), None) for contest in contests]
-        winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
-        asked_of.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
-        if not winners:
-            break
-        found = _with_effects(found, winners, machine, mapper)
-        found = found if quick else with_slip_beside(found, machine, mapper)
+        else:  # a slip that is sized while effects are missing stands in for them
+            found = slipping
         found, looked = _without_superfluous(found, machine, folds, mapper), False
     return found
+
+
+def _round(
+    found: Found,
+    asked: Collection[str],
+    asked_of: Counter[Key],
+    machine: Machine,
+    folds: Folds,
+    mapper: Mapper,
+    progress: Callable[[str], None],
+    quick: bool,
+) -> tuple[Found, list[Fitted]]:
+    """The state with what was screened and fitted on the axes `asked`, and the effects that earn their place; counts how often each was `asked_of`."""
+    t, of = found.thresholds, "+".join(found.group.axes)
+    progress(f"{of}: screening beside {len(found.fit.settings)} effects")
+    starts = [s for s in starts_of(found.group, machine, found.fit.left(found.group)) if s.axis in asked and s.key not in found.keys]
+    screened = _screened(found, starts, mapper)
+    if not found.screened:
+        found = replace(found, screened=_listed(found, screened, machine))
+        if not quick:
+            found = replace(found, unseen=unseen_effects(found, starts, machine, len(folds), mapper))
+    refused = {key for key, times in asked_of.items() if times >= t.most_asked}
+    picks = _picked(found, screened, machine, refused, len(folds))
+    if not picks:
+        return found, []
+    progress(f"{of}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
+    contests = _contests(found, screened, picks, machine, folds, mapper, quick)
+    found = replace(found, rounds=(*found.rounds, *(tuple(f.candidate for f in contest) for contest in contests)))
+    best = [next((f for f in contest if f.candidate.plausible), None) for contest in contests]
+    winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
+    asked_of.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
+    return found, winners
 
 
 def _begun(group: Group, machine: Machine, mapper: Mapper) -> Found:
@@ -214,13 +232,15 @@ def _contests(
     bending = tuple(s for s in found.fit.settings if not s.effect.is_linear)
     # effects in proportion to their size add to what the others answer; they are simulated together once, at the end
     rest = found.group.residual - found.fit.response + (answer(found.group, bending, mapper) if bending else 0.0)
+    before = found.tuning.further.size + found.fit.columns.shape[1]
+    ends = before + np.cumsum([0, *(a.shape[1] for a in answers)])
+    all_free = found.tuning.with_free(beside(found.fit.columns, *answers))
 
     def contest(i: int) -> tuple[Fitted, ...]:
-        about = found.tuning.with_free(beside(found.fit.columns, *(a for j, a in enumerate(answers) if j != i)))
-        pick, base = picks[i], held(found.group, about, found.fit.settings, found.fit.response)
-        return _contest(found, base, bending, rest, (pick.setting, *pick.rivals), machine, folds, mapper, quick)
+        base = held(found.group, all_free.holding(range(ends[i], ends[i + 1])), found.fit.settings, found.fit.response)
+        return _contest(found, base, bending, rest, (picks[i].setting, *picks[i].rivals), machine, folds, mapper, quick)
 
-    with ThreadPoolExecutor(2) as contests:  # each holds a wide matrix
+    with ThreadPoolExecutor(2) as contests:
         return list(contests.map(contest, range(len(picks))))
 
 
@@ -311,7 +331,8 @@ def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
 def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: Mapper) -> Found:
     """The state without effects that the others have made superfluous: what each closes beside them must still be its evidence."""
     while found.fit.settings:
-        missed = [_beyond_needed(found, i, machine, folds, mapper) for i in range(len(found.fit.settings))]
+        all_free = found.tuning.with_free(found.fit.columns)
+        missed = [_beyond_needed(found, i, all_free, machine, folds, mapper) for i in range(len(found.fit.settings))]
         worst = int(np.argmin(missed))
         if missed[worst] >= 0.0:
             break
@@ -323,30 +344,28 @@ def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: M
     return found
 
 
-def _beyond_needed(found: Found, i: int, machine: Machine, folds: Folds, mapper: Mapper) -> float:
-    """By how much what effect i closes beside the others is more than the evidence that it needs [nat]; -inf where no machine has its size."""
+def _beyond_needed(found: Found, i: int, all_free: Tuning, machine: Machine, folds: Folds, mapper: Mapper) -> float:
+    """By how much what effect i closes beside the others is more than the evidence that it needs [nat]; -inf where no machine has its size.
+
+    `all_free` is the tuning with the effects' slopes beside it, by which the others are fitted anew.
+    """
     setting = found.fit.settings[i]
     if not is_plausible(setting, machine, is_cut(found.group, setting)):
         return -math.inf
     needed = evidence_needed(found, setting, len(folds))
-    price = found.thresholds.price * sum(f.setting == i for f in found.fit.free)
+    own = [found.tuning.further.size + k for k, f in enumerate(found.fit.free) if f.setting == i]
+    tuning = all_free.holding(own)
 
-    def beyond(rest: Fit) -> float:
-        return (rest.loss - found.fit.loss - price) / found.inflation - needed
+    def beyond(others: np.ndarray) -> float:
+        loss = tuning.loss(found.group.residual - others)
+        return (loss - found.fit.loss - found.thresholds.price * len(own)) / found.inflation - needed
 
     others = in_proportion(found, i) if setting.effect.is_linear else None
     # where an effect is far above what it needs, its slope says so surely enough
-    if others is not None and (clear := beyond(without(found, i, others))) > needed:
+    if others is not None and (clear := beyond(others)) > needed:
         return clear
     rest = [s for j, s in enumerate(found.fit.settings) if j != i]
-    return beyond(without(found, i, answer(found.group, rest, mapper) if rest else np.zeros(found.group.size)))
-
-
-def without(found: Found, i: int, response: np.ndarray) -> Fit:
-    """The last fit without effect i, the others and the tuning fitted anew by their slopes; the others answer `response` (row,)."""
-    fit = found.fit
-    rest = tuple(s for j, s in enumerate(fit.settings) if j != i)
-    return held(found.group, found.tuning.with_free(fit.columns[:, [f.setting != i for f in fit.free]]), rest, response)
+    return beyond(answer(found.group, rest, mapper) if rest else np.zeros(found.group.size))
 
 
 def in_proportion(found: Found, i: int) -> np.ndarray | None:

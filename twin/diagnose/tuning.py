@@ -19,6 +19,10 @@ FREE = 1e-6
 """Weight of zero for a column that may take any size: keeps a column that changes nothing from having one."""
 
 
+HELD = 1e12
+"""Weight of zero, over its own squares, of a column that is held at zero."""
+
+
 @dataclass(frozen=True)
 class Tuning:
     """The nuisances of a group with their simulated effect on all channels."""
@@ -70,6 +74,16 @@ class Tuning:
         normal = np.block([[self.normal, cross], [cross.T, own]])
         jacobian = beside(self.jacobian, columns)
         return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, self)
+
+    def holding(self, columns: Sequence[int]) -> Tuning:
+        """The tuning with some of its further columns, counted from the first of them, held at zero; it shares the jacobian with this one."""
+        own = np.array(columns, int)
+        at = own + len(self.nuisances)
+        weight = HELD * np.maximum(np.diag(self.normal)[at], FREE)
+        normal, further = self.normal.copy(), self.further.copy()
+        normal[at, at] += weight
+        further[own] += weight
+        return replace(self, normal=normal, inverse=_inverse(normal), further=further)
 
     def project(self, columns: np.ndarray) -> np.ndarray:
         """J' columns, for eliminating the tuning."""

@@ -1,0 +1,49 @@
+"""Fits of effects in closed loop: when slopes from a fit next to this one serve, and when they are taken again."""
+
+import pytest
+
+from tests.diagnose.law.test_keep import X, runs_of
+from twin.diagnose import fit
+from twin.diagnose.fit import fit_effects
+from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.tuning import tuning_of
+from twin.diagnose.view import view_of
+from twin.effects import parse_setting
+
+FRICTION = {"name": "stribeck", "axis": "X", "excess": 150.0, "velocity": 0.004}
+START = parse_setting("stribeck:X:excess=100,velocity=0.006", X)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    group = observe([view_of(X, run) for run in runs_of([FRICTION])], ("X",))
+    tuning = tuning_of(group, X, in_turn)
+    found = fit_effects(group, X, tuning, [START], in_turn)
+    assert found is not None
+    return group, tuning, found
+
+
+def fitted_from(monkeypatch, fitted, start, known):
+    """A fit from another start with known slopes, and how many slopes it took."""
+    group, tuning, _ = fitted
+    taken = []
+    slope = fit._slope
+    monkeypatch.setattr(fit, "_slope", lambda *arguments: taken.append(1) or slope(*arguments))
+    found = fit_effects(group, X, tuning, [start], in_turn, known=known)
+    assert found is not None
+    return found, len(taken)
+
+
+def test_slopes_that_promise_next_to_nothing_are_not_taken_again(monkeypatch, fitted):
+    """At the optimum no slope promises anything, not even one of the wrong sign."""
+    wrong = {name: -column for name, column in fitted[2].slopes.items()}
+    again, taken = fitted_from(monkeypatch, fitted, fitted[2].settings[0], wrong)
+    assert taken == 0
+    assert again.loss <= fitted[2].loss
+
+
+def test_slopes_that_lead_nowhere_are_taken_again(monkeypatch, fitted):
+    wrong = {name: -column for name, column in fitted[2].slopes.items()}
+    again, taken = fitted_from(monkeypatch, fitted, START, wrong)
+    assert taken >= 2
+    assert again.loss < fitted[2].loss + 5.0
