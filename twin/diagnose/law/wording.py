@@ -30,16 +30,17 @@ def known(law: Law) -> tuple[Known, ...]:
     return looks_like(c.output, c.variable, law.measured.shape, int(np.sign(height)))
 
 
-def _value(law: Law, name: str, axis: Axis, source: Axis) -> str:
-    """A number with its doubt, in units for people: '(485 +- 2) N'."""
+def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) -> str:
+    """A number with its doubt, in units for people: '(485 +- 2) N'; without its sign, which words around it say, or `signed`."""
     value, deviation = law.setting.parameters[name], law.deviations.get(name, 0.0)
     parameter = law.setting.effect.parameter(name)
     unit = parameter.unit(axis)
     quantity, factor = _shown(law, name, axis, source) or (unit, 1.0)
+    value = value if signed else abs(value)
     if not deviation:
         return readable(value, unit) if factor == 1.0 else f"{factor * value:.3g} {quantity}"
     digits = max(0, -math.floor(math.log10(max(BAND * factor * deviation, 1e-12))))
-    return f"({factor * abs(value):.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
+    return f"({factor * value:.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
 
 
 def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
@@ -78,6 +79,9 @@ def sentence(law: Law, machine: Machine) -> str:
     if name in ("gaussian", "exponential") and described.variable == "speed" and described.output == "friction":
         width = "width" if name == "gaussian" else "scale"
         return f"{head} that is {_value(law, 'height', axis, source)} {'lower' if p['height'] < 0 else 'higher'} below {_value(law, width, axis, source)}"
+    if name == "gaussian" and "at" in p and described.output == "friction":
+        height, at, width = (_value(law, n, axis, source) for n in ("height", "at", "width"))
+        return f"{head} that is {height} {'lower' if p['height'] < 0 else 'higher'} around {at} of the {over}, over a width of {width}"
     if described.variable == "direction":
         return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the motion, which turns over within {_value(law, 'length', axis, source)} of travel"
     if described.variable == "slack":
@@ -87,7 +91,7 @@ def sentence(law: Law, machine: Machine) -> str:
         return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the current, which turns over within {width}"
     if name == "sine":
         return f"{head} that swings by {_value(law, 'amplitude', axis, source)} each {_value(law, 'period', axis, source)} of the {over}"
-    numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source)}" for n in described.shape.numbers if n.name in p)
+    numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source, signed=True)}" for n in described.shape.numbers if n.name in p)
     return f"{head} over the {over}, {described.shape.words} ({numbers})"
 
 
