@@ -127,7 +127,7 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert {p["block"] for p in found["where"]} == {"mechanics"}
     assert found["notes"] == [  # no signal is wanting
         "a single run: nothing could be left out of the fit",
-        "a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked",
+        "a quick look: gaps are the decoupled plant's, not MuJoCo's; laws that no effect describes, and effects that these runs would not show, were not asked for",
     ]
     assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")

@@ -109,7 +109,8 @@ def diagnose(
     best = without_laws = held_out.left(machine, runs)
     with ThreadPoolExecutor(threads) as workers:
         loudest = held_out.loudest(machine, runs)
-        for tried in laws_beside(found, before, after, loudest, machine_without, corrected, folds, on_threads(workers), say):
+        asked = () if quick else laws_beside(found, before, after, loudest, machine_without, corrected, folds, on_threads(workers), say)
+        for tried in asked:
             if tried.laws:
                 with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
                 if with_laws is None:
@@ -130,7 +131,9 @@ def diagnose(
     campaign = replace(campaign, runs=runs)
     notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
     if quick:
-        notes.append("a quick look: gaps are the decoupled plant's, not MuJoCo's; which effects these runs would not show was not asked")
+        notes.append(
+            "a quick look: gaps are the decoupled plant's, not MuJoCo's; laws that no effect describes, and effects that these runs would not show, were not asked for"
+        )
     if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
         notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
     verdict = verdict_of(found, settings)
