@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.recordings.least_squares import RELATED, regress, whiteness
+from twin.recordings.least_squares import RELATED, _enough, regress, whiteness
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -73,10 +73,17 @@ def test_whiteness_tells_white_from_coloured() -> None:
     assert whiteness(coloured(rng, 5000, 0.9))[1] > 0.3
 
 
-def test_one_stroke_alone_is_not_exact() -> None:
-    """Its scores add up to nothing: the interval was 1e-13 of the value."""
+@pytest.mark.parametrize("strokes", [1, 2, 3])
+def test_as_few_strokes_as_columns_are_not_exact(strokes: int) -> None:
+    """Their scores add up to nothing: the interval was 1e-13 of the value."""
     rng = np.random.default_rng(3)
-    columns = np.column_stack([np.linspace(-1.0, 1.0, 40), np.ones(40)])
-    fit = regress(columns, columns @ [2.0, 1.0] + rng.normal(0.0, 0.1, 40), np.zeros(40))
-    assert (fit.deviations > 0.01).all()
-    assert (np.abs(fit.values - [2.0, 1.0]) < fit.quantile * fit.deviations).all()
+    columns = np.column_stack([np.linspace(-1.0, 1.0, 60), np.ones(60), np.sin(np.arange(60.0))])
+    fit = regress(columns, columns @ [2.0, 1.0, -1.0] + rng.normal(0.0, 0.1, 60), np.arange(60) * strokes // 60)
+    assert (fit.deviations > 0.005).all()
+    assert (np.abs(fit.values - [2.0, 1.0, -1.0]) < fit.quantile * fit.deviations).all()
+    assert fit.clusters >= 5
+
+
+def test_enough_strokes_stay_whole() -> None:
+    strokes = np.repeat([3, 1, 2, 0, 4], 7)
+    assert np.array_equal(_enough(strokes, 3), strokes)

@@ -80,10 +80,7 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     bread = np.linalg.inv(z.T @ scaled)
     found = bread @ (z.T @ y)
     residual = y - scaled @ found
-    _, group = np.unique(clusters, return_inverse=True)
-    if not group.any():
-        # the scores of one stroke alone add up to nothing, as if the numbers were exact: its pieces stand for strokes
-        group = np.arange(len(y)) * (int(seen.sum()) + 2) // len(y)
+    group = _enough(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
     count = int(group.max()) + 1
     scores = np.zeros((count, int(seen.sum())))
     np.add.at(scores, group, z * residual[:, None])
@@ -95,6 +92,19 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     covariance[unknown, unknown] = np.inf
     values[seen] = found / length[seen]
     return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), count, seen)
+
+
+def _enough(stroke: np.ndarray, columns: int) -> np.ndarray:
+    """Clusters (row,) for so many columns: the strokes, or equal pieces of them where the strokes are too few.
+
+    The scores of all clusters add up to nothing. Of no more clusters than columns some direction has none at all, as if it were exact.
+    """
+    sizes = np.bincount(stroke)
+    pieces = -(-(columns + 2) // len(sizes))
+    place = np.zeros(len(stroke), int)
+    for s, size in enumerate(sizes):
+        place[stroke == s] = np.arange(size) * pieces // size
+    return np.unique(stroke * pieces + place, return_inverse=True)[1]
 
 
 def whiteness(residual: np.ndarray, lags: int = 40) -> tuple[np.ndarray, float]:
