@@ -47,7 +47,7 @@ def main() -> None:
     for file in campaign.glob("*.parquet"):
         table = pq.read_table(file)
         pq.write_table(table.select([c for c in table.column_names if c.startswith(("time", f"{AXIS}."))]), file)
-    if code := twin(["diagnose", str(campaign), "--quick", "--out", str(out / "diagnosis")]):
+    if code := twin(["diagnose", str(campaign), "--out", str(out / "diagnosis")]):
         sys.exit(code)
     document = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     for law in document["laws"]:
