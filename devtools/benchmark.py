@@ -25,8 +25,9 @@ import numpy as np
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.cascade_reference import ReferenceSimulation
 from twin.simulation.engine_calls import call_address_2, engine_function_address
+from twin.simulation.lanes import STRETCH_TICKS
 from twin.simulation.plant_spec import Plant, build_plant
-from twin.simulation.run import STRETCH_TICKS, simulate
+from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
 PYTHON_TICKS = 1_600

@@ -258,7 +258,7 @@ def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str
         ("our bristle term", friction.bristle, [1e8, 1e5]),
         ("our ripple term", motor.ripple, [0.3, 3000.0, 0.0]),
     ):
-        terms, signals = term_table([Term(law, FORCE, 0, parameters)]), np.full((5, SIGNAL_COUNT), 1e-2)
+        terms, signals = term_table([Term(law, FORCE, 0, parameters)], 5), np.full((5, SIGNAL_COUNT), 1e-2)
         _terms(terms, signals, 10)
         spent = []
         for _ in range(repeats):

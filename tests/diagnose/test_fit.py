@@ -5,7 +5,8 @@ import pytest
 from tests.diagnose.law.test_keep import X, runs_of
 from twin.diagnose import fit
 from twin.diagnose.fit import fit_effects
-from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.observe import observe
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting
@@ -27,8 +28,8 @@ def fitted_from(monkeypatch, fitted, start, known):
     """A fit from another start with known slopes, and how many slopes it took."""
     group, tuning, _ = fitted
     taken = []
-    slope = fit._slope
-    monkeypatch.setattr(fit, "_slope", lambda *arguments: taken.append(1) or slope(*arguments))
+    slopes = fit._slopes
+    monkeypatch.setattr(fit, "_slopes", lambda *arguments: taken.extend(arguments[3]) or slopes(*arguments))
     found = fit_effects(group, X, tuning, [start], in_turn, known=known)
     assert found is not None
     return found, len(taken)

@@ -7,8 +7,8 @@ import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose.fit import Fit, free_parameters
-from twin.diagnose.observe import in_turn
 from twin.diagnose.plausible import is_plausible
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.sizes import without_implausible
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine

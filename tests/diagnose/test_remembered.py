@@ -5,22 +5,33 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from twin.diagnose import state
 from twin.diagnose.state import Found
+from twin.effects import EFFECTS, Setting
+from twin.errors import SimulationError
 
 ROWS = 30
 
 
-def test_an_answer_is_simulated_once_and_follows_the_weights():
+START = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})
+UNSTABLE = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 9.0})
+
+
+def test_an_answer_is_simulated_once_and_follows_the_weights(monkeypatch):
     rng = np.random.default_rng(0)
     column, doubt = rng.normal(size=ROWS), rng.uniform(0.2, 1.0, ROWS)
     found = Found(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)
     simulated = []
 
-    def simulate():
-        simulated.append(column)
-        return column
+    def answers(group, several, mapper):
+        simulated.extend(several)
+        return [SimulationError("unstable") if setting is UNSTABLE else column * group.weights for (setting,) in several]
 
+    monkeypatch.setattr(state, "answers", answers)
     for weights in (None, doubt, 2.0 * doubt):
         found = found if weights is None else replace(found, group=SimpleNamespace(weights=weights))
-        np.testing.assert_allclose(found.remembered("a start", simulate), column * found.group.weights, rtol=1e-6)
-    assert len(simulated) == 1
+        one, refused, again = found.remembered([START, UNSTABLE, START])
+        np.testing.assert_allclose(one, column * found.group.weights, rtol=1e-6)
+        assert again is one
+        assert isinstance(refused, SimulationError)
+    assert simulated == [[START], [UNSTABLE]]

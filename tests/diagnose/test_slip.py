@@ -11,8 +11,9 @@ from tests.diagnose.law.test_keep import X, runs_of
 from twin.diagnose.corrected import within
 from twin.diagnose.fit import answer, fit_effects, no_effect
 from twin.diagnose.imperfections import moved_to, with_imperfections
-from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.slip import with_slip_beside
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import Nuisance

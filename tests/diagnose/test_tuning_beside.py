@@ -5,7 +5,8 @@ import pytest
 
 from tests.conftest import swings
 from twin.diagnose.fit import Fit, answer, free_parameters, tuning_beside
-from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.observe import observe
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting

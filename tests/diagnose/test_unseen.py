@@ -26,13 +26,11 @@ def sizes_of(columns, monkeypatch, moving=None):
     found = found_of(group_of([np.zeros(ROWS)], moving=moving), tuning)
     axes = dict(zip("XYZ", columns))
 
-    def answer(found, setting):
-        column = axes[setting.axis]
-        if column is None:
-            raise SimulationError("unstable")
-        return column
+    def remembered(found, settings, mapper):
+        columns = [axes[setting.axis] for setting in settings]
+        return [SimulationError("unstable") if column is None else column for column in columns]
 
-    monkeypatch.setattr(unseen, "remembered_answer", answer)
+    monkeypatch.setattr(type(found), "remembered", remembered)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
     return {
         axis: sizes for (_, axis, _), sizes in unseen.unseen_effects(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()

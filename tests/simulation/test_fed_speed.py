@@ -5,7 +5,7 @@ import pytest
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.run import commissioned_inertia
+from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import command_of, recorded_setpoints
 
 TP = 2e-3

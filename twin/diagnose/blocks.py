@@ -19,7 +19,8 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.diagnose.channel import Channel
-from twin.diagnose.observe import Group, simulate_group
+from twin.diagnose.observe import Group
+from twin.diagnose.simulations import simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects, with_effects
 from twin.machine.machine import Axis, Machine
@@ -27,7 +28,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
 from twin.simulation.decoupled_plant import loads_along
 from twin.simulation.in_force import sent_before, speed_set_point
-from twin.simulation.run import commissioned_inertia
+from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")

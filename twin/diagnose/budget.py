@@ -15,14 +15,14 @@ the corrected machine changes: more says that they cancel each other, less that 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from twin.diagnose.corrected import normal_imperfections, within
-from twin.diagnose.observe import Mapper, in_turn, simulate_group
+from twin.diagnose.simulations import Answer, Ask, Mapper, in_turn, simulate_groups
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tool_point import LOAD, ToolPoint
@@ -125,17 +125,19 @@ def budget_of(
     is that of each axis and signal [SI]."""
     parts = list(_parts(machine, corrected, found))
     tool = ToolPoint(machine)
-    plan = mapper(lambda v: simulated(v, corrected, machine.axis_names), views)
-    nominal = mapper(lambda v: simulated(v, machine, machine.axis_names), views)
+    both = simulated_each(
+        [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
+    )
+    plan, nominal = both[: len(views)], both[len(views) :]
     jobs = [(part, run) for part in parts for run in range(len(views))]
+    asked = [(views[run], own, part.moved) for part, run in jobs for own in (part.without, part.alone)]
 
-    def asked(job: tuple[_Part, int]) -> tuple[_Change, _Change]:
-        part, run = job
-        view = views[run]
-        out = _change(machine, tool, view, plan[run], simulated(view, part.without, part.moved), part)
-        return out, _change(machine, tool, view, nominal[run], simulated(view, part.alone, part.moved), part)
+    def change(i: int, trace: Trace | None) -> _Change:
+        part, run = jobs[i // 2]
+        return _change(machine, tool, views[run], (nominal if i % 2 else plan)[run], trace, part)
 
-    changes = mapper(asked, jobs)
+    each = simulated_each(asked, mapper, change)
+    changes = list(zip(each[::2], each[1::2]))
     samples = np.array([len(view.trace.time) for view in views], float)
     names = [view.name for view in views]
     rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], samples, names, noise) for part in parts]
@@ -186,14 +188,20 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
             )
 
 
-def simulated(view: RunView, machine: Machine, axes: Sequence[str]) -> Trace | None:
-    """True motion and signals of axes in a run, without noise; None where the machine cannot run. Axes that stand are among them:
-    their screws grow, and they are the lever of a rotary axis."""
-    own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
-    try:
-        return simulate_group(view, axes, lambda _: own).without_noise
-    except TwinError:
-        return None
+def simulated_each(
+    asked: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Answer]
+) -> list[Answer]:
+    """What `of` takes from the true motion and signals of axes in each run, without noise; it gets None where the machine cannot run.
+
+    Axes that stand are among them: their screws grow, and they are the lever of a rotary axis.
+    """
+
+    def ask(view: RunView, machine: Machine, axes: Sequence[str]) -> Ask:
+        own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
+        return Ask(view, axes, lambda _: own)
+
+    outcomes = simulate_groups([ask(*one) for one in asked], mapper, lambda i, run: of(i, run.without_noise))
+    return [of(i, None) if isinstance(outcome, TwinError) else outcome for i, outcome in enumerate(outcomes)]
 
 
 def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:

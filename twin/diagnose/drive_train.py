@@ -6,12 +6,15 @@ and 5 % of the frequency or half the damping decides how strongly. A response sc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+import functools
 import math
 
 import numpy as np
 
-from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.observe import Group, Variation
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
 from twin.errors import TwinError
@@ -27,6 +30,10 @@ DAMPED = (-0.9, -0.45, 0.45, 0.9)
 """Exponents of `normal_damping` tried beside the assumed damping."""
 
 
+Point = tuple[float, float]
+"""A drive train: share of the normal elasticity, damping exponent."""
+
+
 class _Tried:
     """Losses of trial drive trains on the runs in which one shows most; each trial is simulated once."""
 
@@ -39,17 +46,14 @@ class _Tried:
             tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight, tuning.further
         )
         self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
-        self.losses: dict[tuple[float, float], float] = {}
+        self.losses: dict[Point, float] = {}  # half the squares that re-tuning leaves
 
-    def loss(self, at: tuple[float, float]) -> float:
-        """Half the squares that re-tuning leaves beside a drive train `at` (share of the normal elasticity, damping exponent)."""
-        if at not in self.losses:
-            try:
-                answer = answer_of(self.group, self.axis, at, self.tolerance)
-                self.losses[at] = self.tuning.loss(self.residual - answer)
-            except TwinError:
-                self.losses[at] = math.inf
-        return self.losses[at]
+    def best_of(self, points: Sequence[Point], mapper: Mapper) -> Point:
+        """The point of which re-tuning leaves least; of several the first in order."""
+        new = [at for at in dict.fromkeys(points) if at not in self.losses]
+        for at, answer in zip(new, answers_of(self.group, self.axis, new, self.tolerance, mapper)):
+            self.losses[at] = self.tuning.loss(self.residual - answer) if isinstance(answer, np.ndarray) else math.inf
+        return min((self.losses[at], at) for at in points)[1]
 
 
 def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
@@ -63,10 +67,14 @@ def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
     return set(order[: int(np.searchsorted(parts, group.thresholds.train_shown)) + 1])
 
 
-def answer_of(group: Group, axis: str, at: tuple[float, float], tolerance: float) -> np.ndarray:
-    """Response (row,) to a drive train `at` (share of the normal elasticity, damping exponent)."""
+def answers_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
+    """Response (row,) to the drive train at each of these points, or the error of one that cannot be simulated."""
     elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
-    return group.response(lambda m: damping.apply(elasticity.apply(m, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance), axes=(axis,))
+
+    def with_train(machine: Machine, at: Point) -> Machine:
+        return damping.apply(elasticity.apply(machine, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance)
+
+    return group.responses([Variation(functools.partial(with_train, at=at), axes=(axis,)) for at in points], mapper=mapper)
 
 
 def with_drive_train(
@@ -87,17 +95,17 @@ def with_drive_train(
     tolerance, t = machine.parameter_tolerance, group.thresholds
     tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
 
-    def best_of(points: list[tuple[float, float]]) -> tuple[float, float]:
-        return min(zip(mapper(tried.loss, points), points))[1]
+    def best_of(points: Sequence[Point]) -> Point:
+        return tried.best_of(points, mapper)
 
-    def at(mode_hz: float) -> tuple[float, float]:
+    def at(mode_hz: float) -> Point:
         return (t.normal_mode_hz / mode_hz) ** 2, 0.0
 
     linear_hz = t.normal_mode_hz / math.sqrt(linear.size)
     near_cycle = [r / machine.position_cycle for r in MEETING]
     modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.loss(found) < t.imperfection_earned:
+    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_earned:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
     for step in (t.train_finer, 0.5 * t.train_finer):
@@ -106,11 +114,12 @@ def with_drive_train(
     share, damped = found
     if share >= largest:
         return tuning
-    worth = tried.loss((share, 0.0)) - tried.loss(found)
-    try:
-        plain = answer_of(group, axis, (share, 0.0), tolerance)
-        whole = answer_of(group, axis, found, tolerance) if damped and worth >= t.imperfection_earned else None
-    except TwinError:  # unstable in a run in which it does not show
+    best_of([(share, 0.0)])
+    worth = tried.losses[share, 0.0] - tried.losses[found]
+    points = [(share, 0.0), found] if damped and worth >= t.imperfection_earned else [(share, 0.0)]
+    plain, *beside = answers_of(group, axis, points, tolerance, mapper)
+    whole = beside[0] if beside else None
+    if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in a run in which it does not show
         return tuning
     tuning = tuning.with_column(Nuisance(axis, "elasticity", t), plain * (UNIFORM / share))
     return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damped))

@@ -12,20 +12,23 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+import functools
 import math
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.observe import Group, Mapper, in_turn
+from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, beside
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
 
 Slope = tuple[tuple[str, str, str | None], str]
 """Effect, axis and from_axis, and the parameter: what a column of a fit is the slope of."""
@@ -195,8 +198,8 @@ def fit_effects(
     asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     for _ in range(t.fit_steps if steps is None else steps):
         try:
-            for i in asked:
-                columns[:, i] = _slope(group, settings, response, free[i], reach[i], mapper)
+            for i, column in zip(asked, _slopes(group, settings, response, [(free[i], reach[i]) for i in asked], mapper)):
+                columns[:, i] = column
         except TwinError:
             return None
         information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
@@ -265,9 +268,14 @@ def _lower(
 
 
 def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
-    """Simulated change of the group's channels by these effects (row,); `mapper` maps over runs."""
-    own = _moved_by(settings, group)
-    return group.response(None, settings, [a for a in group.axes if a in own], mapper=mapper)
+    """Simulated change of the group's channels by these effects (row,); `mapper` maps over simulations."""
+    return all_or_raise(answers(group, [settings], mapper))[0]
+
+
+def answers(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+    """The answer to each of several sets of effects, or the error of one that cannot be simulated."""
+    moved = [_moved_by(settings, group) for settings in several]
+    return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], mapper=mapper)
 
 
 def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
@@ -285,33 +293,34 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
     t = group.thresholds
     tuning, own = fit.about, _moved_by(fit.settings, group)
 
-    def column(i: int) -> np.ndarray:
-        nuisance = tuning.nuisances[i]
+    steps, variations = {}, []
+    for i, nuisance in enumerate(tuning.nuisances):
         if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # what creeps shows in shaken simulations alone
-            return tuning.jacobian[:, i]
+            continue
         step = max(t.nearby, tuning.spread)
         if nuisance.quantity == "damping":
             step = t.nearby * machine.parameter_tolerance
         elif nuisance.quantity in NORMAL:  # a mode is as wide as its damping, and what is smaller than the least stays out of a machine
             step = max(t.within_mode * abs(float(tuning.base[i])), 1.05 * t.least_imperfection * machine.parameter_tolerance)
-        axes = [a for a in group.axes if a in own or a in nuisance.axes(group.axes)]
-        changed = group.response(lambda m: nuisance.apply(m, 1.0 + step), fit.settings, axes)
-        return (changed - fit.response) * (tuning.spread / step)
+        steps[i] = step
+        axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
+        variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + step), fit.settings, axes))
+    columns = np.asfortranarray(tuning.jacobian[:, : len(tuning.nuisances)])
+    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, mapper=mapper))):
+        columns[:, i] = (changed - fit.response) * (tuning.spread / step)
+    return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
 
-    return replace(
-        tuning.of(tuning.nuisances, beside(*(c[:, None] for c in mapper(column, range(len(tuning.nuisances)))))),
-        base=tuning.base,
-    )
 
-
-def _slope(group: Group, settings: tuple[Setting, ...], response: np.ndarray, f: Free, reach: float, mapper: Mapper) -> np.ndarray:
-    """Change per scale unit of a parameter, over a step of so many, towards the inside of the bounds."""
-    for step in (reach, -reach):
-        moved = f.moved(settings, step)
-        actual = _distance(f, settings, moved)
-        if abs(actual) > 1e-6:
-            return (answer(group, moved, mapper) - response) / actual
-    return np.zeros(group.size)
+def _slopes(
+    group: Group, settings: tuple[Setting, ...], response: np.ndarray, asked: Sequence[tuple[Free, float]], mapper: Mapper
+) -> list[np.ndarray]:
+    """Change per scale unit of each parameter, over a step of so many, towards the inside of the bounds."""
+    steps = []
+    for f, reach in asked:
+        both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (reach, -reach))]
+        steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
+    changed = iter(all_or_raise(answers(group, [step[0] for step in steps if step is not None], mapper)))
+    return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]
 
 
 def _distance(f: Free, before: Sequence[Setting], after: Sequence[Setting]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import replace
 import functools
 import math
@@ -10,12 +10,14 @@ import math
 import numpy as np
 
 from twin.diagnose.drive_train import with_drive_train
-from twin.diagnose.observe import Group, Mapper, Variant, channels_of, in_turn, noise_seed, simulate_group
+from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
 from twin.diagnose.settings import Thresholds
+from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_groups
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
 
 SHARES = (0.05, 0.2, 0.8)
 """Sizes at which a normal imperfection is tried, as shares of the largest normal one: the response is not proportional."""
@@ -60,23 +62,23 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(dirty, a)]
     current = plain
     for nuisance in wanted:
-        trial = functools.partial(_at_share, current, group, machine, nuisance, residual, mapper)
-        best = max((tried for share in SHARES if (tried := trial(share)) is not None), key=lambda tried: tried.gain, default=None)
+        trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
+        best = max(trials(SHARES), key=lambda tried: tried.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
         if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_earned:
             continue
         if nuisance.quantity == "elasticity":
             current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
         else:
-            current = _with_slip(current, nuisance, best, trial, t)
+            current = _with_slip(current, nuisance, best, trials, t)
     return current
 
 
-def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trial: Callable[[float], Trial | None], t: Thresholds) -> Tuning:
+def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Sequence[float]], list[Trial]], t: Thresholds) -> Tuning:
     """The tuning with slip, linear about its size; unchanged if that size is not normal or explains too little."""
     for _ in range(2):
-        better = trial(best.size)
-        if better is None or better.gain < best.gain:
+        better = next(iter(trials([best.size])), best)
+        if better is best or better.gain < best.gain:
             break
         near = abs(better.size / best.size - 1.0) < t.slip_unchanged
         best = better
@@ -124,37 +126,33 @@ def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) ->
     return rebased(rigid, tuned(tuning.nuisances, base), mapper), replace(tuning, base=base)
 
 
-def _at_share(
-    tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, share: float
-) -> Trial | None:
-    """A nuisance simulated at this share of the largest normal size; None if it cannot be simulated."""
-    try:
-        answer = group.response(
-            lambda m: nuisance.apply(m, 1.0 + share * machine.parameter_tolerance),
-            axes=(nuisance.owner,),
-            shaken=nuisance.quantity == "slip",
-            mapper=mapper,
-        )
-    except TwinError:
-        return None
-    return trial_of(tuning, answer * (UNIFORM / share), residual)
+def _at_shares(
+    tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, shares: Sequence[float]
+) -> list[Trial]:
+    """A nuisance simulated at these shares of the largest normal size; without those that cannot be simulated."""
+    variations = [
+        Variation(functools.partial(nuisance.apply, factor=1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,))
+        for share in shares
+    ]
+    answers = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper)
+    return [
+        trial_of(tuning, answer * (UNIFORM / share), residual) for share, answer in zip(shares, answers) if isinstance(answer, np.ndarray)
+    ]
 
 
 def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
     """The group about another machine: the same channels, residuals of that machine's nominal motion."""
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
 
-    def simulated(job: tuple[int, bool]) -> dict[tuple[str, str], np.ndarray]:
-        run, noisy = job
-        view = views[run]
-        present = tuple(a for a in group.axes if view.moves(a))
-        if not present:
-            return {}
-        noise = noise_seed(group.seed, run) if noisy else None
-        return channels_of(simulate_group(view, present, noise_seed=noise).without_noise, view, present)
-
-    both = mapper(simulated, [(run, noisy) for noisy in (False, True) for run in range(len(views))])
-    nominal, shaken = both[: len(views)], both[len(views) :]
+    present = {run: tuple(a for a in group.axes if view.moves(a)) for run, view in enumerate(views)}
+    runs = [run for run, axes in present.items() if axes]
+    seeds = [None] * len(runs) + [noise_seed(group.seed, run) for run in runs]
+    asks = [Ask(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
+    found = all_or_raise(simulate_groups(asks, mapper, lambda i, run: channels_of(run.without_noise, asks[i].view, asks[i].axes)))
+    nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
+    shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
+    for i, run in enumerate(runs):
+        nominal[run], shaken[run] = found[i], found[len(runs) + i]
     channels = []
     for c in group.channels:
         key = (c.axis, c.name)

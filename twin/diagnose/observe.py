@@ -15,11 +15,10 @@ Axes that the mass matrix does not couple are looked at apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
-from typing import Any
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -28,32 +27,27 @@ from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import DEFAULT, Thresholds
-from twin.diagnose.tolerance import normal_slip, with_added
+from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_group, simulate_groups
+from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
+from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.gap import LEAST_NOISE, REALISATIONS, as_recorded, sensor_noise, simulated_period
+from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
+from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.plant_spec import build_plant, full_inertia
-from twin.simulation.run import Run, commissioned_inertia, simulate
+from twin.simulation.run import Run, all_or_raise
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
-Variant = Callable[[Machine], Machine]
-"""Turns a run's machine into another one."""
 
-Mapper = Callable[..., list[Any]]
-"""Maps a function over items, in their order; on threads where it is not `in_turn`."""
+class Variation(NamedTuple):
+    """What is simulated beside the nominal twin: a variant of a run's machine, effects put on it, and the axes that change (default: all of
+    the group)."""
 
-
-def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-    """Map on the calling thread."""
-    return [function(item) for item in items]
-
-
-def on_threads(pool: ThreadPoolExecutor) -> Mapper:
-    """Map on the threads of a pool."""
-    return lambda function, items: list(pool.map(function, items))
+    machine_of: Variant | None = None
+    settings: Sequence[Setting] = ()
+    axes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -110,26 +104,38 @@ class Group:
         shaken: bool = False,
         mapper: Mapper = in_turn,
     ) -> np.ndarray:
-        """Weighted change of all channels against the nominal twin (row,): the variant's simulation minus the nominal's.
+        """The response of one variation, see `responses`. Raises TwinError where it cannot be simulated."""
+        return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken, mapper=mapper))[0]
 
-        `machine_of` turns a run's machine into the variant; only `axes` change (default: all of the group).
-        `shaken` has the same noise in both loops: what creeps at rest creeps because of it.
-        `mapper` maps over the runs.
+    def responses(self, variations: Sequence[Variation], *, shaken: bool = False, mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+        """Weighted change of all channels against the nominal twin (row,) for each variation: its simulation minus the nominal one.
+
+        What cannot be simulated has its error instead. `shaken` has the same noise in both loops: what creeps at rest creeps because of
+        it. `mapper` maps over the simulations, which run side by side where they can.
         """
-        if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
-            axes = self.axes
-        axes = tuple(axes)
-        out = np.zeros(self.size)
+        asks: list[Ask] = []
+        of_ask: list[
+            tuple[int, int, Mapping[str, Characteristic]]
+        ] = []  # variation, run, what its controllers have beyond the machine file
         known = self.views[0].machine
-        effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
-        added = {a: found for a in axes if (found := characteristic_of(effects, known.axis(a))) is not None}
-        mine = [channel for channel in self.channels if channel.axis in axes]
+        out: list[np.ndarray | TwinError] = []
+        for v, (machine_of, settings, axes) in enumerate(variations):
+            if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
+                axes = self.axes
+            try:
+                effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
+                added = {a: found for a in axes if (found := characteristic_of(effects, known.axis(a))) is not None}
+            except TwinError as error:
+                out.append(error)
+                continue
+            out.append(np.zeros(self.size))
+            for run in sorted({channel.run for channel in self.channels if channel.axis in axes}):
+                moving = tuple(a for a in axes if self.views[run].moves(a))
+                asks.append(Ask(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None))
+                of_ask.append((v, run, added))
 
-        def simulated(run: int) -> dict[tuple[str, str], np.ndarray]:
-            view = self.views[run]
-            moving = tuple(a for a in axes if view.moves(a))
-            noise = noise_seed(self.seed, run) if shaken else None
-            simulation = simulate_group(view, moving, machine_of, settings, noise_seed=noise)
+        def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
+            view, moving, added = asks[i].view, asks[i].axes, of_ask[i][2]
             found = channels_of(simulation.without_noise, view, moving, added)
             for a in moving if shaken else ():  # the law of a controller is held against what it saw, with noise and rounding
                 if (a, "controller") in found:
@@ -138,15 +144,21 @@ class Group:
                     found[a, "controller"] = seen
             return found
 
-        runs = sorted({channel.run for channel in mine})
-        of_run = dict(zip(runs, mapper(simulated, runs)))
-        for channel in mine:
-            key = (channel.axis, channel.name)
-            if shaken and channel.name == "controller":
-                out[channel.rows] = of_run[channel.run][key]  # the nominal twin leaves nothing of a law that is held against what it saw
+        nominal = self.shaken if shaken else self.nominal
+        for ask, (v, run, _), values in zip(asks, of_ask, simulate_groups(asks, mapper, channels)):
+            rows = out[v]
+            if isinstance(rows, TwinError):
                 continue
-            out[channel.rows] = of_run[channel.run][key] - (self.shaken if shaken else self.nominal)[channel.run][key]
-        return out * self.weights
+            if isinstance(values, TwinError):
+                out[v] = values
+                continue
+            for channel in self.channels:
+                if channel.run == run and channel.axis in ask.axes:
+                    key = (channel.axis, channel.name)
+                    # the nominal twin leaves nothing of a law that is held against what it saw
+                    of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
+                    rows[channel.rows] = values[key] - of_nominal
+        return [rows if isinstance(rows, TwinError) else rows * self.weights for rows in out]
 
     def without_doubt(self) -> Group:
         """The group where no effect is doubted."""
@@ -188,47 +200,6 @@ class Group:
 def noise_seed(seed: int, run: int, realisation: int = 0) -> int:
     """Seed of the noise of one simulated realisation of a run."""
     return seed + 1000 * run + realisation
-
-
-def simulate_group(
-    view: RunView,
-    axes: Sequence[str],
-    machine_of: Variant | None = None,
-    settings: Sequence[Setting] = (),
-    *,
-    noise_seed: int | None = None,
-) -> Run:
-    """Simulate some axes of a run, and those that effects push them with, in the decoupled plant; at the times of the run's record."""
-    machine = view.machine if machine_of is None else machine_of(view.machine)
-    changed = with_added(machine, settings)
-    hidden = settings_of(changed)
-    rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
-    # what is clamped on the table moves every rotary axis, whichever of them the run moves
-    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in axes)
-    needed = {*axes, *(rotary if clamped else ())}
-    bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
-    if bar is not None:
-        needed.update(bar.axes)
-    while pushing := {s.from_axis for s in hidden if s.from_axis and s.axis in needed} - needed:
-        needed |= pushing
-    driven = [name for name in machine.axis_names if name in needed]
-    index = [machine.axis_names.index(name) for name in driven]
-    part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
-    # gravity and inertia of a rotary axis depend on where the others are, simulated or not
-    turning = any(axis.kind == "rotary" for axis in part.axes)
-    carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
-    motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
-    setpoints = view.setpoints.part(tuple(index))
-    run = simulate(
-        part,
-        setpoints,
-        sample_period=simulated_period(machine, view.trace.period, bar),
-        started_at=view.started_at,
-        plant_of=lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
-        noise_seed=noise_seed,
-    )
-    trace = as_recorded(run.trace, view.trace.time, bar, noise_seed)
-    return replace(run, trace=trace, without_noise=as_recorded(run.without_noise, view.trace.time, bar))
 
 
 def channels_of(
@@ -299,7 +270,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             shaken.append({})
             continue
         nominal.append(channels_of(simulate_group(view, present).trace, view, present))
-        drawn = [simulate_group(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)]
+        drawn = all_or_raise(simulate_groups([Ask(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)]))
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
         shaken.append(clean[0])

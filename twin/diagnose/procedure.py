@@ -18,9 +18,10 @@ from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, w
 from twin.diagnose.law.laws import LEAST_CLOSED, Laws
 from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
 from twin.diagnose.next_measurement import propose
-from twin.diagnose.observe import axis_groups, observe, on_threads
+from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
 from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import Found
 from twin.diagnose.verdict import judged, named, verdict_of
 from twin.diagnose.view import view_of

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.diagnose.budget import simulated
+from twin.diagnose.budget import simulated_each
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import stretches
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.state import Key
 from twin.diagnose.view import view_of
 from twin.diagnose.wording import effect_title, verdict_sentence
@@ -53,11 +54,11 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
     if signal is None:
         return []
     view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
-    left = {}
-    for label, machine in one_by_one(diagnosis, name).items():
-        if (trace := simulated(view, machine, (name,))) is None:
-            return []
-        left[label] = run.trace.get(name, signal) - trace.get(name, signal)
+    machines = one_by_one(diagnosis, name)
+    traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], in_turn, lambda i, trace: trace)
+    left = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
+    if len(left) < len(machines):
+        return []
     return step_curves(diagnosis.machine.axis(name), run.trace.time, left)
 
 

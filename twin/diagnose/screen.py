@@ -17,13 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, softened
-from twin.diagnose.fit import answer
-from twin.diagnose.observe import Mapper
 from twin.diagnose.settings import Thresholds
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found, Key
 from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
-from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 CHUNK = 40_000
@@ -82,13 +80,10 @@ class Screening:
 def screening(found: Found, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
     """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
 
-    def columns_of(start: Start) -> list[np.ndarray] | None:
-        try:
-            return [remembered_answer(found, s) for s in start.settings]
-        except TwinError:
-            return None
-
-    simulated = [(start, columns) for start, columns in zip(starts, mapper(columns_of, starts)) if columns is not None]
+    answered = iter(found.remembered([s for start in starts for s in start.settings], mapper))
+    both = [(start, [next(answered) for _ in start.settings]) for start in starts]
+    simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
+    simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
     before = (found.tuning.jacobian, found.fit.columns)
     gram = _gram(before, columns, left, mapper)
@@ -101,11 +96,6 @@ def screening(found: Found, starts: Sequence[Start], left: np.ndarray, mapper: M
         at.append(slice(n, n + len(of_start)))
         n += len(of_start)
     return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, found.thresholds)
-
-
-def remembered_answer(found: Found, setting: Setting) -> np.ndarray:
-    """What a setting changes (row,), simulated once."""
-    return found.remembered(repr(setting.table()), lambda: answer(found.group, [setting]))
 
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:

@@ -21,9 +21,10 @@ from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
 from twin.diagnose.fit import Fit, Slope, answer, fit_effects, held, no_effect, straight, tuning_beside
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
-from twin.diagnose.observe import Group, Mapper, with_noise_about
+from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.screen import Gain, Screening, remembered_answer, screening
+from twin.diagnose.screen import Gain, Screening, screening
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.slip import with_slip_beside
 from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, is_cut, localised_on, loud_axes
 from twin.diagnose.tolerance import NORMAL
@@ -32,6 +33,7 @@ from twin.diagnose.unseen import unseen_effects
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
 
 Folds = Sequence[Sequence[int]]
 
@@ -228,7 +230,7 @@ def _contests(
     found: Found, screened: Screening, picks: Sequence[Pick], machine: Machine, folds: Folds, mapper: Mapper, quick: bool
 ) -> list[tuple[Fitted, ...]]:
     """Each pick and its rivals fitted in closed loop beside what was found, the others' answers free; best first."""
-    answers = [beside(*(remembered_answer(found, x)[:, None] for x in screened.starts[p.start].settings)) for p in picks]
+    answers = [beside(*(column[:, None] for column in all_or_raise(found.remembered(screened.starts[p.start].settings)))) for p in picks]
     bending = tuple(s for s in found.fit.settings if not s.effect.is_linear)
     # effects in proportion to their size add to what the others answer; they are simulated together once, at the end
     rest = found.group.residual - found.fit.response + (answer(found.group, bending, mapper) if bending else 0.0)

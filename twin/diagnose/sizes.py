@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from twin.diagnose.fit import fit_effects, tuning_beside
-from twin.diagnose.observe import Mapper
 from twin.diagnose.plausible import is_plausible, within_tolerance
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found, is_cut
 from twin.errors import TwinError
 from twin.machine.machine import Machine

@@ -16,7 +16,7 @@ import numpy as np
 from twin.diagnose.corrected import within
 from twin.diagnose.fit import fit_effects, no_effect
 from twin.diagnose.imperfections import dirty_channels, moved_to, shows_slip
-from twin.diagnose.observe import Mapper
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found
 from twin.diagnose.tolerance import Nuisance, tuned
 from twin.diagnose.tuning import beside

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit, Sizes, no_effect
+from twin.diagnose.fit import Fit, Sizes, answers, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import Thresholds
+from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
+from twin.errors import TwinError
 
 Key = tuple[str, str, str | None]
 """Effect, axis, and the axis that it comes from."""
@@ -84,7 +86,7 @@ class Found:
     unseen: Mapping[Key, float] | None = None  # effects that would not show, with the multiple of their usual size from which they would
     zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> motor encoder minus scale that is no fault [SI]
     unknown: bool = False  # is something left that no effect explains?
-    memory: dict[str, Answer] = field(default_factory=dict, repr=False, compare=False)
+    memory: dict[str, Answer | TwinError] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def thresholds(self) -> Thresholds:
@@ -96,14 +98,20 @@ class Found:
         """Effects of the final fit, each with its axis."""
         return {s.key for s in self.fit.settings}
 
-    def remembered(self, key: str, simulate: Callable[[], np.ndarray]) -> np.ndarray:
-        """What a setting changes (row,), simulated once and weighted as the group is now."""
-        known = self.memory.get(key)
-        if known is None:
-            known = Answer(simulate().astype(np.float32), self.group.weights)
-        elif known.weights is not self.group.weights:
-            known = Answer((known.column * (self.group.weights / known.weights)).astype(np.float32), self.group.weights)
-        self.memory[key] = known
+    def remembered(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+        """What each setting alone changes (row,), simulated once and weighted as the group is now; or its error."""
+        keys = [repr(setting.table()) for setting in settings]
+        missing = {key: setting for key, setting in zip(keys, settings) if key not in self.memory}
+        for key, column in zip(missing, answers(self.group, [[setting] for setting in missing.values()], mapper)):
+            self.memory[key] = column if isinstance(column, TwinError) else Answer(column.astype(np.float32), self.group.weights)
+        return [self._as_weighted(key) for key in keys]
+
+    def _as_weighted(self, key: str) -> np.ndarray | TwinError:
+        known, weights = self.memory[key], self.group.weights
+        if isinstance(known, TwinError):
+            return known
+        if known.weights is not weights:
+            self.memory[key] = known = Answer((known.column * (weights / known.weights)).astype(np.float32), weights)
         return known.column
 
     def with_fit(self, fit: Fit) -> Found:

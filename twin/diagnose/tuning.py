@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import functools
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
 
-from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
 
 FREE = 1e-6
@@ -125,7 +128,8 @@ def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
     if spread <= 0.0 or not nuisances:
         return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight), group)
     step = max(group.thresholds.nearby, spread)
-    columns = list(mapper(lambda n: group.response(lambda m: n.apply(m, 1.0 + step), axes=n.axes(group.axes)), nuisances))
+    variations = [Variation(functools.partial(n.apply, factor=1.0 + step), axes=n.axes(group.axes)) for n in nuisances]
+    columns = all_or_raise(group.responses(variations, mapper=mapper))
     plain = tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
     return _with_zeros(plain, group)
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start
 from twin.diagnose.cross_validation import evidence_needed
-from twin.diagnose.observe import Mapper
-from twin.diagnose.screen import remembered_answer
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -39,7 +38,9 @@ def unseen_effects(
     for start in starts:
         by_key.setdefault(start.key, []).append(start)
     middle = [_usual(same[len(same) // 2], machine) for same in by_key.values()]
-    shares = mapper(lambda settings: _share(found, settings, folds), middle)
+    answered = iter(found.remembered([s for settings in middle for s in settings], mapper))
+    columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
+    shares = mapper(lambda item: _share(found, item[0], item[1], folds), columns)
     return {key: math.inf if share < found.thresholds.shows_nothing else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
@@ -52,12 +53,11 @@ def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)
 
 
-def _share(found: Found, settings: Sequence[Setting], folds: int) -> float:
+def _share(found: Found, settings: Sequence[Setting], answers: Sequence[np.ndarray | TwinError], folds: int) -> float:
     """What the effect could bring over what it needs; of one that cannot be simulated enough: no machine runs with it."""
     tuning = found.tuning
-    try:
-        answers = [remembered_answer(found, s) for s in settings]
-    except TwinError:
+    columns = [column for column in answers if isinstance(column, np.ndarray)]
+    if len(columns) < len(answers):
         return math.inf
-    left = [column - tuning.jacobian @ tuning.solve(column) for column in answers]
+    left = [column - tuning.jacobian @ tuning.solve(column) for column in columns]
     return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, settings[0], folds)

@@ -11,7 +11,8 @@ import numpy as np
 
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.fit import no_effect
-from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.observe import Group
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.sizes import sized, without_implausible
 from twin.diagnose.state import Candidate, Found, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting

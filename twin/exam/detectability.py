@@ -23,8 +23,9 @@ import numpy as np
 from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.fit import answer
 from twin.diagnose.next_measurement import KINDS, move_of
-from twin.diagnose.observe import Group, Mapper, axis_groups, observe, on_threads
+from twin.diagnose.observe import Group, axis_groups, observe
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError

@@ -31,7 +31,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
 from twin.simulation.in_force import closed_on, sent_before, speed_set_point
-from twin.simulation.run import commissioned_inertia
+from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]

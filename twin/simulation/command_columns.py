@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.run import commissioned_inertia
+from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import Setpoints, command_of
 
 

@@ -82,6 +82,48 @@ class _Loads:
         return _Loads(self.inertia[:, axes], self.bias[:, axes], self.row_ticks, self.reference[axes], self.softness[axes])
 
 
+class _Memory:
+    """Constants and state of all degrees of freedom as the compiled step reads them, and the loop's views of them."""
+
+    def __init__(
+        self,
+        header: tuple[float, float, float],
+        constants: np.ndarray,
+        inertia: np.ndarray,
+        bias: np.ndarray,
+        vectors: np.ndarray,
+        load: np.ndarray,
+        rotor: np.ndarray,
+    ) -> None:
+        """`header`: base tick [s], ticks a row of the series, first tick. `constants` (dof, _PER_DOF), series (row, dof), `vectors`
+        (_VECTORS, dof); `load` and `rotor` (axis,) say which degree of freedom is whose."""
+        tick, row_ticks, first_tick = header
+        rows, dofs = inertia.shape
+        self.header, self.constants, self.inertia, self.bias, self.load, self.rotor = header, constants, inertia, bias, load, rotor
+        self._constants = np.concatenate([[tick, dofs, rows, row_ticks], constants.ravel(), inertia.ravel(), bias.ravel()])
+        self._state = np.concatenate([[first_tick], vectors.ravel()])
+        self.vectors = v = self._state[1:].reshape(_VECTORS, dofs)
+        self.engine = loop.Engine(
+            step=_step_address(),
+            model=self._constants.ctypes.data,
+            data=self._state.ctypes.data,
+            qpos=v[_QPOS],
+            qvel=v[_QVEL],
+            ctrl=v[_CTRL],
+            applied=v[_APPLIED],
+            bias=v[_BIAS],
+            passive=v[_PASSIVE],
+            constraint=v[_CONSTRAINT],
+            frictionloss=v[_LEVEL],
+            coulomb_level=v[_LEVEL, load].copy(),
+            load_position=load,
+            load_dof=load,
+            rotor_position=rotor,
+            rotor_dof=rotor,
+            actuator=rotor,
+        )
+
+
 class DecoupledPlant:
     """Axes by themselves along a known motion; the same face to the loop as `twin.simulation.plant_spec.Plant`."""
 
@@ -101,46 +143,31 @@ class DecoupledPlant:
         constants[:n, _REFERENCE] = loads.reference
         constants[:n, _SOFTNESS] = loads.softness
         constants[:n, _GEAR] = [1.0 / axis.ratio for axis in axes]
-        rows = len(loads.inertia)
+        rows = len(loads.inertia) + 1
         inertia, bias = np.empty((rows, dofs)), np.zeros((rows, dofs))
-        inertia[:, :n] = loads.inertia + reflected
-        bias[:, :n] = loads.bias
-        rotor_dof = np.arange(n)
+        inertia[:-1, :n] = loads.inertia + reflected
+        bias[:-1, :n] = loads.bias
+        inertia[-1], bias[-1] = inertia[-2], bias[-2]  # what holds behind the end of the motion
+        rotor = np.arange(n)
         for i, a in enumerate(split):
             # the friction constraint of a load by itself is softer by as much as it is lighter
             constants[a, _SOFTNESS] *= inertia[0, a] / loads.inertia[0, a]
             inertia[:, a] -= reflected[a]
             inertia[:, n + i] = reflected[a]
             constants[n + i] = (0.0, 1.0, 1.0, 1.0 / axes[a].ratio)
-            rotor_dof[a] = n + i
-        header = [change.machine.base_tick, dofs, rows, loads.row_ticks]
-        self._constants = np.concatenate([header, constants.ravel(), inertia.ravel(), bias.ravel()])
-        self._state = np.zeros(1 + _VECTORS * dofs)
-        self._state[_TICK] = -change.lead_ticks
-        vectors = self._state[1:].reshape(_VECTORS, dofs)
+            rotor[a] = n + i
+        vectors = np.zeros((_VECTORS, dofs))
         vectors[_LEVEL, :n] = [axis.coulomb_friction for axis in axes]
-        load = np.arange(n)
+        header = (change.machine.base_tick, loads.row_ticks, -float(change.lead_ticks))
         self._split = split
+        self._memory = _Memory(header, constants, inertia, bias, vectors, np.arange(n), rotor)
         self.start_bias = loads.bias[0]
-        self.engine = loop.Engine(
-            step=_step_address(),
-            model=self._constants.ctypes.data,
-            data=self._state.ctypes.data,
-            qpos=vectors[_QPOS],
-            qvel=vectors[_QVEL],
-            ctrl=vectors[_CTRL],
-            applied=vectors[_APPLIED],
-            bias=vectors[_BIAS],
-            passive=vectors[_PASSIVE],
-            constraint=vectors[_CONSTRAINT],
-            frictionloss=vectors[_LEVEL],
-            coulomb_level=vectors[_LEVEL, :n].copy(),
-            load_position=load,
-            load_dof=load,
-            rotor_position=rotor_dof,
-            rotor_dof=rotor_dof,
-            actuator=rotor_dof,
-        )
+        self.engine = self._memory.engine
+
+    @property
+    def times(self) -> tuple[float, float, float]:
+        """Plants with the same can be put side by side: base tick [s], ticks a row of the loads' series, first tick."""
+        return self._memory.header
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
         """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
@@ -149,6 +176,33 @@ class DecoupledPlant:
         for a in self._split:
             self.engine.qpos[self.engine.rotor_position[a]] = start[a] + change.rotor_offset(a, float(held[a]))
         return held
+
+
+class SideBySide:
+    """Decoupled plants of the same `times` in one memory, axis after axis, each in the state that it has now; owns what its engine reads.
+
+    Behind the end of its own motion a plant keeps its last loads.
+    """
+
+    def __init__(self, plants: Sequence[DecoupledPlant]) -> None:
+        parts = [plant._memory for plant in plants]
+        first = np.cumsum([0, *(part.inertia.shape[1] for part in parts)])
+        rows = max(len(part.inertia) for part in parts)
+        self._memory = _Memory(
+            parts[0].header,
+            np.concatenate([part.constants for part in parts]),
+            np.concatenate([_to_rows(part.inertia, rows) for part in parts], axis=1),
+            np.concatenate([_to_rows(part.bias, rows) for part in parts], axis=1),
+            np.concatenate([part.vectors for part in parts], axis=1),
+            np.concatenate([part.load + at for part, at in zip(parts, first)]),
+            np.concatenate([part.rotor + at for part, at in zip(parts, first)]),
+        )
+        self.engine = self._memory.engine
+
+
+def _to_rows(series: np.ndarray, rows: int) -> np.ndarray:
+    """A series (row, dof) made longer by its last row."""
+    return np.concatenate([series, np.repeat(series[-1:], rows - len(series), axis=0)]) if len(series) < rows else series
 
 
 _MEMORY = 64

@@ -24,7 +24,9 @@ from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.run import PlantFace, simulate
+from twin.simulation.lanes import PlantFace
+from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.simulation.two_encoders import BOTH, with_equal_means
 from twin.units import ARCSEC, AXIS_UNITS
@@ -85,13 +87,15 @@ def predict(
     actual = machine.with_feedforward(run.feedforward)
     period = simulated_period(machine, run.trace.period, run.ballbar)
 
-    def realisation(i: int, plant_of: Callable[[Change], PlantFace] | None) -> Trace:
-        simulated = simulate(actual, setpoints, sample_period=period, started_at=run.started_at, noise_seed=seed + i, plant_of=plant_of)
-        return as_recorded(simulated.without_noise, run.trace.time, run.ballbar)
+    def realised(i: int, plant_of: Callable[[Change], PlantFace]) -> SimulationJob:
+        return SimulationJob(actual, setpoints, plant_of, period, run.started_at, seed + i)
 
-    decoupled = None if motion is None else lambda change: DecoupledPlant(change, motion)
-    traces = [realisation(i, decoupled) for i in range(realisations)]
-    by_engine = realisation(0, None) if decoupled and engine else None
+    decoupled = MujocoPlant if motion is None else lambda change: DecoupledPlant(change, motion)
+    jobs = [realised(i, decoupled) for i in range(realisations)]
+    if motion is not None and engine:
+        jobs.append(realised(0, MujocoPlant))
+    traces = [as_recorded(simulated.without_noise, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
+    by_engine = traces.pop() if len(traces) > realisations else None
     signals, scatter = {}, {}
     for key in traces[0].signals:
         stack = np.stack([trace.signals[key] for trace in traces])

@@ -94,7 +94,7 @@ class Engine(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """Base tick [s] and the cycles of the controllers and the record in ticks; bounds beyond which a run has diverged."""
+    """Base tick [s] and the cycles of the controllers and the record in ticks; bounds beyond which a run has diverged, and its ends."""
 
     tick: float
     position_ticks: int
@@ -102,6 +102,7 @@ class Schedule(NamedTuple):
     current_ticks: int
     record_ticks: int
     speed_bound: np.ndarray  # (axis,) axis units a second
+    end: np.ndarray  # (axis,) ticks of the run; a machine beside longer runs stands behind its end, and nothing is counted there
 
 
 class Sensing(NamedTuple):
@@ -180,11 +181,11 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
                 # what is constant is divided by first, for nothing waits for that
-                if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])):
+                if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])) and k < schedule.end[a]:
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
                 measured_speed = state.seen_speed[a]
-            if current_due and current_cycle(a, drives, state, terms, signals, measured_current):
+            if current_due and current_cycle(a, drives, state, terms, signals, measured_current) and k < schedule.end[a]:
                 limited[a, VOLTAGE_LIMIT] += 1
             current = state.current[a]
             if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
@@ -354,31 +355,30 @@ def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
             engine.applied[engine.rotor_dof[a]] = x[X_ROTOR_FORCE]
 
 
+@compiled(inline=True)
+def call_term(terms, i, signals):  # type: ignore[no-untyped-def]
+    """Call term number `i` on its axis."""
+    call_address_4(
+        terms.address[i],
+        terms.parameters.ctypes.data + i * terms.parameters.strides[0],
+        terms.state.ctypes.data + i * terms.state.strides[0],
+        signals.ctypes.data + terms.first[i] * signals.strides[0],
+        terms.axis[i],
+    )
+
+
 @compiled
 def call_terms(terms, stage, signals):  # type: ignore[no-untyped-def]
     """Call the terms of one stage, in their order."""
     for i in range(terms.start[stage], terms.start[stage + 1]):
-        call_address_4(
-            terms.address[i],
-            terms.parameters.ctypes.data + i * terms.parameters.strides[0],
-            terms.state.ctypes.data + i * terms.state.strides[0],
-            signals.ctypes.data,
-            terms.axis[i],
-        )
+        call_term(terms, i, signals)
 
 
 @compiled
 def call_axis_terms(terms, stage, signals, axis):  # type: ignore[no-untyped-def]
-    """Call the terms of one stage that belong to one axis."""
-    for i in range(terms.start[stage], terms.start[stage + 1]):
-        if terms.axis[i] == axis:
-            call_address_4(
-                terms.address[i],
-                terms.parameters.ctypes.data + i * terms.parameters.strides[0],
-                terms.state.ctypes.data + i * terms.state.strides[0],
-                signals.ctypes.data,
-                axis,
-            )
+    """Call the terms of one stage that belong to one row of the signals."""
+    for i in range(terms.of_axis[stage, axis], terms.of_axis[stage, axis + 1]):
+        call_term(terms, i, signals)
 
 
 @compiled(inline=True)

@@ -16,8 +16,10 @@ the rows of other axes). The loop keeps one table of active terms and knows none
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import itertools
 from typing import Any, NamedTuple
 
 from numba import carray, types
@@ -98,7 +100,8 @@ class _LazyTerm:
 class Term:
     """One active term: which law, where, on which axis (index), with which parameters and initial state.
 
-    `order` sorts the terms of a stage: a friction level (0) is shaped before it is used up by a bristle (1).
+    `order` sorts the terms of a stage: a friction level (0) is shaped before it is used up by a bristle (1). `first` is the row of the
+    signals at which the axes of the term's machine begin; it is not 0 where several machines advance side by side.
     """
 
     law: _LazyTerm
@@ -107,25 +110,50 @@ class Term:
     parameters: Sequence[float]
     state: Sequence[float] = ()
     order: int = 0
+    first: int = 0
+
+
+OF_ALL_AXES = (MEASURE, FORCE)
+"""Stages in which the terms of all axes are called together; those of the other stages are called axis by axis."""
 
 
 class TermTable(NamedTuple):
-    """Active terms as the loop reads them; `start` (STAGES + 1,) bounds the terms of each stage."""
+    """Active terms as the loop reads them.
+
+    `start` (STAGES + 1,) bounds the terms of each stage, `of_axis` (STAGES, row + 1) those of each row of the signals in the stages that
+    are called axis by axis. `axis` counts from `first`, the row at which the machine of the term begins.
+    """
 
     start: np.ndarray
+    of_axis: np.ndarray
     address: np.ndarray
     axis: np.ndarray
+    first: np.ndarray
     parameters: np.ndarray
     state: np.ndarray
 
 
-def term_table(terms: Sequence[Term]) -> TermTable:
-    """Sort terms by stage and order into the arrays of the loop."""
-    ordered = sorted(terms, key=lambda t: (t.stage, t.order))
+def term_table(terms: Sequence[Term], axes: int) -> TermTable:
+    """Sort terms by stage and order into the arrays of the loop; `axes` rows of signals."""
+    # machines side by side mostly have the same terms: the same law of all of them is called in a row, which the processor overlaps
+    seen: Counter[tuple[int, int]] = Counter()
+    keyed = []
+    for t in terms:
+        row = t.first + t.axis
+        place = seen[t.first, t.stage]
+        seen[t.first, t.stage] += 1
+        keyed.append(((t.stage, 0 if t.stage in OF_ALL_AXES else row, t.order, place, row), t))
+    ordered = [t for _, t in sorted(keyed, key=lambda item: item[0])]
+    stages = np.array([t.stage for t in ordered], np.int64)
+    rows = np.array([t.first + t.axis for t in ordered], np.int64)
+    start = np.searchsorted(stages, np.arange(STAGES + 1))
+    of_axis = [a + np.searchsorted(rows[a:b], np.arange(axes + 1)) for a, b in itertools.pairwise(start.tolist())]
     table = TermTable(
-        start=np.searchsorted([t.stage for t in ordered], np.arange(STAGES + 1)).astype(np.int64),
+        start=start.astype(np.int64),
+        of_axis=np.array(of_axis, np.int64),
         address=np.array([t.law.address for t in ordered], np.int64),
         axis=np.array([t.axis for t in ordered], np.int64),
+        first=np.array([t.first for t in ordered], np.int64),
         parameters=np.zeros((len(ordered), PARAMETER_COUNT)),
         state=np.zeros((len(ordered), STATE_COUNT)),
     )

@@ -12,7 +12,7 @@ from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws
 from twin.diagnose.law.residual import CURRENT_LOOP, residuals_of
 from twin.diagnose.law.shapes import described
-from twin.diagnose.observe import in_turn
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.view import view_of
 from twin.effects import apply_effects, settings_of, with_effects
 from twin.errors import InputError

@@ -12,8 +12,9 @@ import pytest
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.law.keep import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
-from twin.diagnose.observe import in_turn, observe
+from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.view import view_of
 from twin.effects import settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -158,8 +159,8 @@ def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effe
 def test_a_fit_next_to_another_takes_its_slopes_and_comes_to_the_same(monkeypatch):
     loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
     simulated = []
-    left = loop.left
-    monkeypatch.setattr(loop, "left", lambda state: simulated.append(state) or left(state))
+    left = loop.left_by_each
+    monkeypatch.setattr(loop, "left_by_each", lambda states: simulated.extend(states) or left(states))
 
     def fitted(height, like=None):
         simulated.clear()

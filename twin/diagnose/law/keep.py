@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.observe import Group, Variation
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.diagnose.tuning import zeros_of
 from twin.effects import Setting, settings_of, with_effects
 from twin.effects.law import NAME
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
 
 STEPS = 8
 """Gauss-Newton steps at most."""
@@ -213,10 +215,21 @@ class ClosedLoop:
 
     def left(self, state: State) -> np.ndarray:
         """What a state leaves of the measured runs (row,), weighted, beside the constants of each run that are zeros of encoders."""
-        creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in state.settings)  # that shows in shaken simulations alone
-        change = self.group.response(state.machine_of, axes=self.axes, shaken=creeps, mapper=self.mapper)
-        rest: np.ndarray = (self.group.residual - change)[self.rows] * self.root
-        return rest - self.zeros @ (self.zeros.T @ rest)
+        return all_or_raise(self.left_by_each([state]))[0]
+
+    def left_by_each(self, states: Sequence[State]) -> list[np.ndarray | TwinError]:
+        """What each of several states leaves, which have slip alike, or the error of one that cannot be simulated."""
+        # slip shows in shaken simulations alone
+        creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in states[0].settings)
+        variations = [Variation(state.machine_of, axes=self.axes) for state in states]
+        out: list[np.ndarray | TwinError] = []
+        for change in self.group.responses(variations, shaken=creeps, mapper=self.mapper):
+            if isinstance(change, TwinError):
+                out.append(change)
+                continue
+            rest: np.ndarray = (self.group.residual - change)[self.rows] * self.root
+            out.append(rest - self.zeros @ (self.zeros.T @ rest))
+        return out
 
     def fit(self, state: State, tolerance: float, steps: int = STEPS, like: Fitted | None = None) -> Fitted | None:
         """Gauss-Newton from a state; None where it cannot be simulated.
@@ -244,8 +257,7 @@ class ClosedLoop:
         )
         loss = 0.5 * float(left @ left)
         for _ in range(steps):
-            for i in asked:
-                columns[:, i] = self._slope(state, unknowns, i, left)
+            columns[:, asked] = self._slopes(state, unknowns, asked, left)
             taken_here |= set(asked)
             asked = sorted(bent - taken_here)
             better = self._better(state, unknowns, columns, left, prior, offset)
@@ -263,17 +275,17 @@ class ClosedLoop:
             taken_here, asked = set(), [] if holds else sorted(bent)
         return self._judged(state, unknowns, left, columns, loss, prior, offset)
 
-    def _slope(self, state: State, unknowns: Sequence[Unknown], i: int, left: np.ndarray) -> np.ndarray:
-        move = np.zeros(len(unknowns))
+    def _slopes(self, state: State, unknowns: Sequence[Unknown], asked: Sequence[int], left: np.ndarray) -> np.ndarray:
+        """Slopes (row, asked) of some of the unknowns over a step up, or down where that changes nothing or cannot be simulated."""
+        slopes = np.zeros((len(left), len(asked)))
+        missing = list(range(len(asked)))
         for side in (1.0, -1.0):
-            move[i] = side
-            try:
-                slope: np.ndarray = (left - self.left(state.moved(unknowns, move))) * side
-            except TwinError:
-                continue
-            if slope.any():
-                return slope
-        return np.zeros(len(left))
+            moved = [state.moved(unknowns, side * np.eye(len(unknowns))[asked[j]]) for j in missing]
+            for j, rest in zip(missing, self.left_by_each(moved) if moved else []):
+                if not isinstance(rest, TwinError):
+                    slopes[:, j] = (left - rest) * side
+            missing = [j for j in missing if not slopes[:, j].any()]
+        return slopes
 
     def _better(  # type: ignore[no-untyped-def]
         self, state: State, unknowns: Sequence[Unknown], columns: np.ndarray, left: np.ndarray, prior: np.ndarray, offset: np.ndarray

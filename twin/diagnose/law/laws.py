@@ -15,8 +15,9 @@ from twin.diagnose.law.measure import Curve, excess, measured_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.law.springs import springs_of, sprung, unwound
-from twin.diagnose.observe import Group, Mapper
+from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
+from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, check_setting
 from twin.errors import InputError
 from twin.machine.machine import Machine

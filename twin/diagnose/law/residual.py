@@ -27,7 +27,7 @@ from twin.diagnose.blocks import MOTION, commanded_current, current_error, inert
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.law.no_force import without_force
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
-from twin.diagnose.observe import Mapper, simulate_group
+from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine

@@ -9,7 +9,7 @@ from dataclasses import replace
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
 from twin.diagnose.law.keep import Say
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
-from twin.diagnose.observe import Mapper
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found
 from twin.errors import TwinError
 from twin.machine.machine import Machine

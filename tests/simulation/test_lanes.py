@@ -1,0 +1,117 @@
+"""Machines side by side in one loop: each has the numbers that it has alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from tests.conftest import swings
+from twin.effects import with_effects
+from twin.errors import InputError, SimulationError
+from twin.machine.machine import Machine
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
+from twin.simulation.lanes import lane_of
+from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.run import MOST_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
+from twin.simulation.setpoints import Setpoints
+
+BACKLASH = {"name": "backlash", "axis": "X", "clearance": 12e-6}
+PUSHED = {"name": "cross_axis_coupling", "axis": "X", "from_axis": "Y", "mass": 40.0}
+FILTER = {"name": "current_filter", "axis": "Y", "time_constant_s": 1e-3}
+SLIP = {"name": "presliding", "axis": "Y", "stiffness": 3e8}
+LATE = {"name": "set_point_filter", "axis": "X", "time_constant_s": 2e-3}
+
+
+def job(machine: Machine, seconds: float, effects: Sequence[dict] = (), seed: int | None = None) -> SimulationJob:
+    """X, Y and A of the machine with these effects on swings of that length."""
+    part = with_effects(machine.with_axes(["X", "Y", "A"]), effects)
+    points = swings(part, seconds)
+    speed = np.gradient(points.position, points.period, axis=0)
+    motion = Motion(points.position, speed, np.gradient(speed, points.period, axis=0), points.period)
+    return SimulationJob(part, points, lambda change: DecoupledPlant(change, motion), noise_seed=seed, started_at=seconds)
+
+
+def alone(of: SimulationJob) -> Run:
+    return simulate(
+        of.machine, of.setpoints, plant_of=of.plant_of, sample_period=of.sample_period, started_at=of.started_at, noise_seed=of.noise_seed
+    )
+
+
+def assert_same(found: Run, expected: Run) -> None:
+    for one, other in ((found.trace, expected.trace), (found.without_noise, expected.without_noise)):
+        assert one.signals.keys() == other.signals.keys()
+        for key, values in other.signals.items():
+            np.testing.assert_array_equal(one.signals[key], values, err_msg=str(key))
+    assert found.current_limited_s == expected.current_limited_s
+    assert found.voltage_limited_s == expected.voltage_limited_s
+
+
+@pytest.mark.parametrize("seed", [None, 5], ids=["ideal", "with noise"])
+def test_each_machine_has_the_numbers_that_it_has_alone(mikron: Machine, seed: int | None) -> None:
+    # other terms, rotors on joints of their own, axes that push each other, runs that end earlier than those beside them
+    jobs = [
+        job(mikron, seconds, effects, seed)
+        for seconds, effects in ((0.9, []), (0.9, [BACKLASH, PUSHED]), (0.7, [FILTER, SLIP]), (0.9, [LATE, BACKLASH]), (0.6, [PUSHED]))
+    ]
+    for found, one in zip(all_or_raise(simulate_each(jobs)), jobs):
+        assert_same(found, alone(one))
+
+
+def test_realisations_of_noise_side_by_side_differ_as_alone(mikron: Machine) -> None:
+    jobs = [job(mikron, 0.5, [], seed) for seed in (1, 2, 1)]
+    first, second, again = all_or_raise(simulate_each(jobs))
+    assert_same(first, again)
+    assert_same(second, alone(jobs[1]))
+    assert not np.array_equal(first.trace.get("X", "position"), second.trace.get("X", "position"))
+
+
+def test_a_machine_that_diverges_does_not_disturb_those_beside_it(mikron: Machine) -> None:
+    jobs = [job(mikron, 0.6), job(mikron.with_axis("X", max_velocity=0.01), 0.6), job(mikron, 0.6, [BACKLASH])]
+    first, bad, last = simulate_each(jobs)
+    assert isinstance(bad, SimulationError)
+    with pytest.raises(SimulationError) as expected:
+        alone(jobs[1])
+    assert str(bad) == str(expected.value)
+    assert_same(first, alone(jobs[0]))
+    assert_same(last, alone(jobs[2]))
+
+
+def test_a_machine_that_cannot_be_held_has_its_error_in_its_place(mikron: Machine) -> None:
+    heavy = {"name": "constant_force", "axis": "X", "force": 1e5}
+    first, bad = simulate_each([job(mikron, 0.4), job(mikron, 0.4, [heavy])])
+    assert isinstance(first, Run)
+    assert isinstance(bad, InputError)
+    assert "cannot be held" in str(bad)
+    with pytest.raises(InputError, match="cannot be held"):
+        all_or_raise([first, bad])
+
+
+def test_what_is_taken_of_a_run_gets_its_number(mikron: Machine) -> None:
+    jobs = [job(mikron, seconds) for seconds in (0.3, 0.5, 0.4)]
+    assert simulate_each(jobs, of=lambda i, run: (i, len(run.trace.time))) == [(0, 301), (1, 501), (2, 401)]
+
+
+def test_batches_hold_what_fits_and_no_more(mikron: Machine) -> None:
+    def lane(of: SimulationJob, plant_of=None):
+        return lane_of(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
+
+    lanes = [lane(job(mikron, 0.5)) for _ in range(MOST_LANES + 1)]
+    lanes += [
+        lane(job(mikron, 0.1)),
+        lane(job(mikron, 0.5, seed=1)),
+        lane(job(mikron, 0.5), MujocoPlant),
+        lane(job(mikron, 0.5), MujocoPlant),
+    ]
+    sizes = [len(batch) for batch in _batches(dict(enumerate(lanes)))]
+    # full, its rest, much shorter, with noise, and the engine's one by one
+    assert sorted(sizes) == [1, 1, 1, 1, 1, MOST_LANES]
+
+
+def test_an_engine_of_mujoco_runs_beside_the_others(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"])
+    points = Setpoints(swings(mikron, 0.3).position[:, :1], 1e-3)
+    both = all_or_raise(simulate_each([SimulationJob(machine, points, MujocoPlant)] * 2))
+    for found in both:
+        assert_same(found, simulate(machine, points))

@@ -1,0 +1,120 @@
+"""Simulations that a diagnosis asks for: axes of a measured run on variants of its machine, side by side in the decoupled plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar, overload
+
+from twin.diagnose.tolerance import with_added
+from twin.diagnose.view import RunView
+from twin.effects import Setting, settings_of, with_effects
+from twin.errors import TwinError
+from twin.machine.machine import Machine
+from twin.recordings.ballbar import Ballbar
+from twin.simulation.decoupled_plant import DecoupledPlant
+from twin.simulation.gap import as_recorded, simulated_period
+from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
+
+Variant = Callable[[Machine], Machine]
+"""Turns a run's machine into another one."""
+
+Answer = TypeVar("Answer")
+
+Mapper = Callable[..., list[Any]]
+"""Maps a function over items, in their order; on threads where it is not `in_turn`."""
+
+
+def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """Map on the calling thread."""
+    return [function(item) for item in items]
+
+
+def on_threads(pool: ThreadPoolExecutor) -> Mapper:
+    """Map on the threads of a pool."""
+    return lambda function, items: list(pool.map(function, items))
+
+
+class Ask(NamedTuple):
+    """Some axes of a run to be simulated, and those that effects push them with, on a variant of the run's machine with further effects."""
+
+    view: RunView
+    axes: Sequence[str]
+    machine_of: Variant | None = None
+    settings: Sequence[Setting] = ()
+    noise_seed: int | None = None
+
+
+def simulate_group(
+    view: RunView,
+    axes: Sequence[str],
+    machine_of: Variant | None = None,
+    settings: Sequence[Setting] = (),
+    *,
+    noise_seed: int | None = None,
+) -> Run:
+    """Simulate one `Ask`, see `simulate_groups`. Raises TwinError where it cannot be simulated."""
+    return all_or_raise(simulate_groups([Ask(view, axes, machine_of, settings, noise_seed)]))[0]
+
+
+@overload
+def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
+@overload
+def simulate_groups(asks: Sequence[Ask], mapper: Mapper, of: Callable[[int, Run], Answer]) -> list[Answer | TwinError]: ...
+def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run) -> list[Any]:
+    """Each ask in the decoupled plant, side by side where they can be, at the times of its run's record; or its error.
+
+    `of` takes from each run (its number among the asks is given) what is wanted of it; `mapper` maps over batches of simulations.
+    """
+    jobs, bars, outcomes = [], [], {}
+    for i, ask in enumerate(asks):
+        try:
+            job, bar = _job_of(ask)
+        except TwinError as error:
+            outcomes[i] = error
+            continue
+        jobs.append(job)
+        bars.append((i, bar))
+
+    def recorded(at: int, run: Run) -> Any:
+        (i, bar), ask = bars[at], asks[bars[at][0]]
+        times = ask.view.trace.time
+        trace = as_recorded(run.trace, times, bar, ask.noise_seed)
+        return of(i, replace(run, trace=trace, without_noise=as_recorded(run.without_noise, times, bar)))
+
+    for (i, _), outcome in zip(bars, simulate_each(jobs, mapper, recorded)):
+        outcomes[i] = outcome
+    return [outcomes[i] for i in range(len(asks))]
+
+
+def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
+    """The simulation of an ask, and the ballbar that sees it."""
+    view, machine = ask.view, ask.view.machine if ask.machine_of is None else ask.machine_of(ask.view.machine)
+    changed = with_added(machine, ask.settings)
+    hidden = settings_of(changed)
+    rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
+    # what is clamped on the table moves every rotary axis, whichever of them the run moves
+    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in ask.axes)
+    needed = {*ask.axes, *(rotary if clamped else ())}
+    bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
+    if bar is not None:
+        needed.update(bar.axes)
+    while pushing := {s.from_axis for s in hidden if s.from_axis and s.axis in needed} - needed:
+        needed |= pushing
+    driven = [name for name in machine.axis_names if name in needed]
+    index = [machine.axis_names.index(name) for name in driven]
+    part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
+    # gravity and inertia of a rotary axis depend on where the others are, simulated or not
+    turning = any(axis.kind == "rotary" for axis in part.axes)
+    carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
+    motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
+    job = SimulationJob(
+        part,
+        view.setpoints.part(tuple(index)),
+        lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
+        simulated_period(machine, view.trace.period, bar),
+        view.started_at,
+        ask.noise_seed,
+    )
+    return job, bar
