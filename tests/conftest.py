@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
-import numpy as np
-import pytest
+# before numpy is imported; processes that tests start inherit it. BLAS threads that wait for each other took more than half the processor time
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from twin.machine.machine import Machine, load_machine
-from twin.simulation.setpoints import Setpoints
+from pathlib import Path  # noqa: E402
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+from twin.machine.machine import Machine, load_machine  # noqa: E402
+from twin.simulation.setpoints import Setpoints  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
