@@ -76,7 +76,7 @@ def test_a_seal_holds(tmp_path: Path) -> None:
     digest = seal("the truth\n", tmp_path)
     assert digest == hashlib.sha256(b"the truth\n").hexdigest()
     assert seal("the truth\n", tmp_path) == digest  # an examination that goes on
-    with pytest.raises(InputError, match="another examination was sealed here"):
+    with pytest.raises(InputError, match="an examination with other machines was sealed here"):
         seal("another truth\n", tmp_path)
     with pytest.raises(InputError, match="not those that were sealed"):
         unseal("a truth bent afterwards\n", tmp_path)
@@ -225,8 +225,8 @@ def test_pairs_alone_and_lost_cases_make_a_report() -> None:
     ]
     document = {"score": score(marks), "marks": [{"case": "0", **m} for m in marks], "not_drawn": {}, "not_answered": 3}
     titles = [s.title for s in sections_of({**document, "seed": 1, "richness": "off", "seal": "0"})]
-    assert "What was taken for what" not in titles
-    assert "How far the gap shrinks" in titles
+    assert "Confusion matrix" not in titles
+    assert "Gap before and after" in titles
 
 
 def test_wilson_interval_against_the_printed_one() -> None:
@@ -237,7 +237,7 @@ def test_wilson_interval_against_the_printed_one() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--cases", "0"], "give 1 or more"),
+        (["--cases", "0"], "give 1 to 100000"),
         (["--seed", "-1"], "give 0 or more"),
         (["--workers", "0"], "give 1 or more"),
         (["--only", "health"], "healthy"),
@@ -381,7 +381,7 @@ def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.
 
 def test_nothing_can_be_opened_that_was_not_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exam", "--seed", "3", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
-    assert "nothing has been answered yet" in capsys.readouterr().err
+    assert "no case has been diagnosed yet" in capsys.readouterr().err
     assert not (tmp_path / "truths.json").exists()
 
 
