@@ -182,10 +182,10 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
     assert noise.effects == []
     assert line.effects[0].value == pytest.approx(np.ptp([row[1][0] for row in rows[:30]]))  # half of 2 kg^-1 x the range
     said = sentences(answers)
-    assert "too uneven" in said[0]
-    assert f"mass moves it most, by {valued('line', line.swings[0].swing)}" in said[1]  # what the first bar shows
+    assert "too irregular" in said[0]
+    assert f"largest influence: mass, {valued('line', line.swings[0].swing)}" in said[1]  # what the first bar shows
     assert swing_rows(answers, line)[0][1] == valued("line", line.swings[0].swing)
-    assert any("1 of 34 variants could not be run; commonest reason: axis X: moving_mass_kg = .." in text for text in said)
+    assert any("1 of 34 variants could not be run; most common reason: axis X: moving_mass_kg = .." in text for text in said)
     assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)
 
 

@@ -121,7 +121,7 @@ def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixtu
     assert (ratings.rated_torque_nm, ratings.thermal_time_constant_s) == (18.0, 1800.0)
     assert rated(read_study(spec)).axis("X").rotor_inertia_kg_m2 == load_machine().axis("X").rotor_inertia_kg_m2
     message = refused(capsys, "study", str(spec), "--out", str(out), "--resume", "--no-replay", "--compare", "0", "9")
-    assert "--compare 9: no variant of this number" in message
+    assert "--compare 9: no variant with this number" in message
 
 
 def test_shares_of_the_ratings(folder: Path) -> None:
@@ -145,7 +145,7 @@ def test_shares_of_the_ratings(folder: Path) -> None:
         ('"40x10", "40x20"', '"40x10"', "has one screw only"),
         ('axis = "X"\ninstalled = "M80"', 'axis = "X"', "'installed' is missing"),
         ("[[factor]]", '[[factor]]\nname = "k"\npath = "axis.X.motor.resistance_ohm"\nrange = [0.4, 0.6]\n[[factor]]', "both set"),
-        ("[design]", '[[tied]]\npath = "axis.X.max_jerk_m_per_s3"\nto = "motor"\n[design]', "is a choice of a catalogue"),
+        ("[design]", '[[tied]]\npath = "axis.X.max_jerk_m_per_s3"\nto = "motor"\n[design]', "is a catalogue choice"),
     ],
 )
 def test_what_a_catalogue_cannot_do(folder: Path, old: str, new: str, words: str) -> None:

@@ -110,7 +110,7 @@ def test_half_the_inertia_is_half_the_inertia(mikron: Machine) -> None:
 def test_a_run_is_named_after_no_other_folder(tmp_path: Path) -> None:
     for name in ("../out", "a/b", "/tmp/x", ".hidden", "a\\\\b"):
         spec = write_spec(tmp_path, run=f'[[run]]\ninput = "move.csv"\nname = "{name}"\n')
-        with pytest.raises(InputError, match="files are named after it"):
+        with pytest.raises(InputError, match="becomes part of file names"):
             read_study(spec)
 
 

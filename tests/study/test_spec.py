@@ -227,7 +227,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "range of nan": (lambda t: t.replace("[500.0, 900.0]", "[nan, 1]"), ("range", "list of numbers")),
     "neither": (lambda t: t.replace("range = [500.0, 900.0]", ""), ("neither values nor a range",)),
     "both": (lambda t: t.replace("range =", "values = [1.0, 2.0]\nrange ="), ("both values and a range",)),
-    "one value": (lambda t: t.replace("range = [500.0, 900.0]", "values = [500.0]"), ("one value only", "[fixed]")),
+    "one value": (lambda t: t.replace("range = [500.0, 900.0]", "values = [500.0]"), ("only one value", "[fixed]")),
     "factor twice": (lambda t: t.replace(GRID, FACTOR + GRID), ("two of [[factor]]", "'mass'")),
     "unknown effect": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlsh.X.clearance"), ("backlsh", "did you mean 'backlash'")),
     "effect's parameter": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X.gap"), ("no parameter 'gap'",)),
@@ -235,7 +235,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "effect short": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X"), ("write effect.NAME.AXIS.PARAMETER",)),
     "effect on a wrong axis": (
         lambda t: t.replace("axis.X.moving_mass_kg", "effect.encoder_eccentricity.X.amplitude"),
-        ("axis X cannot have it",),
+        ("axis X cannot have this effect",),
     ),
     "relative effect": (
         lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X.clearance").replace("range", "relative = true\nrange"),
@@ -245,7 +245,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "tie without path": (lambda t: t + '[[tied]]\nto = "mass"\n', ("'path' is missing",)),
     "tie with both": (
         lambda t: t + '[[tied]]\npath = "axis.Y.moving_mass_kg"\nto = "mass"\nslope = 1\nexponent = 2\n',
-        ("slope goes with a factor and without exponent",),
+        ("slope needs a factor and excludes exponent",),
     ),
     "fixed path": (lambda t: '[fixed]\n"axis.X.moving_mas_kg" = 1.0\n' + t, ("[fixed]", "did you mean 'axis.X.moving_mass_kg'")),
     "fixed value": (lambda t: '[fixed]\n"axis.X.moving_mass_kg" = "a"\n' + t, ("[fixed]", "list of numbers")),
