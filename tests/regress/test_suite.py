@@ -204,7 +204,7 @@ def test_a_failure_leaves_its_evidence(suite: Path, tmp_path: Path, capsys: pyte
         assert (folder / name).stat().st_size > 0
     sentence = (folder / "sentence.txt").read_text().strip()
     assert sentence.startswith("axis U differs from 0.")
-    assert "first in its chain: mechanics" in sentence
+    assert "first changed block: mechanics" in sentence
     assert sentence in capsys.readouterr().out
 
 
@@ -354,7 +354,7 @@ def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path
     assert regress(suite, tmp_path) == 1
     case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
     assert case["place"]["axis"] == "U"
-    assert "the simulation stops" in case["text"]
+    assert "simulation aborted" in case["text"]
 
 
 @pytest.mark.parametrize(
@@ -414,7 +414,7 @@ def test_update_says_what_it_skips(suite: Path, tmp_path: Path, capsys: pytest.C
     )
     capsys.readouterr()
     assert regress(suite, tmp_path, "--update", "--reason", "a measured campaign") == 0
-    assert "skipped, its golden result stays as it is: spring: campaign not_here is not here" in capsys.readouterr().out
+    assert "skipped, golden result unchanged: spring: campaign not_here is not here" in capsys.readouterr().out
 
 
 def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
