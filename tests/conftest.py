@@ -7,13 +7,13 @@ import os
 # before numpy is imported; processes that tests start inherit it. BLAS threads that wait for each other took more than half the processor time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from pathlib import Path  # noqa: E402
+from pathlib import Path
 
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
+import numpy as np
+import pytest
 
-from twin.machine.machine import Machine, load_machine  # noqa: E402
-from twin.simulation.setpoints import Setpoints  # noqa: E402
+from twin.machine.machine import Machine, load_machine
+from twin.simulation.setpoints import Setpoints
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"

@@ -139,7 +139,7 @@ def test_contour_and_orientation_error_of_a_shifted_path() -> None:
         ({"kind": "ball", "diameter_mm": 10, "corner_mm": 1}, "unknown key 'corner_mm'"),
         ({"kind": "bull", "diameter_mm": 10, "corner_mm": 6}, "between 0 and the tool's radius"),
         ({"kind": "revolution", "profile_mm": [[1, 2]]}, "at least two points"),
-        ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5], [5, 3]]}, "never fall"),
+        ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5], [5, 3]]}, "non-decreasing heights"),
         ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5, 1]]}, "does not reach"),
     ],
 )
