@@ -1,9 +1,9 @@
-"""Would MuJoCo's own physics do for the effects? Its springs, dead band, LuGre friction, cogging and constraints against our terms.
+"""Compares MuJoCo's springs, dead bands, LuGre friction, cogging and constraints with the twin's own terms for effects.
 
     python devtools/measure_mujoco_physics.py
 
-Both act on the X axis' masses at the same tick; the truth is an integration of the equations with tight tolerance. Prints
-the largest deviation of the load, and microseconds a step of the five-axis machine. docs/effects-in-mujoco.md says what follows.
+Both act on the X axis' masses at the same tick; the reference is an integration of the equations with tight tolerance. Prints the largest
+deviation of the load, and microseconds per step of the five-axis machine. docs/effects-in-mujoco.md draws the conclusions.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import ctypes
 import math
 import statistics
 from time import perf_counter
+from typing import Any
 
 import mujoco
 from numba import njit
@@ -56,7 +57,7 @@ SECONDS = 0.4
 class Slides:
     """Masses on frictionless slides (one: the whole axis; two: rotor and load), advanced tick by tick under forces."""
 
-    def __init__(self, masses: list[float], extend: Callable[[mujoco.MjSpec], None] | None = None):
+    def __init__(self, masses: list[float], extend: Callable[[mujoco.MjSpec], None] | None = None) -> None:
         spec = mujoco.MjSpec()
         spec.option.timestep = TICK
         spec.option.gravity = [0.0, 0.0, 0.0]
@@ -81,7 +82,7 @@ class Slides:
         return np.array(out)
 
 
-def our_term(law, parameters: list[float]) -> Callable[[np.ndarray], np.ndarray]:  # type: ignore[no-untyped-def]
+def our_term(law: Any, parameters: list[float]) -> Callable[[np.ndarray], np.ndarray]:
     """The compiled term as a function from (quantity, mass) [position ahead, speed, acceleration] to forces (mass,)."""
     call = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 3, ctypes.c_int64)(law.address)
     p, s, x = np.zeros(PARAMETER_COUNT), np.zeros(STATE_COUNT), np.zeros((MAX_AXES, SIGNAL_COUNT))
@@ -123,13 +124,13 @@ def coupling_rows() -> list[tuple[str, float, float]]:
         def pull(t: float) -> float:
             return 2000.0 * math.sin(2 * math.pi * 6.0 * t)
 
-        def rate(t, y, k=k, c=c, half=clearance / 2):  # type: ignore[no-untyped-def]
+        def rate(t: float, y: np.ndarray, k: float = k, c: float = c, half: float = clearance / 2) -> list[float]:
             q_m, q_l, v_m, v_l = y
             d = q_m - q_l
             force = 0.0 if abs(d) <= half and half > 0 else k * (d - math.copysign(half, d)) + c * (v_m - v_l)
             return [v_m, v_l, (pull(t) - force) / ROTOR, force / LOAD]
 
-        def tendon(spec: mujoco.MjSpec, k=k, c=c, half=clearance / 2) -> None:  # type: ignore[no-untyped-def]
+        def tendon(spec: mujoco.MjSpec, k: float = k, c: float = c, half: float = clearance / 2) -> None:
             t = spec.add_tendon(stiffness=[k, 0.0, 0.0], damping=[c, 0.0, 0.0], springlength=[-half, half])
             t.wrap_joint("0", 1.0)
             t.wrap_joint("1", -1.0)
@@ -153,15 +154,15 @@ def friction_rows() -> list[tuple[str, float, float]]:
         k = LEVEL / reach
         c = 2 * damping_ratio * math.sqrt(k * mass)
 
-        def pull(t: float, force=force, hz=hz) -> float:  # type: ignore[no-untyped-def]
+        def pull(t: float, force: float = force, hz: float = hz) -> float:
             return force * LEVEL * math.sin(2 * math.pi * hz * t)
 
-        def rate(t, y, k=k, c=c, pull=pull):  # type: ignore[no-untyped-def]
+        def rate(t: float, y: np.ndarray, k: float = k, c: float = c, pull: Callable[[float], float] = pull) -> list[float]:
             _, v, z = y
             bent = v - k * abs(v) * z / LEVEL
             return [v, (pull(t) - k * z - c * bent) / mass, bent]
 
-        def motors(spec: mujoco.MjSpec, k=k, c=c) -> None:  # type: ignore[no-untyped-def]
+        def motors(spec: mujoco.MjSpec, k: float = k, c: float = c) -> None:
             a = spec.add_actuator(name="f", target="0", trntype=mujoco.mjtTrn.mjTRN_JOINT)
             a.set_to_dcmotor(
                 motorconst=[1e-9, 1e-9], resistance=1.0, lugre=[k, c, LEVEL, LEVEL, 1e-3], ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE)
@@ -182,7 +183,7 @@ def ripple_row() -> tuple[str, float, float]:
     def pull(t: float) -> float:
         return 900.0 if t < 0.2 else 0.0
 
-    def rate(t, y):  # type: ignore[no-untyped-def]
+    def rate(t: float, y: np.ndarray) -> list[float]:
         return [y[1], (pull(t) + amplitude * math.sin(n * y[0] + 0.4)) / mass]
 
     def motors(spec: mujoco.MjSpec) -> None:
@@ -210,7 +211,7 @@ def _terms(terms, signals, count):  # type: ignore[no-untyped-def]
 
 
 def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str]]:
-    """Microseconds a step of the five-axis machine, blocks in turn, medians."""
+    """Microseconds per step of the five-axis machine: medians over alternating blocks."""
 
     def tendons(spec: mujoco.MjSpec) -> None:
         for name in ("X", "Y"):
@@ -270,12 +271,12 @@ def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str
 
 
 def constraint_violation() -> float:
-    """Largest rotor minus load when an equality constraint carries the axis' acceleration (2.5 m/s2 of 700 kg)."""
+    """Largest rotor minus load [m] when an equality constraint transmits the acceleration of the axis (2.5 m/s2 of 700 kg)."""
 
     def equality(spec: mujoco.MjSpec) -> None:
         e = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1="0", name2="1", objtype=mujoco.mjtObj.mjOBJ_JOINT)
         e.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
-        # as stiff as the solver lets it be: two ticks
+        # the stiffest value that the solver allows: two ticks
         e.solref, e.solimp = [2 * TICK, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
     slides = Slides([ROTOR, LOAD], equality)
