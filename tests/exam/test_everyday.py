@@ -36,7 +36,7 @@ SCALE = {"constant_force": "force", "cyclic_error": "amplitude", "lead_error": "
 
 @pytest.fixture
 def drawn_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No plant run asks whether a drawn machine is stable: what is drawn is all that counts here."""
+    """Skip the stability run of drawn machines, which these tests do not need."""
     monkeypatch.setattr(drawing, "behaves", lambda case, machine: True)
 
 
@@ -84,7 +84,7 @@ def test_a_background_is_3_to_15_percent_of_usual_sizes() -> None:
 
 @pytest.mark.usefixtures("drawn_only")
 def test_old_kinds_stay_what_they_were() -> None:
-    """Numbers of a seed as they were drawn before everyday and wide machines existed."""
+    """Seeds give the same numbers as before everyday and wide machines existed."""
     case = draw_case(5, "single", MACHINE, effect="speed_integral_time", axis="Y")
     assert (case.encoder_zero, case.wide) == ("each run", False)
     assert case.effects[0]["factor"] == pytest.approx(SPEED_INTEGRAL_TIME_OF_SEED_5, rel=1e-12)
@@ -140,7 +140,7 @@ def test_a_tenth_of_every_kind_is_wide() -> None:
 
 
 def moves(seconds: float = 0.6) -> TestRun:
-    """All axes turn round and move, each with its own rhythm; nothing begins at zero."""
+    """All axes move and reverse, each at its own frequency, from starts away from zero."""
     t = np.arange(round(seconds * 1e3)) * 1e-3
     wave = [
         start + size * np.sin(2 * math.pi * hz * t) ** 2
@@ -184,7 +184,7 @@ def test_axes_that_push_each_other_are_one_group() -> None:
 
 
 def test_a_budget_is_what_changes_without_each_effect() -> None:
-    """Effects asked together, axis by axis, get what each gets by itself; a drift is its formula."""
+    """Effects removed together on different axes get the same budget as alone; a drift agrees with its formula."""
     case = machine_with(CYCLIC, *FORCES, DRIFT)
     rows = {(r["effect"], r["axis"]): r for r in budget_of(case, MACHINE, [moves(), moves()])}
     assert len(rows) == 6
@@ -254,13 +254,13 @@ def test_what_is_missed_false_or_out_of_order_is_marked() -> None:
 def test_probabilities_are_asked_of_every_candidate_that_can_be_known() -> None:
     tried = {("thermal_drift", "X"): 0.2, ("inertia", "Y"): 0.3, ("stribeck", "C"): 0.6}
     m = mark_budget(TRUTH, said({("thermal_drift", "X"): 200.0}, tried))
-    # named: 0.9 of what is there; tried and not there: 0.3; hidden below noise: not asked; three others that must be seen: 0
+    # named and present: 0.9; tried and absent: 0.3; below the visible size: not scored; three other visible ones: 0
     assert sorted(m["candidates"]) == [[0.0, True]] * 4 + [[0.3, False], [0.9, True]]
 
 
 @pytest.mark.usefixtures("drawn_only")
 def test_an_everyday_machine_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawn with its budget, recorded, answered, marked: with a background on X alone, one run, and an answer that is written here."""
+    """Drawn with its budget, recorded, answered by this test, marked; with background effects on X only and one run."""
     monkeypatch.setattr(drawing, "BACKGROUND", tuple(b for b in BACKGROUND if b[1] == "X"))
     monkeypatch.setattr(drawing, "MOST_MAIN", 0)
     monkeypatch.setitem(drawing.RUN_SETS, "short", ("acceleration",))

@@ -1,4 +1,4 @@
-"""examples/emps all the way: on the measured axis where its record is there, and always on a record that is made here."""
+"""examples/emps as a whole: on the measured axis if its recording is available, and on a simulated recording."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ def diagnosis_of(example: ModuleType, record: Path, out: Path) -> tuple[dict[str
 
 
 def control_is_not_blamed(document: dict[str, Any]) -> None:
-    """No place, no effect, and no candidate that would close anything lies in a controller."""
+    """No place, no effect, and no candidate with an influence on the gap is in a controller."""
     assert not [p for p in document["where"] if p["block"] in CONTROL]
     assert not [e for e in document["effects"] if e["block"] in CONTROL]
     alone = {c["effect"]: c["explained"] for c in document["candidates"] if "beside" not in c}
     asked = ("position_gain", "speed_gain", "loop_delay", "set_point_filter", "current_filter")
     assert document["where"]
     assert alone
-    assert all(alone.get(name, 0.0) < 0.05 for name in asked)  # what closes nothing is not listed
+    assert all(alone.get(name, 0.0) < 0.05 for name in asked)  # candidates without influence are not listed
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
-    """A record like the measured one, of the machine file with what is planted: three speeds there and back, 24.84 s."""
+    """A recording like the measured one, simulated with planted effects: three speeds there and back, 24.84 s."""
     machine = load_machine(example.MACHINE)
     settings = [check_setting({"name": n, "axis": "X", **p}, machine, "planted") for n, p in PLANTED.items()]
     times = [0.0, 0.05, 0.45, 0.5, 0.6, 1.25, 1.35, 1.4, 1.55, 2.6, 2.75, 2.8, 2.85, 3.02, 3.07, 3.12]
@@ -100,7 +100,7 @@ def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: p
 
 @pytest.mark.slow
 def test_the_measured_axis(example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Effects, sizes and gap of the measured record; unlisted laws, which take most of a diagnosis, are not searched for here."""
+    """Effects, sizes and gap of the measured recording, without the search for unlisted laws, which takes most of the time."""
     monkeypatch.setattr("twin.diagnose.procedure.laws_beside", lambda *_: ())
     if not RECORD.is_file():
         pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
@@ -114,7 +114,7 @@ def test_the_measured_axis(example: ModuleType, tmp_path: Path, monkeypatch: pyt
 
 
 def diagnosis_told(document: dict[str, Any]) -> list[str]:
-    """What the page says of a diagnosis: effects with their intervals, laws by their heights where they have one, verdict, gap."""
+    """Statements of the page on a diagnosis: effects with intervals, heights of laws, verdict, gap."""
     found = {e["effect"]: e["parameters"] for e in document["effects"]}
     fraction, ripple = found["viscous_asymmetry"]["fraction"], found["torque_ripple"]["amplitude_nm"]
     laws = [law["parameters"]["height"] for law in document["laws"] if "height" in law["parameters"]]

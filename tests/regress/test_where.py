@@ -1,4 +1,4 @@
-"""Which block left its law first, on a machine whose drive closes the position loop."""
+"""Finds the first changed block on a machine whose drive closes the position loop."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def machine_with(lag_s: float = 0.0, **values: float) -> Machine:
     ],
 )
 def test_a_drive_that_closes_the_position_loop(change: dict[str, float], block: str, lag_s: float) -> None:
-    """The block that changed is the first with a large share; those before it follow the law of the golden result."""
+    """The changed block is the first with a large share; blocks before it follow the golden law."""
     golden = machine_with(lag_s)
     if block in ("speed controller", "mechanics"):  # a share of what the file has
         document = golden.document["axis"]["X"]

@@ -166,7 +166,7 @@ def test_retuned_loops_have_the_margins_of_the_machine_as_it_was() -> None:
 
 
 def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
-    """A surrogate that misses what was left out moves nothing; a variant at its limit enters no effect; the commonest reason is named."""
+    """A poor surrogate gives no effects; a variant at its limit is left out; the most common reason is named."""
     study = read_study(write_spec(tmp_path, 'answer = ["noise", "line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 30\n'))
     rng = np.random.default_rng(1)
     rows: list[Row] = []
@@ -190,13 +190,13 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
 
 
 def test_effects_that_the_design_cannot_part_are_left_out() -> None:
-    """Two factors that nearly go together: their coefficients are thousands, the response changes by one."""
+    """Two nearly proportional factors get coefficients of thousands for a response that changes by one; these are dropped."""
     a = np.linspace(0.0, 1.0, 12)
     rng = np.random.default_rng(2)
     table = np.column_stack([a, a + 1e-6 * rng.standard_normal(12)])
     y = a + 0.01 * rng.standard_normal(12)
     assert all(2.0 * abs(e.value) <= np.ptp(y) * 1.001 for e in effects_of(["a", "b"], table, y))
-    # all of a full factorial stays, the interaction that makes the whole response too
+    # a full factorial keeps all effects, including the dominant interaction
     corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0], [0.0, 0.0]])
     (largest, *_) = effects_of(["a", "b"], corners, corners[:, 0] * corners[:, 1])
     assert largest.factors == ("a", "b")

@@ -1,4 +1,4 @@
-"""Studies carried out: rows, tables, resumption, limits, what is written."""
+"""Execution of studies: rows, tables, resumption, limits, output files."""
 
 from concurrent.futures import Future
 import json
@@ -104,15 +104,15 @@ def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Pa
     assert "time at current limit of X is" in reasons[3]
     assert [bool(responses) for _, _, responses, _ in found] == [True, False, False, True, True]
     study = read_study(spec)
-    # where only one variant runs, nothing is known of any factor
+    # a single variant shows no effect of any factor
     assert answers_of(study, found[:2]).without_effect == []
-    # a variant at its limit is neither the best nor on the front, and enters no effect
+    # a variant at its limit is not the best, not on the front, and in no effect
     answers = answers_of(study, found)
     assert (answers.failed, answers.broken, answers.best, answers.pareto) == (2, 2, 0, [0])
 
 
 def test_the_commanded_path_of_a_trace_is_that_of_each_variant(tmp_path: Path) -> None:
-    """Set points of the axes are another tool path on another geometry: the contour error stays that of the drives."""
+    """The same set points give another tool path on another geometry, but the same contour error of the drives."""
     time, tilt = moves_in_turn(0.0, [0.3], 0.5, 2.0, 50.0, 0.06, 1e-3)
     signals = {("A", "setpoint"): tilt, ("C", "setpoint"): np.zeros(len(time)), ("Z", "setpoint"): np.zeros(len(time))}
     write_trace(Trace(time, signals, {"A": "rotary", "C": "rotary", "Z": "linear"}), tmp_path / "move.csv")
@@ -146,7 +146,7 @@ def test_a_moment_at_a_limit_is_allowed(tmp_path: Path) -> None:
 
 
 def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
-    """P/P on a voltage, P/PI on a current, P/P on a torque: each answers with what it is commanded, in its unit."""
+    """P/P on a voltage, P/PI on a current, P/P on a torque: responses use the commanded quantity and its unit."""
     write_slides(tmp_path)
     machine = load_machine(tmp_path / "slides.toml")
     moves = {
@@ -283,7 +283,7 @@ def test_two_studies_may_not_write_one_folder(tmp_path: Path, capsys: pytest.Cap
         assert other.stdout.readline() == b"held\n"
         assert "another study is writing here" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
         other.kill()
-    # a holder that was killed holds nothing
+    # the lock of a killed process is released
     assert main(["study", str(spec), "--out", str(tmp_path / "out"), "--no-replay"]) == 0
 
 

@@ -1,4 +1,4 @@
-"""A study's numbers are its own: whatever ran before in the process, in any order, on any number of threads; and its marks hold."""
+"""The numbers of a study do not depend on earlier studies in the process, the order of variants, or the number of threads."""
 
 from dataclasses import replace
 import json
@@ -27,7 +27,7 @@ from twin.study.store import FILE
 GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_y_m"\nvalues = [0.0, 0.05]\n'
 LIMIT = '[[factor]]\nname = "jerk"\npath = "axis.X.max_jerk_m_per_s3"\nvalues = [5.0, 20.0]\n'
 ELSEWHERE = '[fixed]\n"geometry.a_axis_to_c_axis_y_m" = 0.02\n"body.workpiece.mass_kg" = 25.0\n"axis.Y.coulomb_friction_nm" = 3.0\n'
-"""Another machine with the same axes and limits: what is remembered of it under too short a name comes back."""
+"""Another machine with the same axes and limits, to detect caches with incomplete keys."""
 MASS = '[[factor]]\nname = "load"\npath = "added_mass.workpiece"\nvalues = [0.0, 40.0]\n'
 RUN = '[[run]]\ninput = "tilt.mpf"\n'
 DESIGN = '[design]\nkind = "grid"\n'
@@ -41,7 +41,7 @@ def spec_in(folder: Path, factors: str) -> Path:
 
 
 def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
-    """Workers remember models, plans, margins and weights: none of it may reach another machine."""
+    """Workers cache models, plans, margins and weights, which must not be used for another machine."""
     spec, other = spec_in(tmp_path / "a", GEOMETRY + MASS), spec_in(tmp_path / "b", ELSEWHERE + LIMIT + MASS)
     command = [sys.executable, "-m", "twin", "study", str(spec), "--out", str(tmp_path / "fresh"), "--threads", "1", "--no-replay"]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -57,7 +57,7 @@ def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
 
 
 def test_blas_threads_change_no_bit(tmp_path: Path) -> None:
-    """Workers of a cluster have one BLAS thread, a desk has as many as cores: a dot product of a long record is split among them."""
+    """BLAS splits long dot products among its threads; a study must not depend on their number."""
     time, x = moves_in_turn(0.0, [0.01, -0.01] * 30, 0.1, 2.0, 50.0, 0.06, 1e-3)
     assert len(time) > 12_000
     write_trace(Trace(time, {("X", "setpoint"): x}, {"X": "linear"}), tmp_path / "move.csv")

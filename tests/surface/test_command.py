@@ -1,4 +1,4 @@
-"""`twin cut` from a trace to files, and what it says to bad input."""
+"""`twin cut` from a trace to files, and its messages for bad input."""
 
 from __future__ import annotations
 

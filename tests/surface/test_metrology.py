@@ -26,7 +26,7 @@ def patch(height: np.ndarray, spacing: float = 1e-5) -> HeightRays:
 
 
 def test_areal_parameters_of_a_sine() -> None:
-    """Amplitude a: Sa = 2 a / pi, Sq = a / sqrt 2, Sz = 2 a, Sku = 1.5; form of the second order falls out."""
+    """Wave of amplitude a: Sa = 2 a / pi, Sq = a / sqrt 2, Sz = 2 a, Sku = 1.5; second-order form is removed."""
     x, y = (np.arange(20_000) + 0.5) * 2e-7, np.arange(50) * 1e-6
     wave = 1e-6 * np.sin(2.0 * math.pi * x / 1e-4)[None] + 0.0 * y[:, None]
     form = 3e-4 * (x[None] / 4e-3) ** 2 - 2e-5 * y[:, None] / 5e-5 + 1e-5 * x[None] * y[:, None] / 2e-7

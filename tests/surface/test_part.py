@@ -1,4 +1,4 @@
-"""Part files: every shape is read, and each fault is one line that names file, table and key and says what to do."""
+"""Part files: every shape is read, and each error is one line with file, table, key and remedy."""
 
 from __future__ import annotations
 
