@@ -197,13 +197,10 @@ def _diagnose(case: Case, machine: Machine) -> Outcome:
     return Outcome(features, machine=machine)
 
 
-_STUDY_UNITS = {"um": "um", "arcsec": "arcsec", "a": "A", "w": "W", "s": "s", "ms": "ms", "hz": "Hz"}
-"""Last word of a response's name -> unit; shares have none."""
-
-
 def _study(case: Case, machine: Machine) -> Outcome:
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, fingerprint, threads_here
+    from twin.study.labels import UNITS, is_share
     from twin.study.spec import read_study
     from twin.study.store import Store
 
@@ -224,7 +221,7 @@ def _study(case: Case, machine: Machine) -> Outcome:
         for name, value in responses.items():
             words = name.split("_")
             axis = next((a for a in machine.axis_names if a in words), "")
-            unit = _STUDY_UNITS.get(words[-1], "")
+            unit = "" if is_share(name) else UNITS.get(words[-1], "")
             features[f"variant {number}.{name}"] = Feature(value, unit, axis, "study")
     return Outcome(features, machine=machine)
 
