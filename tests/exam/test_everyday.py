@@ -15,7 +15,7 @@ import pytest
 from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
 from twin.exam.answer import write_answer
-from twin.exam.budget import budget_of, groups_of
+from twin.exam.budget import SIGNALS, SUBSTEPS, budget_of, groups_of, noise_of
 from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of, truth_toml
 from twin.exam.mark import mark, mark_answer
 from twin.exam.mark_budget import mark_budget
@@ -181,6 +181,14 @@ def test_axes_that_push_each_other_are_one_group() -> None:
     assert groups_of(machine_with()) == [("X",), ("Y",), ("Z",), ("A", "C")]
     joined = machine_with({"name": "cross_axis_coupling", "axis": "Z", "from_axis": "X", "mass": 10.0})
     assert groups_of(joined) == [("X", "Z"), ("Y",), ("A", "C")]
+
+
+def test_noise_is_the_spread_of_several_recordings() -> None:
+    """The current noise from two recordings agrees with the standard deviation over six others."""
+    case, test = machine_with(), moves(0.3)
+    recordings = [drawing.simulate(replace(case, noise_seed=seed), MACHINE, test, 0.0, SUBSTEPS) for seed in range(6)]
+    spread = np.sqrt(np.mean(np.var([r.current for r in recordings], axis=0, ddof=1), axis=0))
+    assert noise_of(replace(case, noise_seed=7), MACHINE, test, 0.0)[SIGNALS.index("current")] == pytest.approx(spread, rel=0.15)
 
 
 def test_a_budget_is_what_changes_without_each_effect() -> None:

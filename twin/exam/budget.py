@@ -49,7 +49,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     at = 0.0
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
-        noise = _noise_of(case, machine, test, at)
+        noise = noise_of(case, machine, test, at)
         for taken in _rounds(queues):
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
             other = simulate(replace(still, effects=rest), exact, test, at, SUBSTEPS)
@@ -101,7 +101,7 @@ def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
     return np.array(rows)
 
 
-def _noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
+def noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
     """Standard deviation [signal, axis] of noise and rounding in a run, not below that of the sensor itself.
 
     Taken from two noisy recordings. A comparison with a noise-free run would double it: without noise an axis comes to rest elsewhere.
