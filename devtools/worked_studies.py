@@ -1,4 +1,4 @@
-"""The worked studies of docs/study.md: runs them and prints every number of that section, closed forms beside them.
+"""The worked studies of docs/study.md: runs them and prints their numbers, with closed forms.
 
 python devtools/worked_studies.py [--studies FOLDER] [--only NAME]     into FOLDER (default out/studies), resumed where they are there
 """
@@ -73,7 +73,7 @@ def friction_share() -> None:
     """The nominal corner with and without Coulomb friction on X and Y."""
     study = read_study(EXAMPLES / "corner_mass.toml")
     smooth = with_numbers(study.machine, {f"axis.{axis}.coulomb_friction_nm": 0.0 for axis in "XY"})
-    print("corner of the machine as it is, um: deviation of X, contour error")
+    print("corner of the present machine, um: deviation of X, contour error")
     for words, machine in (("with Coulomb friction", study.machine), ("without", smooth)):
         found = evaluate(replace(work_of(study), study=replace(study, machine=machine)), (700.0, 1050.0, 1.0)).responses
         print(f"  {words}: {found['control_deviation_max_X_um']:.2f}, {found['contour_error_max_um']:.2f}")

@@ -134,6 +134,7 @@ def test_a_tenth_of_every_kind_is_wide() -> None:
     assert sum(s.share for s in STRATA) == pytest.approx(1.0)
     assert all(type(q.wide) is bool for q in questions)  # it is written to the sealed truth
     assert [q.number for q in questions_of(4, 1000) if q.wide] != [q.number for q in questions if q.wide]
+    assert {questions_of(seed, 1)[0].wide for seed in range(40)} == {True, False}  # also in small examinations
 
 
 # --- the plant ---------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", metavar="FILE", help="JUnit XML (default: junit.xml in --out)")
     parser.add_argument("--json", metavar="FILE", help="the same as JSON (default: regress.json in --out)")
     parser.add_argument("--no-evidence", action="store_true", help="verdicts only: no folder for each failed case")
-    parser.add_argument("--list", action="store_true", help="list the cases and what they guard, and run nothing")
+    parser.add_argument("--list", action="store_true", help="list the cases and their purpose without running them")
     parser.add_argument("--update", action="store_true", help="store the present results as golden results; needs --reason")
     parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
 

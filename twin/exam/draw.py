@@ -47,7 +47,7 @@ BACKGROUND = tuple(
 )
 """Small effects of an everyday machine, on every axis that can have them."""
 BACKGROUND_SCALE = (0.03, 0.15)  # share of the usual size, drawn for each effect
-MOST_MAIN = 3  # effects of usual size beside a background
+MOST_MAIN = 3  # most effects of usual size besides the background
 ZEROS = ("each run", "kept")
 RICH = Richness()
 # run set -> kinds or names of the runs in it

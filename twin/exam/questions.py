@@ -56,7 +56,7 @@ STRATA = (
 
 @dataclass(frozen=True)
 class Question:
-    """One case to be drawn: its number, stratum, seed, and what is fixed about it."""
+    """One case to be drawn: number, stratum, seed, fixed effect, wide or not."""
 
     number: int
     stratum: Stratum
