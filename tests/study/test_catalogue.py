@@ -97,6 +97,11 @@ def test_numbers_of_an_entry_change_together(folder: Path, mikron: Machine) -> N
     # the loops keep their margins
     grown = (other.rotor_inertia_kg_m2 + 700 * other.ratio**2) / (6.8e-3 + 700 * mikron.axis("X").ratio ** 2)
     assert other.loops.speed_gain_nm_s_per_rad == pytest.approx(3.4 * grown, rel=1e-3)
+    x = mikron.axis("X")
+    winding, resistance = other.motor.inductance_h / x.motor.inductance_h, other.motor.resistance_ohm / x.motor.resistance_ohm
+    assert winding != pytest.approx(1.0, rel=0.05)
+    assert other.loops.current_gain_v_per_a == pytest.approx(x.loops.current_gain_v_per_a * winding)
+    assert other.loops.current_integral_time_s == pytest.approx(x.loops.current_integral_time_s * winding / resistance)
 
 
 def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
