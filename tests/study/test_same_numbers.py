@@ -18,7 +18,7 @@ from twin.machine.check import check_machine
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.study.design import machine_of, variants_of
-from twin.study.evaluate import evaluate, work_of
+from twin.study.evaluate import _planning_key, evaluate, work_of
 from twin.study.execution import fingerprint
 from twin.study.paths import inertia_at_motor, with_numbers
 from twin.study.spec import read_study
@@ -119,3 +119,17 @@ def test_the_fingerprint_counts_what_the_numbers_depend_on(tmp_path: Path) -> No
     variants = variants_of(study)
     other = replace(study, machine=study.machine.with_values({"geometry.tool_length_m": 0.13}))
     assert fingerprint(study, variants) != fingerprint(other, variants)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "other_plan"),
+    [
+        ("axis.X.loops.position_gain_per_s", 20.0, True),  # the lowest gain sets how fast an exact stop settles
+        ("axis.X.max_jerk_m_per_s3", 2.0, True),
+        ("geometry.tool_length_m", 0.13, True),
+        ("axis.X.coulomb_friction_nm", 3.0, False),
+        ("axis.X.moving_mass_kg", 800.0, False),
+    ],
+)
+def test_variants_share_a_plan_only_if_it_is_the_same(mikron: Machine, path: str, value: float, other_plan: bool) -> None:
+    assert (_planning_key(mikron.with_values({path: value})) != _planning_key(mikron)) == other_plan

@@ -152,3 +152,7 @@ def test_tools_know_their_size() -> None:
     assert bull_nose(10e-3, 1e-3).radius == pytest.approx(5e-3)
     cone = revolution([(0.0, 0.0), (2e-3, 4e-3), (2e-3, 9e-3)])
     assert (cone.radius, cone.reach) == (pytest.approx(2e-3), pytest.approx(9e-3))
+
+
+def test_scallops_of_different_height_give_their_mean() -> None:
+    assert scallop_height(np.array([5.0, 0.0, 1.0, 0.0, 2.0, 0.0, 3.0, 0.0, 5.0])) == pytest.approx(2.0)
