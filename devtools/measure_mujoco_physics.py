@@ -21,8 +21,10 @@ from numba import njit
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from twin.effects import friction, load_inertia, transmission
-from twin.effects import mechanics as motor
+from twin.effects import load_inertia
+from twin.effects.contact import bristle
+from twin.effects.coupling import coupling
+from twin.effects.motor import ripple
 from twin.machine.machine import load_machine
 from twin.simulation.engine_calls import call_address_2, engine_function_address
 from twin.simulation.loop import call_terms
@@ -32,6 +34,7 @@ from twin.simulation.loop_terms import (
     PARAMETER_COUNT,
     SIGNAL_COUNT,
     STATE_COUNT,
+    X_FRICTION_FORCE,
     X_FRICTION_LEVEL,
     X_LOAD_ACCELERATION,
     X_LOAD_FORCE,
@@ -91,14 +94,14 @@ def our_term(law: Any, parameters: list[float]) -> Callable[[np.ndarray], np.nda
 
     def force(state: np.ndarray) -> np.ndarray:
         row = x[0]
-        row[[X_LOAD_FORCE, X_ROTOR_FORCE, X_MOTOR_TORQUE]] = 0.0
+        row[[X_LOAD_FORCE, X_FRICTION_FORCE, X_ROTOR_FORCE, X_MOTOR_TORQUE]] = 0.0
         row[X_STEP], row[X_FRICTION_LEVEL] = TICK, LEVEL
         row[X_LOAD_MIDDLE], row[X_LOAD_SPEED], row[X_LOAD_ACCELERATION] = state[:, -1]
         row[X_ROTOR_MIDDLE], row[X_ROTOR_SPEED] = state[:2, 0]
         call(*pointers, 0)
         if state.shape[1] == 2:
             return np.array([row[X_ROTOR_FORCE], row[X_LOAD_FORCE]])
-        return np.array([row[X_LOAD_FORCE] + row[X_MOTOR_TORQUE] / X.ratio])
+        return np.array([row[X_LOAD_FORCE] + row[X_FRICTION_FORCE] + row[X_MOTOR_TORQUE] / X.ratio])
 
     return force
 
@@ -137,7 +140,7 @@ def coupling_rows() -> list[tuple[str, float, float]]:
 
         exact = truth(rate, 4, 1)
         damping = c * (-math.expm1(-c * TICK / reduced) / (c * TICK / reduced) if c else 1.0)
-        ours = Slides([ROTOR, LOAD]).run(pull, our_term(transmission.coupling, [clearance / 2, k, damping]))
+        ours = Slides([ROTOR, LOAD]).run(pull, our_term(coupling, [clearance / 2, k, damping]))
         theirs = Slides([ROTOR, LOAD], tendon).run(pull)
         rows.append((name, np.abs(ours - exact).max(), np.abs(theirs - exact).max()))
     return rows
@@ -169,7 +172,7 @@ def friction_rows() -> list[tuple[str, float, float]]:
             )
 
         exact = truth(rate, 3, 0)
-        ours = Slides([mass]).run(pull, our_term(friction.bristle, [k, c]))
+        ours = Slides([mass]).run(pull, our_term(bristle, [k, c]))
         theirs = Slides([mass], motors).run(pull)
         rows.append((name, np.abs(ours - exact).max(), np.abs(theirs - exact).max()))
     return rows
@@ -192,7 +195,7 @@ def ripple_row() -> tuple[str, float, float]:
         a.set_to_dcmotor(motorconst=[1e-9, 1e-9], resistance=1.0, cogging=[amplitude, n, 0.4], ctrlspec=passive)
 
     exact = truth(rate, 2, 0)
-    ours = Slides([mass]).run(pull, our_term(motor.ripple, [0.3, n, 0.4]))
+    ours = Slides([mass]).run(pull, our_term(ripple, [0.3, n, 0.4]))
     theirs = Slides([mass], motors).run(pull)
     return "cogging 0.3 Nm, 6 a turn", np.abs(ours - exact).max(), np.abs(theirs - exact).max()
 
@@ -255,9 +258,9 @@ def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str
             times[name].append((perf_counter() - begin) / block * 1e6)
     rows = [(name, statistics.median(values[1:]), "us a step") for name, values in times.items()]
     for name, law, parameters in (
-        ("our coupling term", transmission.coupling, [1e-5, 8e7, 1e4]),
-        ("our bristle term", friction.bristle, [1e8, 1e5]),
-        ("our ripple term", motor.ripple, [0.3, 3000.0, 0.0]),
+        ("our coupling term", coupling, [1e-5, 8e7, 1e4]),
+        ("our bristle term", bristle, [1e8, 1e5]),
+        ("our ripple term", ripple, [0.3, 3000.0, 0.0]),
     ):
         terms, signals = term_table([Term(law, FORCE, 0, parameters)]), np.full((5, SIGNAL_COUNT), 1e-2)
         _terms(terms, signals, 10)
