@@ -1,7 +1,7 @@
-"""How fast the twin runs: the compiled loop against bare `mj_step`, against real time and against a plain Python loop.
+"""Speed of the twin: the compiled loop against bare `mj_step`, real time and a plain Python loop.
 
-Loop and engine take turns in one run, in blocks of a tenth of a second or less, and the medians are compared, so that
-another load on the machine does not decide. The loop's share is all of `simulate`: set points, control, engine, record.
+Loop and engine alternate in blocks of a tenth of a second or less, and medians are compared, to cancel other loads on the computer.
+The loop's time is that of the whole `simulate`: set points, control, engine, recording.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from twin.simulation.setpoints import Setpoints
 
 PYTHON_TICKS = 1_600
 ENGINE_BLOCK_TICKS = 1_600
-"""The bare engine starts again from the moving state after this many ticks, so that no axis comes to rest."""
+"""The bare engine restarts from the moving state after this many ticks, so that no axis comes to rest."""
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Results; the startup times are those of `twin run` on a short trace, process start to exit (nan: not measured)."""
+    """Results; startup times are those of `twin run` on a short trace, from process start to exit (nan: not measured)."""
 
     loop_over_engine: float
     realtime_factor: float
@@ -56,15 +56,15 @@ def _bare_steps(step, model, data, count):  # type: ignore[no-untyped-def]
 
 
 class BareEngine:
-    """The machine's compiled model, all axes sliding at a steady speed, advanced by `mj_step` and nothing else."""
+    """The machine's compiled model with all axes at steady speed, advanced by `mj_step` alone."""
 
-    def __init__(self, machine: Machine, velocity: np.ndarray):
+    def __init__(self, machine: Machine, velocity: np.ndarray) -> None:
         self.plant: Plant = build_plant(machine)
         model, data = self.plant.model, self.plant.data
         data.qvel[self.plant.load_dof] = velocity
         mujoco.mj_forward(model, data)
         ratio = np.array([axis.ratio for axis in machine.axes])
-        # the motors carry gravity and friction, so that the speed stays
+        # the motors balance gravity and friction, so that the speed stays constant
         friction = np.sign(velocity) * self.plant.coulomb - data.qfrc_passive[self.plant.load_dof]
         data.ctrl[self.plant.actuator] = (data.qfrc_bias[self.plant.load_dof] + friction) * ratio
         self.start = mujoco.MjData(model)
@@ -73,7 +73,7 @@ class BareEngine:
         self.seconds(100)
 
     def seconds(self, ticks: int) -> float:
-        """Time that this many steps take; putting the state back is not counted."""
+        """Time of this many steps, without resetting the state."""
         spent = 0.0
         for done in range(0, ticks, ENGINE_BLOCK_TICKS):
             mujoco.mj_copyData(self.plant.data, self.plant.model, self.start)
@@ -84,7 +84,7 @@ class BareEngine:
 
 
 def moving_setpoints(machine: Machine, seconds: float, period: float = 1e-3) -> Setpoints:
-    """All axes swing at once, each at its own frequency, from rest on."""
+    """All axes oscillate from rest, each at its own frequency."""
     t = np.arange(round(seconds / period) + 1) * period
     # amplitude and frequency: at most 6 m/min, 20 degrees a second
     swing = {"linear": 0.04, "rotary": 0.3}
@@ -98,7 +98,7 @@ def moving_setpoints(machine: Machine, seconds: float, period: float = 1e-3) -> 
 
 
 def in_turns(machine: Machine, setpoints: Setpoints, engine: BareEngine, count_load: bool = False) -> tuple[list[float], list[float]]:
-    """Seconds (stretch,) of the loop for STRETCH_TICKS ticks, and of the bare engine right after it for as many steps."""
+    """Seconds (stretch,) of the loop for STRETCH_TICKS ticks, and of the bare engine for as many steps right after."""
     simulate(machine, Setpoints(setpoints.position[:50], setpoints.period))  # compile first
     loop_times: list[float] = []
     engine_times: list[float] = []
@@ -124,7 +124,7 @@ def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
     engine_us = statistics.median(engine_times) / STRETCH_TICKS * 1e6
 
     counting = [a / b for a, b in zip(*in_turns(machine, setpoints, engine, count_load=True))]
-    # the same law as a Python loop, in turns too
+    # the same law as a Python loop, also in turns
     reference = ReferenceSimulation(machine, Setpoints(setpoints.position, setpoints.period), 10 * PYTHON_TICKS)
     python_ratios = []
     for block in range(10):
@@ -142,7 +142,7 @@ def measure(machine: Machine | None = None, seconds: float = 60.0) -> Speed:
 
 
 def startup_seconds() -> tuple[float, float]:
-    """Seconds from the start of `twin run` on a short trace to its end: compiled code not yet on disk, and on disk."""
+    """Duration of `twin run` on a short trace [s]: with an empty and with a filled cache of compiled functions."""
     from twin.cli.demo import paper_test
     from twin.recordings.trace import write_trace
 
@@ -179,8 +179,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "python_loop_over_engine": "the same law as a Python loop, over bare mj_step",
         "engine_us_per_step": "us a step, bare mj_step",
         "loop_us_per_step": "us a step, loop",
-        "counting_over_engine": "the loop counting what the drives give (studies), over bare mj_step",
-        "startup_cold_s": "s for a first short `twin run`, nothing compiled yet",
+        "counting_over_engine": "loop with drive loads (studies), over bare mj_step",
+        "startup_cold_s": "s for the first short `twin run`, nothing compiled yet",
         "startup_warm_s": "s for the next one",
     }
     for key, value in numbers.items():

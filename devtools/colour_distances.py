@@ -1,7 +1,7 @@
-"""How far the colours of the project lie apart, also for colour-blind eyes: `python -m devtools.colour_distances`.
+"""Distances between the colours of the project, also for colour-blind sight: `python -m devtools.colour_distances`.
 
-Distances are those of OKLab times 100: black and white are 100 apart, a difference of 2 is just seen side by side. Colour-blind sight is that of
-Machado, Oliveira and Fernandes (2009), "A physiologically-based model for simulation of color vision deficiency", at full severity.
+OKLab distances times 100: black to white is 100, a difference of 2 is just visible side by side. Colour-blind sight after Machado,
+Oliveira and Fernandes (2009), "A physiologically-based model for simulation of color vision deficiency", at full severity.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SIGHTS: dict[str, np.ndarray] = {
     "deuteranopia": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]),
     "tritanopia": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]),
 }
-"""What an eye makes of linear RGB, (3, 3)."""
+"""Kind of sight -> matrix on linear RGB (3, 3)."""
 _CONES = np.array(
     [[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566], [0.0883024619, 0.2817188376, 0.6299787005]]
 )
@@ -37,7 +37,7 @@ _LAB = np.array(
 
 
 def oklab(colours: np.ndarray, sight: str = "normal") -> np.ndarray:
-    """OKLab (n, 3), times 100, of colours (n, 3) in sRGB 0 to 255, as an eye of that sight sees them."""
+    """OKLab (n, 3) times 100 of colours (n, 3) in sRGB 0 to 255, for a kind of sight."""
     share = np.asarray(colours, float) / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     seen = np.clip(linear @ SIGHTS[sight].T, 0.0, 1.0)
@@ -45,14 +45,14 @@ def oklab(colours: np.ndarray, sight: str = "normal") -> np.ndarray:
 
 
 def closest(colours: Mapping[str, Colour], sight: str) -> tuple[float, str, str]:
-    """The smallest distance between any two colours of a group, and which two they are."""
+    """The smallest distance between two colours of a group, and their names."""
     names = list(colours)
     lab = oklab(np.array([colours[name] for name in names]), sight)
     return min((float(np.linalg.norm(lab[i] - lab[j])), names[i], names[j]) for i, j in combinations(range(len(names)), 2))
 
 
 def groups() -> dict[str, dict[str, Colour]]:
-    """Colours that are seen together: the axes, and per axis what a plot of it may hold."""
+    """Groups of colours that appear together: the axes, and the curves in a plot of one axis."""
     found: dict[str, dict[str, Colour]] = {"axes": dict(AXIS_COLOURS)}
     for axis, colour in AXIS_COLOURS.items():
         runs = {f"run {i + 2}": run for i, run in enumerate(RUN_COLOURS)}
@@ -62,12 +62,12 @@ def groups() -> dict[str, dict[str, Colour]]:
 
 
 def band_steps(sight: str) -> np.ndarray:
-    """Steps of lightness from one band of the contour error to the next (band - 1,): all of one sign where the scale is monotone."""
+    """Lightness steps between the bands of the contour error (band - 1,); all of one sign if the scale is monotone."""
     return np.diff(oklab(np.array(ERROR_BANDS), sight)[:, 0])
 
 
 def main() -> None:
-    """Print the smallest distance of every group for every sight, and the steps of the scale of the contour error."""
+    """Print the smallest distance of every group for every sight, and the lightness steps of the contour error."""
     print(f"{'group':14}" + "".join(f"{sight:>40}" for sight in SIGHTS))
     for name, colours in groups().items():
         cells = (closest(colours, sight) for sight in SIGHTS)

@@ -1,10 +1,10 @@
-"""Write a machine as URDF: links with the masses of its machine file, joints with its travel and speeds, shapes for the eye.
+"""Write a machine as URDF: links with the masses of its machine file, joints with its travel and speeds, visual shapes.
 
     python devtools/export_urdf.py                                the Mikron, to out/mikron_ucp710.urdf
     python devtools/export_urdf.py --machine my.toml --out my.urdf
 
-A URDF knows no motor: rotor inertia, gear and friction stay in the machine file. tests/reference/test_urdf.py holds the joint
-accelerations of the exported URDF against those of the MJCF.
+URDF has no motors: rotor inertia, gear and friction stay in the machine file. tests/reference/test_urdf.py compares the joint
+accelerations of the exported URDF with those of the MJCF.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def export_urdf(machine: Machine, path: Path) -> None:
     model = build_plant(machine).model
     shapes = mujoco.MjModel.from_xml_path(str(machine.model_path))
     robot = ElementTree.Element("robot", name=path.stem)
-    # a link has its frame at its joint, a body anywhere
+    # the frame of a link is at its joint, that of a body anywhere
     anchors = np.zeros((model.nbody, 3))
     for body in range(1, model.nbody):
         if model.body_jntnum[body] > 1:

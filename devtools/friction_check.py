@@ -1,4 +1,4 @@
-"""Does the model's friction stick below break-away and follow its law above? Prints both for every axis.
+"""Checks for every axis that the model's friction sticks below break-away and follows its law above.
 
 python -m devtools.friction_check [MACHINE.toml]
 """
@@ -18,11 +18,11 @@ from twin.simulation.plant_spec import compile_model
 
 SETTLE_S, WATCH_S = 0.5, 1.0
 STUCK, SLIDING = 0.95, 1.02
-"""Shares of the Coulomb friction that the axes are pushed with."""
+"""Pushing forces as shares of the Coulomb friction."""
 
 DEFAULT_SOLREF = (0.02, 1.0)
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
-"""MuJoCo's own constraint parameters, which creep."""
+"""MuJoCo's default constraint parameters, with which a sticking axis creeps."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Push:
 
 
 def push(model: mujoco.MjModel, machine: Machine, axis_name: str, share: float) -> Push:
-    """Push one axis from rest with `share` of its Coulomb friction; all motors carry gravity."""
+    """Push one axis from rest with `share` of its Coulomb friction; all motors balance gravity."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for axis in machine.axes:
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     model, default = compile_model(machine), compile_model(machine)
     default.dof_solref[:] = DEFAULT_SOLREF
     default.dof_solimp[:] = DEFAULT_SOLIMP
-    print(f"{machine.name}: pushed with {STUCK:.0%} of the friction, then with {SLIDING:.0%}; beside it the engine's default friction")
+    print(f"{machine.name}: pushed with {STUCK:.0%}, then {SLIDING:.0%} of the friction; in brackets with the engine's default friction")
     for axis in machine.axes:
         unit = "um/s" if axis.kind == "linear" else "urad/s"
         stuck, sliding = push(model, machine, axis.name, STUCK), push(model, machine, axis.name, SLIDING)

@@ -1,4 +1,4 @@
-"""How well an identification found what is known of a machine: errors and intervals by group, for studies and tests only."""
+"""Scores an identification against the true machine: errors and intervals by group of parameters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Judged:
-    """One parameter against the truth: group, relative error (delays: seconds), half interval in the same, and whether it holds the truth."""
+    """One parameter against the truth: group, relative error (delays: seconds), half interval, and whether it contains the truth."""
 
     axis: str
     name: str
@@ -49,9 +49,9 @@ class Judged:
 
 
 def judge(result: Identification, truth: Machine, products: Sequence[str] = (), refined: bool = False) -> list[Judged]:
-    """Compare with the true machine; of the axes in `products` the products with the torque constant, of the others the values.
+    """Compare with the true machine: products with the torque constant for the axes in `products`, values for the others.
 
-    `refined` judges what re-simulation made of the parameters that it has.
+    `refined` uses the parameter values after re-simulation, where there are any.
     """
     pair = tilting_pair.pair_numbers(truth)
     of_pair = dict(zip("AC", pair))
@@ -85,7 +85,7 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = (), 
 
 
 def summary(judged: Sequence[Judged]) -> list[list[str]]:
-    """Rows of a table: group, count, median error, limit, 95th percentile, share of intervals that hold the truth."""
+    """Table rows: group, count, median error, limit, 95th percentile, share of intervals that contain the truth."""
     rows = []
     for group in GROUPS:
         items = [j for j in judged if j.group == group]
@@ -107,4 +107,4 @@ def summary(judged: Sequence[Judged]) -> list[list[str]]:
     return rows
 
 
-HEADING = ["group", "count", "median error", "limit", "95th percentile", "intervals that hold", ""]
+HEADING = ["group", "count", "median error", "limit", "95th percentile", "coverage of intervals", ""]

@@ -1,9 +1,9 @@
-"""How often the diagnosis is right on machines that are not the twin: single hidden effects drawn on the examination's plant.
+"""Success rate of the diagnosis on single hidden effects of the second plant.
 
     python devtools/measure_diagnosis.py [--effects backlash loop_delay] [--scale 1.0] [--signals full] [--rich]
 
-For each effect one machine on one axis it can have: ten runs recorded, the axes of its group searched against the whole library.
-Prints what was found, the error of the scored parameters, and the time. These seeds are for development; the examination has its own.
+Draws one machine per effect, on one axis that can have it, records ten runs, and searches the axes of its group with the whole library.
+Prints the found effects, the errors of the scored parameters, and the time. These seeds are for development; the examination has its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tomllib
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.observe import axis_groups, observe
+from twin.diagnose.observe import axis_groups, observe, on_threads
 from twin.diagnose.search import search
 from twin.diagnose.verdict import judged
 from twin.diagnose.view import view_of
@@ -46,9 +46,7 @@ def main() -> None:
     rng = random.Random(args.seed)
     rows, right, first = [], 0, 0
     with ThreadPoolExecutor() as pool, threadpool_limits(limits=1, user_api="blas"):
-
-        def mapper(function, items):  # type: ignore[no-untyped-def]
-            return list(pool.map(function, items))
+        mapper = on_threads(pool)
 
         for i, (effect, axes) in enumerate(sorted(axes_of.items())):
             axis = rng.choice(axes)

@@ -1,9 +1,9 @@
-"""How much of each campaign's gap the true parameters and effects close: the physics of the effects against other machines.
+"""Share of each campaign's gap that remains with the true parameters and effects: a check of the physics of the effects.
 
     python devtools/measure_effects.py ../shared/campaigns
 
-For each campaign with a truth.toml: per axis and signal, pooled over all runs but the chirp (and the chirp beside it),
-left = (after^2 - floor^2) / (before^2 - floor^2), floor being the same comparison on the campaign `nominal`.
+For each campaign with a truth.toml, per axis and signal, over all runs without the chirp (and for the chirp separately):
+left = (after^2 - floor^2) / (before^2 - floor^2), where floor is the same gap on the campaign `nominal`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from twin.simulation.gap import COMPARED, gap_of, predict_campaign
 from twin.simulation.summary import table
 
 RELEVANT = 1.5
-"""A signal counts where its gap before exceeds the floor by this factor."""
+"""Least factor of the gap before over the floor for a signal to count."""
 
 
 def pooled_gap(machine: Machine, folder: Path) -> dict[tuple[str, str, bool], float]:
-    """Pooled RMS by axis, signal and whether the run is the chirp."""
+    """Pooled RMS by (axis, signal, run is the chirp)."""
     campaign = read_campaign(folder, machine)
     squares: dict[tuple[str, str, bool], list[float]] = {}
     predictions = predict_campaign(machine, campaign.runs)
@@ -65,7 +65,7 @@ def main() -> int:
         print(f"\n{folder.name}: {effects}")
         print(table(["axis", "signal", "runs", "before", "after", "floor", "left", ""], rows))
     if not seen:
-        print(f"{args.campaigns}: no campaign with a truth.toml was asked for", file=sys.stderr)
+        print(f"{args.campaigns}: no campaign with a truth.toml; give another folder or another --only", file=sys.stderr)
         return 2
     print(f"\n{failed} above {args.limit}")
     return 1 if failed else 0

@@ -1,9 +1,8 @@
-"""What effects cost: the loop with compliance on one axis and backlash on another, over bare `mj_step` of that larger model.
+"""Processing time of effects: the loop with effects over bare `mj_step` of the same, larger model.
 
     python devtools/measure_effects_speed.py [--seconds 60]
 
-Measured like scripts/benchmark: loop and engine take turns in short blocks, medians are compared. Prints the nominal machine,
-one with those two effects, and one with every effect that its axes can have.
+Measured like scripts/benchmark. Prints the nominal machine, machines with compliance and backlash, and one with all effects.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ TWO_EFFECTS = [
 
 
 class EngineWithRotors(BareEngine):
-    """The model that the effects make, rotors on joints of their own, sliding steadily and advanced by `mj_step` alone."""
+    """The model with effects, rotors on joints of their own, at steady speed and advanced by `mj_step` alone."""
 
-    def __init__(self, machine: Machine, velocity: np.ndarray):
+    def __init__(self, machine: Machine, velocity: np.ndarray) -> None:
         change = apply_effects(machine)
         self.plant = plant = build_plant(change.machine, change.model_edits, change.split_axes)
         model, data = plant.model, plant.data
         data.qvel[plant.load_dof] = data.qvel[plant.rotor_dof] = velocity
         mujoco.mj_forward(model, data)
-        # forces on the loads carry gravity and friction, so that the speed stays
+        # forces on the loads balance gravity and friction, so that the speed stays constant
         data.qfrc_applied[plant.load_dof] = (
             data.qfrc_bias[plant.load_dof] + np.sign(velocity) * plant.coulomb - data.qfrc_passive[plant.load_dof]
         )
@@ -59,7 +58,7 @@ def usual_effects(machine: Machine) -> list[dict[str, object]]:
 
 
 def ratio(machine: Machine, seconds: float) -> tuple[float, float, float]:
-    """Loop over engine, microseconds a tick of the loop, of the engine."""
+    """Loop over engine, and microseconds per tick of loop and engine."""
     setpoints = moving_setpoints(machine, seconds)
     engine = EngineWithRotors(machine, np.array([0.05 if axis.kind == "linear" else 0.2 for axis in machine.axes]))
     pairs = list(zip(*in_turns(machine, setpoints, engine)))
@@ -82,7 +81,7 @@ def main() -> None:
         "compliance and backlash on X": [{**t, "axis": "X"} for t in TWO_EFFECTS],
         f"all {len(EFFECTS)} effects at once": usual_effects(machine),
     }
-    print("loop over bare mj_step of the same model; us a tick of loop and engine")
+    print("loop over bare mj_step of the same model; us per tick of loop and engine")
     for name, effects in cases.items():
         print("{:6.2f} {:8.2f} {:8.2f}  {}".format(*ratio(with_effects(machine, effects), max(args.seconds, 8.0)), name))
 

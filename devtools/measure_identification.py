@@ -1,15 +1,15 @@
-"""How well machines whose parameters are known are identified: recorded ones, drawn ones with a plant richer than the twin, a measured axis.
+"""Accuracy of the identification on machines with known parameters: recorded, drawn on a plant richer than the twin, and a measured axis.
 
     python devtools/measure_identification.py recorded ../shared/campaigns/healthy --refine
     python devtools/measure_identification.py drawn --cases 30 --seed 9000 --refine --keep out/drawn
     python devtools/measure_identification.py emps ../shared/data/emps/DATA_EMPS.mat
 
-With --refine both routes are judged, regression and re-simulation. With --keep campaigns and judgements stay in that folder: an interrupted
-study goes on where it stopped, and --again identifies the kept campaigns anew.
-recorded: campaigns with a truth.toml; of X, Y and C the products with the torque constant are judged, as their data tell no more.
-drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control off as well, measuring
-noise and rounding, compliance, pre-sliding, cogging and Stribeck friction that the twin does not have (twin.exam).
-Prints the cases, then medians and the share of intervals that hold the truth.
+With --refine both routes are scored, regression and re-simulation. With --keep campaigns and scores stay in that folder: an interrupted
+study continues there, and --again identifies the kept campaigns again.
+recorded: campaigns with a truth.toml; for X, Y and C products with the torque constant are scored, because the data determine only these.
+drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control also off, measuring
+noise and rounding, and compliance, pre-sliding, cogging and Stribeck friction that the twin does not have (twin.exam).
+Prints the cases, then medians and the coverage of the intervals.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ KNOWN = 0.001
 
 
 def drawn_case(seed: int) -> Case:
-    """A machine of its own: everything 30 % off, torque constants 0.1 %, control off by what commissioning leaves."""
+    """A drawn machine: parameters up to 30 % off, torque constants 0.1 %, control as commissioning may leave it."""
     document = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
     case = draw_case(seed, "healthy", document, spread=SPREAD)
     rng = np.random.default_rng([seed, 77])
@@ -77,7 +77,7 @@ Routes = dict[str, list[Judged]]
 
 
 def routes_of(result: Identification, truth: Machine, products: tuple[str, ...] = ()) -> Routes:
-    """Both routes of one identification against the truth; the second only where it was taken."""
+    """Scores of both routes of an identification; the second only if it was taken."""
     out = {"regression": judge(result, truth, products)}
     if any(p.refined is not None for p in result.parameters):
         out["refined"] = judge(result, truth, products, refined=True)
@@ -85,7 +85,7 @@ def routes_of(result: Identification, truth: Machine, products: tuple[str, ...] 
 
 
 def draw(seed: int, folder: Path) -> None:
-    """Draw a campaign into `folder` where it is not there yet."""
+    """Draw a campaign into `folder` unless it exists."""
     if not (folder / "truth.toml").is_file():
         case = drawn_case(seed)
         write_campaign(case, folder, tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8")))
@@ -93,7 +93,7 @@ def draw(seed: int, folder: Path) -> None:
 
 
 def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, float], list[str]]:
-    """Judge one drawn campaign; the machine file's tolerance is what it was drawn with."""
+    """Score one drawn campaign; the tolerance of the machine file is the spread of the draw."""
     draw(seed, folder)
     machine = load_machine().with_values({"parameter_tolerance": SPREAD})
     result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=False, torque_constant_tolerance=KNOWN)
@@ -101,7 +101,7 @@ def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, floa
 
 
 def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[Routes, str]:
-    """One case and a line about it; a judgement that lies in `folder` is taken as it is unless `again`."""
+    """Scores of one case and a summary line; scores in `folder` are reused unless `again`."""
     kept = folder / ("judged_refined.json" if refine else "judged.json")
     if again or not kept.is_file():
         routes, seconds, findings = drawn(seed, folder, refine)
@@ -117,13 +117,13 @@ def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[Rou
 
 
 def error_text(j: Judged) -> str:
-    """'error +- half interval', marked where the interval does not hold the truth."""
+    """'error +- half interval', marked if the interval does not contain the truth."""
     factor, unit = (1e6, "us") if j.group == "delays" else (100.0, "%")
     return f"{factor * j.error:.3f} +- {factor * j.half:.3f} {unit}{'' if j.holds else '  outside'}"
 
 
 def recorded(folders: Sequence[Path], refine: bool) -> Routes:
-    """Identify recorded campaigns, print every parameter; returns all judgements by route."""
+    """Identify recorded campaigns, print every parameter, return the scores by route."""
     machine, pooled = load_machine(), {}
     for folder in folders:
         campaign = read_campaign(folder, machine)
@@ -171,7 +171,7 @@ def emps(files: Sequence[Path]) -> int:
                 f"force error {100 * again.force_error:.2f} % (below 50 Hz {100 * again.force_error_filtered:.2f} %)"
             )
         rows = [[name, f"{100 * share:.0f} %"] for name, share in leftovers(fit, record.period).items()]
-        print(table(["what the residual of the regression holds", "share of its variance"], rows, left=1))
+        print(table(["residual of the regression", "share of its variance"], rows, left=1))
     return 0
 
 
@@ -186,8 +186,8 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=30)
     parser.add_argument("--seed", type=int, default=9000)
     parser.add_argument("--refine", action="store_true")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps drawn campaigns and judgements")
-    parser.add_argument("--again", action="store_true", help="identify kept campaigns anew")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for drawn campaigns and scores")
+    parser.add_argument("--again", action="store_true", help="identify kept campaigns again")
     args = parser.parse_args()
     if args.what == "emps":
         return emps(args.inputs)

@@ -1,11 +1,11 @@
-"""What a healthy machine imitates at most: the evidence for effects that are not there, on the examination's plant.
+"""Largest evidence for effects that are absent, on healthy machines of the second plant.
 
     python devtools/measure_imitation.py [--machines 20] [--seed 1000] [--signals full] [--runs short]
 
-Each machine has its parameters within the tolerance and the plant's small imperfections. Printed is, per machine, the plausible effect with
-the most evidence on a group of axes as a share of what noise alone makes there: where its block is cut out of the loop, and where it is
-not; and the axis of which most above noise is left, as such a share. `IMPERFECT` and `IMPERFECT_UNCUT` of `twin.diagnose.cross_validation` and
-`NOTICED_EXCESS` of `twin.diagnose.verdict` must lie above these. These seeds are for development.
+The machines have parameters within the tolerance and the plant's small imperfections. Prints per machine the plausible effect with the
+most evidence in a group of axes over the noise there, for blocks that are cut out of the loop and for others, and the axis with the
+largest remaining excess over noise. The thresholds of the diagnosis for imperfections and noticed excess must lie above these values. These
+seeds are for development.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from twin.simulation.summary import table
 
 
 def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[float, str]], tuple[float, str]]:
-    """Verdict on one healthy machine, of blocks that are cut (True) or not the largest share and whose it is, and what is left most."""
+    """One healthy machine: verdict, largest (share, effect) for cut (True) and other blocks, largest (excess, axis)."""
     sheet = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
     machine = load_machine()
     case = draw_case(seed, "healthy", sheet, richness=Richness.small(), run_set=runs)

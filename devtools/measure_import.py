@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Memory and time of `twin import` on a large CSV; or how well it tells the skew of channels.
+"""Memory and time of `twin import` on a large CSV, or accuracy of the detected time skew of channels.
 
 devtools/measure_import.py [--gigabytes 1.0] [--folder DIR]     peak resident set of the process at three sizes (DIR needs twice the largest)
 devtools/measure_import.py --skew ../shared/campaigns           channels of recorded runs as they are, and shifted by 7 samples
@@ -69,7 +69,7 @@ def write_csv(path: Path, size: int) -> int:
 
 
 def measure(folder: Path, size: int) -> None:
-    """Write, import in a process of its own, tell its peak and time."""
+    """Write a CSV, import it in a process of its own, print its peak memory and time."""
     source, mapping, out = folder / "big.csv", folder / "map.toml", folder / "campaign"
     rows = write_csv(source, size)
     mapping.write_text(MAP, encoding="utf-8")
@@ -92,7 +92,7 @@ def measure(folder: Path, size: int) -> None:
 
 
 def measure_skew(folder: Path, samples: int = 7) -> None:
-    """What is said of runs as they are, and by how much a shift is missed."""
+    """Print the skew detected in recorded runs, and the error for channels shifted by a known time."""
     from twin.recordings.skew import late_channels
     from twin.recordings.trace import read_trace
 
@@ -104,7 +104,7 @@ def measure_skew(folder: Path, samples: int = 7) -> None:
         for late in late_channels(trace.signals, trace.period, trace.kinds):
             if late.clear or late.against:
                 told = f"{late.axis}.{late.signal} {late.seconds * 1e3:.3f} ms +- {1.96e3 * late.deviation:.3f}"
-                print(f"said of {file.parent.name}/{file.stem} as it is: {told}{', sign' if late.against else ''}")
+                print(f"detected in {file.parent.name}/{file.stem} as recorded: {told}{', sign' if late.against else ''}")
         shifted = {k: v if k[1] in ("setpoint", "position") else np.roll(v, samples) for k, v in trace.signals.items()}
         for late in late_channels(shifted, trace.period, trace.kinds):
             if late.clear:
@@ -115,8 +115,8 @@ def measure_skew(folder: Path, samples: int = 7) -> None:
     for signal, errors in missed.items():
         values = np.array(errors) * 1e6
         print(
-            f"  {signal}: told in {len(values)} cases, estimated but not clear in {silent.get(signal, 0)}; "
-            f"off by {np.median(values):.3g} us median, {np.percentile(values, 95):.3g} us 95 %"
+            f"  {signal}: detected in {len(values)} cases, uncertain in {silent.get(signal, 0)}; "
+            f"error {np.median(values):.3g} us median, {np.percentile(values, 95):.3g} us 95 %"
         )
 
 

@@ -1,9 +1,9 @@
-"""Would MuJoCo's own physics do for the effects? Its springs, dead band, LuGre friction, cogging and constraints against our terms.
+"""Compares MuJoCo's springs, dead bands, LuGre friction, cogging and constraints with the twin's own terms for effects.
 
     python devtools/measure_mujoco_physics.py
 
-Both act on the X axis' masses at the same tick; the truth is an integration of the equations with tight tolerance. Prints
-the largest deviation of the load, and microseconds a step of the five-axis machine. docs/effects-in-mujoco.md says what follows.
+Both act on the X axis' masses at the same tick; the reference is an integration of the equations with tight tolerance. Prints the largest
+deviation of the load, and microseconds per step of the five-axis machine. docs/effects-in-mujoco.md draws the conclusions.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ import ctypes
 import math
 import statistics
 from time import perf_counter
+from typing import Any
 
 import mujoco
 from numba import njit
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from twin.effects import friction, load_inertia, transmission
-from twin.effects import mechanics as motor
+from twin.effects import load_inertia
+from twin.effects.contact import bristle
+from twin.effects.coupling import coupling
+from twin.effects.motor import ripple
 from twin.machine.machine import load_machine
 from twin.simulation.engine_calls import call_address_2, engine_function_address
 from twin.simulation.loop import call_terms
@@ -31,6 +34,7 @@ from twin.simulation.loop_terms import (
     PARAMETER_COUNT,
     SIGNAL_COUNT,
     STATE_COUNT,
+    X_FRICTION_FORCE,
     X_FRICTION_LEVEL,
     X_LOAD_ACCELERATION,
     X_LOAD_FORCE,
@@ -56,7 +60,7 @@ SECONDS = 0.4
 class Slides:
     """Masses on frictionless slides (one: the whole axis; two: rotor and load), advanced tick by tick under forces."""
 
-    def __init__(self, masses: list[float], extend: Callable[[mujoco.MjSpec], None] | None = None):
+    def __init__(self, masses: list[float], extend: Callable[[mujoco.MjSpec], None] | None = None) -> None:
         spec = mujoco.MjSpec()
         spec.option.timestep = TICK
         spec.option.gravity = [0.0, 0.0, 0.0]
@@ -81,7 +85,7 @@ class Slides:
         return np.array(out)
 
 
-def our_term(law, parameters: list[float]) -> Callable[[np.ndarray], np.ndarray]:  # type: ignore[no-untyped-def]
+def our_term(law: Any, parameters: list[float]) -> Callable[[np.ndarray], np.ndarray]:
     """The compiled term as a function from (quantity, mass) [position ahead, speed, acceleration] to forces (mass,)."""
     call = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 3, ctypes.c_int64)(law.address)
     p, s, x = np.zeros(PARAMETER_COUNT), np.zeros(STATE_COUNT), np.zeros((MAX_AXES, SIGNAL_COUNT))
@@ -90,14 +94,14 @@ def our_term(law, parameters: list[float]) -> Callable[[np.ndarray], np.ndarray]
 
     def force(state: np.ndarray) -> np.ndarray:
         row = x[0]
-        row[[X_LOAD_FORCE, X_ROTOR_FORCE, X_MOTOR_TORQUE]] = 0.0
+        row[[X_LOAD_FORCE, X_FRICTION_FORCE, X_ROTOR_FORCE, X_MOTOR_TORQUE]] = 0.0
         row[X_STEP], row[X_FRICTION_LEVEL] = TICK, LEVEL
         row[X_LOAD_MIDDLE], row[X_LOAD_SPEED], row[X_LOAD_ACCELERATION] = state[:, -1]
         row[X_ROTOR_MIDDLE], row[X_ROTOR_SPEED] = state[:2, 0]
         call(*pointers, 0)
         if state.shape[1] == 2:
             return np.array([row[X_ROTOR_FORCE], row[X_LOAD_FORCE]])
-        return np.array([row[X_LOAD_FORCE] + row[X_MOTOR_TORQUE] / X.ratio])
+        return np.array([row[X_LOAD_FORCE] + row[X_FRICTION_FORCE] + row[X_MOTOR_TORQUE] / X.ratio])
 
     return force
 
@@ -123,20 +127,20 @@ def coupling_rows() -> list[tuple[str, float, float]]:
         def pull(t: float) -> float:
             return 2000.0 * math.sin(2 * math.pi * 6.0 * t)
 
-        def rate(t, y, k=k, c=c, half=clearance / 2):  # type: ignore[no-untyped-def]
+        def rate(t: float, y: np.ndarray, k: float = k, c: float = c, half: float = clearance / 2) -> list[float]:
             q_m, q_l, v_m, v_l = y
             d = q_m - q_l
             force = 0.0 if abs(d) <= half and half > 0 else k * (d - math.copysign(half, d)) + c * (v_m - v_l)
             return [v_m, v_l, (pull(t) - force) / ROTOR, force / LOAD]
 
-        def tendon(spec: mujoco.MjSpec, k=k, c=c, half=clearance / 2) -> None:  # type: ignore[no-untyped-def]
+        def tendon(spec: mujoco.MjSpec, k: float = k, c: float = c, half: float = clearance / 2) -> None:
             t = spec.add_tendon(stiffness=[k, 0.0, 0.0], damping=[c, 0.0, 0.0], springlength=[-half, half])
             t.wrap_joint("0", 1.0)
             t.wrap_joint("1", -1.0)
 
         exact = truth(rate, 4, 1)
         damping = c * (-math.expm1(-c * TICK / reduced) / (c * TICK / reduced) if c else 1.0)
-        ours = Slides([ROTOR, LOAD]).run(pull, our_term(transmission.coupling, [clearance / 2, k, damping]))
+        ours = Slides([ROTOR, LOAD]).run(pull, our_term(coupling, [clearance / 2, k, damping]))
         theirs = Slides([ROTOR, LOAD], tendon).run(pull)
         rows.append((name, np.abs(ours - exact).max(), np.abs(theirs - exact).max()))
     return rows
@@ -153,22 +157,22 @@ def friction_rows() -> list[tuple[str, float, float]]:
         k = LEVEL / reach
         c = 2 * damping_ratio * math.sqrt(k * mass)
 
-        def pull(t: float, force=force, hz=hz) -> float:  # type: ignore[no-untyped-def]
+        def pull(t: float, force: float = force, hz: float = hz) -> float:
             return force * LEVEL * math.sin(2 * math.pi * hz * t)
 
-        def rate(t, y, k=k, c=c, pull=pull):  # type: ignore[no-untyped-def]
+        def rate(t: float, y: np.ndarray, k: float = k, c: float = c, pull: Callable[[float], float] = pull) -> list[float]:
             _, v, z = y
             bent = v - k * abs(v) * z / LEVEL
             return [v, (pull(t) - k * z - c * bent) / mass, bent]
 
-        def motors(spec: mujoco.MjSpec, k=k, c=c) -> None:  # type: ignore[no-untyped-def]
+        def motors(spec: mujoco.MjSpec, k: float = k, c: float = c) -> None:
             a = spec.add_actuator(name="f", target="0", trntype=mujoco.mjtTrn.mjTRN_JOINT)
             a.set_to_dcmotor(
                 motorconst=[1e-9, 1e-9], resistance=1.0, lugre=[k, c, LEVEL, LEVEL, 1e-3], ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE)
             )
 
         exact = truth(rate, 3, 0)
-        ours = Slides([mass]).run(pull, our_term(friction.bristle, [k, c]))
+        ours = Slides([mass]).run(pull, our_term(bristle, [k, c]))
         theirs = Slides([mass], motors).run(pull)
         rows.append((name, np.abs(ours - exact).max(), np.abs(theirs - exact).max()))
     return rows
@@ -182,7 +186,7 @@ def ripple_row() -> tuple[str, float, float]:
     def pull(t: float) -> float:
         return 900.0 if t < 0.2 else 0.0
 
-    def rate(t, y):  # type: ignore[no-untyped-def]
+    def rate(t: float, y: np.ndarray) -> list[float]:
         return [y[1], (pull(t) + amplitude * math.sin(n * y[0] + 0.4)) / mass]
 
     def motors(spec: mujoco.MjSpec) -> None:
@@ -191,7 +195,7 @@ def ripple_row() -> tuple[str, float, float]:
         a.set_to_dcmotor(motorconst=[1e-9, 1e-9], resistance=1.0, cogging=[amplitude, n, 0.4], ctrlspec=passive)
 
     exact = truth(rate, 2, 0)
-    ours = Slides([mass]).run(pull, our_term(motor.ripple, [0.3, n, 0.4]))
+    ours = Slides([mass]).run(pull, our_term(ripple, [0.3, n, 0.4]))
     theirs = Slides([mass], motors).run(pull)
     return "cogging 0.3 Nm, 6 a turn", np.abs(ours - exact).max(), np.abs(theirs - exact).max()
 
@@ -210,7 +214,7 @@ def _terms(terms, signals, count):  # type: ignore[no-untyped-def]
 
 
 def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str]]:
-    """Microseconds a step of the five-axis machine, blocks in turn, medians."""
+    """Microseconds per step of the five-axis machine: medians over alternating blocks."""
 
     def tendons(spec: mujoco.MjSpec) -> None:
         for name in ("X", "Y"):
@@ -254,9 +258,9 @@ def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str
             times[name].append((perf_counter() - begin) / block * 1e6)
     rows = [(name, statistics.median(values[1:]), "us a step") for name, values in times.items()]
     for name, law, parameters in (
-        ("our coupling term", transmission.coupling, [1e-5, 8e7, 1e4]),
-        ("our bristle term", friction.bristle, [1e8, 1e5]),
-        ("our ripple term", motor.ripple, [0.3, 3000.0, 0.0]),
+        ("our coupling term", coupling, [1e-5, 8e7, 1e4]),
+        ("our bristle term", bristle, [1e8, 1e5]),
+        ("our ripple term", ripple, [0.3, 3000.0, 0.0]),
     ):
         terms, signals = term_table([Term(law, FORCE, 0, parameters)], 5), np.full((5, SIGNAL_COUNT), 1e-2)
         _terms(terms, signals, 10)
@@ -270,12 +274,12 @@ def step_rows(repeats: int = 40, block: int = 400) -> list[tuple[str, float, str
 
 
 def constraint_violation() -> float:
-    """Largest rotor minus load when an equality constraint carries the axis' acceleration (2.5 m/s2 of 700 kg)."""
+    """Largest rotor minus load [m] when an equality constraint transmits the acceleration of the axis (2.5 m/s2 of 700 kg)."""
 
     def equality(spec: mujoco.MjSpec) -> None:
         e = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1="0", name2="1", objtype=mujoco.mjtObj.mjOBJ_JOINT)
         e.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
-        # as stiff as the solver lets it be: two ticks
+        # the stiffest value that the solver allows: two ticks
         e.solref, e.solimp = [2 * TICK, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
     slides = Slides([ROTOR, LOAD], equality)

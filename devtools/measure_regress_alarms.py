@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""False alarms of the regression suite: the unchanged twin again and again, with 1 and 2 processes and threads.
+"""False alarms of the regression suite: repeated runs of the unchanged twin, with 1 and 2 processes and threads.
 
     python devtools/measure_regress_alarms.py [--repeats 20] [--only NAME] [--traces] [--processes N] [--fresh] [--plain]
 
-Prints how often a case failed, and how near any number came to its tolerance. `--traces` leaves out the few long cases. `--fresh`
-runs each repeat on a copy of the package without compiled loops, so that everything is compiled anew; `--plain` for a processor
-without AVX and fused multiply-add: other instructions round otherwise.
+Prints the number of failed cases and the largest difference over tolerance. `--traces` leaves out the few long cases. `--fresh`
+recompiles everything for each repeat, in a copy of the package; `--plain` emulates a processor without AVX and fused multiply-add,
+whose instructions round differently.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PLAIN = {
 
 
 def once(folder: Path, count: int, only: list[str], more: dict[str, str]) -> tuple[int, list[dict]]:
-    """Exit code and cases of one run of the suite in a folder that holds the package."""
+    """Exit code and cases of one run of the suite in a folder with the package."""
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-m", "twin", "regress", str(folder / "examples/regression"), "--out", out, "--jobs", str(count)]
         command += [word for name in only for word in ("--only", name)]
@@ -48,7 +48,7 @@ def once(folder: Path, count: int, only: list[str], more: dict[str, str]) -> tup
 
 
 def nearest(cases: list[dict]) -> tuple[float, str]:
-    """The largest difference over its tolerance, and whose it is."""
+    """The largest difference over tolerance, and its case and quantity."""
     shares = [(c["found"] / c["allowed"], f"{case['name']} {c['quantity']}") for case in cases for c in case["checks"] if c["allowed"]]
     return max(shares, default=(0.0, "-"))
 
@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--only", action="append", default=[], help="as in twin regress")
     parser.add_argument("--traces", action="store_true", help="only the cases with traces (of kind run)")
-    parser.add_argument("--fresh", action="store_true", help="compile everything anew each time")
+    parser.add_argument("--fresh", action="store_true", help="recompile everything for each repeat")
     parser.add_argument("--plain", action="store_true", help="as on a processor without AVX and fused multiply-add")
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2], metavar="N", help="processes and threads (default: 1 and 2)")
     args = parser.parse_args()

@@ -1,13 +1,13 @@
-"""What a design study costs and survives: throughput, kills, memory.
+"""Throughput, memory and robustness of a design study.
 
-    python devtools/measure_study.py throughput [--seconds 20]    two threads over one; steps a second over bare mj_step on all cores
+    python devtools/measure_study.py throughput [--seconds 20]    two threads over one; steps per second over bare mj_step on all cores
     python devtools/measure_study.py thousand [--variants 1000]   a whole `twin study` of that many 2 s moves, and its memory
-    python devtools/measure_study.py against TREE [--variants 200] [--turns 4]   the same beside another checkout, in turn
+    python devtools/measure_study.py against TREE [--variants 200] [--turns 4]   the same, alternating with another checkout
     python devtools/measure_study.py kills [--kills 20]           kill -9 at random moments, resume, compare with the undisturbed table
 
-Throughput is measured in turns of a second or so (one thread, all threads, bare engine), and the medians of their ratios are
-printed, so that another load on the machine weighs on all alike; the load average stands beside them. The same ratios follow without
-the time that threads were ready and had no core, as Linux tells it: what idle cores would give, but for caches. Waits for each other stay in.
+Throughput is measured in alternating turns of about a second (one thread, all threads, bare engine), and medians of their ratios are
+printed, so that other loads affect all alike. The same ratios are also printed without the time in which ready threads had no core, as
+counted by Linux: an estimate for idle cores. Waits of the threads for each other remain included.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ count = {count}
 
 
 def write_example(folder: Path, count: int, seconds: float = MOVE_S) -> Path:
-    """A study of `count` variants in which all five axes move for that long."""
+    """A study of `count` variants in which all five axes move for `seconds`."""
     machine = load_machine()
     setpoints = moving_setpoints(machine, seconds)
     signals = {(a.name, "setpoint"): setpoints.position[:, i] for i, a in enumerate(machine.axes)}
@@ -71,7 +71,7 @@ def write_example(folder: Path, count: int, seconds: float = MOVE_S) -> Path:
 
 
 def throughput(seconds: float) -> None:
-    """Variants a second on one and on all threads, and simulated steps a second against bare `mj_step`."""
+    """Variants per second on one and on all threads, and simulated steps per second against bare `mj_step`."""
     cores = len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory() as folder:
         study = read_study(write_example(Path(folder), 4096))
@@ -84,7 +84,7 @@ def throughput(seconds: float) -> None:
     lock = threading.Lock()
 
     def rates(threads: int, span: float, step: Callable[[int], float]) -> Rates:
-        """Steps a second of threads that repeat `step` (thread) -> steps; the second rate leaves out waits for a core."""
+        """Steps per second of threads that repeat `step` (thread) -> steps; the second rate excludes waits for a core."""
         end = perf_counter() + span
 
         def worker(thread: int) -> Rates:
@@ -113,7 +113,7 @@ def throughput(seconds: float) -> None:
     while perf_counter() - begin < seconds:
         turns.append([rates(1, 1.0, variant), rates(cores, 1.0, variant), rates(1, 1.0, bare), rates(cores, 1.0, bare)])
     print(f"load average {os.getloadavg()[0]:.1f} on {cores} cores; medians of {len(turns)} turns")
-    for clock, words in enumerate(("by the clock", "without what threads waited for a core that another program had")):
+    for clock, words in enumerate(("by the clock", "without waits for a core")):
         one, every, bare_one, bare_every = np.array([[rate[clock] for rate in turn] for turn in turns]).T
         print(f"{words}:")
         print(
@@ -132,7 +132,7 @@ def ratio_text(ratios: np.ndarray) -> str:
 
 
 def waited_s() -> float:
-    """How long this thread has been ready to run without a core so far; 0 where the system does not tell."""
+    """Time for which this thread has been ready without a core so far [s]; 0 if the system does not report it."""
     try:
         return int(Path(f"/proc/self/task/{threading.get_native_id()}/schedstat").read_text().split()[1]) * 1e-9
     except (OSError, IndexError):
@@ -140,7 +140,7 @@ def waited_s() -> float:
 
 
 def thousand(variants: int) -> None:
-    """A whole command with so many variants: its time, and its memory from the first tenth to the end."""
+    """Time of a whole command with `variants`, and its memory from the first tenth to the end."""
     with tempfile.TemporaryDirectory() as folder:
         spec = write_example(Path(folder), variants)
         command = [sys.executable, "-m", "twin", "study", str(spec), "--out", f"{folder}/out", "--no-replay"]
@@ -194,7 +194,7 @@ def against(tree: Path, variants: int, turns: int) -> None:
 
 
 def kills(count: int, variants: int = 400) -> None:
-    """Kill the command at random moments until it was killed so often, resume each time, and compare; a study that ends begins anew."""
+    """Kill the command `count` times at random moments, resume each time, and compare; a finished study starts again."""
     draw = random.Random(4)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -232,7 +232,7 @@ def kills(count: int, variants: int = 400) -> None:
 
 
 def rows_in(file: Path) -> int:
-    """Variants in the database of a study that was killed."""
+    """Variants in the database of a killed study."""
     if not file.exists():
         return 0
     store = sqlite3.connect(file)

@@ -1,9 +1,9 @@
-"""Every figure of the cut surface: speed beside plain numpy, the whole of part 1, and the table beside the paper's figures.
+"""Figures of docs/surface.md: speed against plain numpy, the paper's parts, and the influence of their geometry.
 
     python devtools/measure_surface.py                    everything, about two minutes
     python devtools/measure_surface.py --only speed       kernels alone; --only parts, --only geometry
 
-CPU time of one core is counted, so that other work on the computer does not matter; wall time stands beside it.
+Prints processor time of one core, which other work on the computer does not change, and wall time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from twin.surface.steps import Steps, steps_between
 from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
 
 WANTED_RATE = 20.0
-"""Million ray-step tests a second and core."""
+"""Million ray-step tests per second and core."""
 
 
 def patch(spacing: float = 2e-5) -> HeightRays:
@@ -40,7 +40,7 @@ def patch(spacing: float = 2e-5) -> HeightRays:
 
 
 def raster(tool: Tool, turning: bool, passes: int = 16) -> Steps:
-    """Parallel passes 0.25 mm apart over the patch, upright or with an axis that sways by 3 degrees."""
+    """Parallel passes 0.25 mm apart over the patch, with an upright axis or one that sways by 3 degrees."""
     tips = [np.column_stack([np.linspace(-2e-3, 6e-3, 40), np.full(40, -1e-3 + k * 0.25e-3), np.zeros(40)]) for k in range(passes)]
     lifted = [np.array([[6e-3, t[0, 1], 2e-3], [-2e-3, t[0, 1] + 0.25e-3, 2e-3]]) for t in tips]
     tip = np.concatenate([np.vstack(pair) for pair in zip(tips, lifted)])
@@ -49,7 +49,7 @@ def raster(tool: Tool, turning: bool, passes: int = 16) -> Steps:
 
 
 def plain_numpy(rays: HeightRays, steps: Steps, radius: float) -> np.ndarray:
-    """The straightforward way: every step against all rays at once, ball only, no culling; heights (ray,)."""
+    """Reference in plain numpy: every step against all rays, ball only, no culling; heights (ray,)."""
     height = rays.height.copy()
     n = rays.direction
     for tip, way, axis in zip(steps.tip, steps.way, steps.axis):
@@ -67,7 +67,7 @@ def plain_numpy(rays: HeightRays, steps: Steps, radius: float) -> np.ndarray:
 
 
 def measure_speed() -> int:
-    """Tests a second of every tool, and numpy on the same job."""
+    """Tests per second of every tool, and of numpy on the same job."""
     rays, rows, missed = patch(), [], 0
     cone = revolution([(0.0, 0.0), (3e-3, 1e-3), (5e-3, 8e-3), (5e-3, 0.04)], name="cone")
     for tool in (ball_end(10e-3), flat_end(10e-3), bull_nose(10e-3, 1e-3), cone):
@@ -84,9 +84,9 @@ def measure_speed() -> int:
                  f"{cpu:.2f}", f"{wall:.2f}", f"{rate:.1f}",
                  f"{work.pairs / cpu / 1e6:.0f}", "" if rate >= WANTED_RATE else "below"]
             )  # fmt: skip
-    print(f"ray-step tests, one thread, {len(rays)} rays; tested: after culling; wanted {WANTED_RATE:g} million a second and core")
+    print(f"ray-step tests, one thread, {len(rays)} rays; tested: after culling; target {WANTED_RATE:g} million per second and core")
     print(table(["tool", "axis", "pairs M", "tested M", "cpu s", "wall s", "tested M/s", "pairs M/s", ""], rows, left=2))
-    # side by side: the ball alone, 5 um rays would only make numpy wait longer
+    # comparison with numpy: the ball alone
     ball = replace(ball_end(10e-3), elements=ball_end(10e-3).elements[:1])
     steps = raster(ball, False)
     cpu = time.process_time()
@@ -98,13 +98,13 @@ def measure_speed() -> int:
     print(
         f"\nside by side, ball-end, {len(rays)} rays x {len(steps)} steps: compiled {cpu:.3f} s, "
         f"plain numpy {numpy_cpu:.2f} s, {numpy_cpu / cpu:.0f} times; "
-        f"numpy {work.pairs / numpy_cpu / 1e6:.1f} million pairs a second; greatest difference {off * 1e6:.1e} um"
+        f"numpy {work.pairs / numpy_cpu / 1e6:.1f} million pairs per second; largest difference {off * 1e6:.1e} um"
     )
     return missed
 
 
 def measure_parts(only: list[str], machine: Machine) -> None:
-    """The paper's parts at every level, feedforward on and off, and how long it took."""
+    """The paper's parts at every level, with feedforward on and off, and the times."""
     folder = Path(__file__).resolve().parent.parent / "examples" / "parts"
     rows, rotary = [], []
     for name in only:
@@ -151,12 +151,12 @@ def measure_parts(only: list[str], machine: Machine) -> None:
     print("\nagainst the programmed cut [um]; the paper: part 1 about 20 too deep at 10 m/min; part 2 about 5 slow, about 30 fast")
     print(table(["part", "level", "slow", "fast", "scallop"], rows, left=2))
     if rotary:
-        print("\nrotary axes against their set points, constant delay taken out [deg]; the paper: about 0.001")
-        print(table(["part", "level", "axis", "RMS", "greatest"], rotary, left=3))
+        print("\nrotary axes against their set points, without the constant delay [deg]; the paper: about 0.001")
+        print(table(["part", "level", "axis", "RMS", "largest"], rotary, left=3))
 
 
 def measure_geometry() -> None:
-    """How the mark depends on what the paper does not print: radius, slope, corner, rounding."""
+    """The mark as a function of dimensions that the paper does not give: radius, slope, corner, rounding."""
     machine = load_machine()
     shapes: list[tuple[str, TangentPlanes | VerticalCorner]] = []
     base = TangentPlanes(passes=0, tolerance=0.005)
@@ -181,7 +181,7 @@ def measure_geometry() -> None:
             fast = next(one for one in machining.cuts if one.level.feedforward == "off")
             feed = np.nanmin(np.where(fast.feed > fast.surface.zone_feed, fast.feed, np.nan)) * 60.0
             rows.append([text, *(f"{m['depth_um']:.2f}" for m in marks), *(f"{m['left_um']:.2f}" for m in marks), f"{feed:.1f}"])
-    print("\nmark against the programmed cut [um]: too deep, and left; c commanded, on and off: followed with and without feedforward")
+    print("\nmark against the programmed cut [um]: too deep, and left; c: commanded, on, off: followed with and without feedforward")
     print(table(["geometry", "c deep", "on deep", "off deep", "c left", "on left", "off left", "lowest fast feed m/min"], rows, left=1))
 
 

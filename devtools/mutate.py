@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Does the regression suite notice? Changes one thing at a time in a copy of the package and runs the suite on the copy.
+"""Mutation test of the regression suite: changes one thing at a time in a copy of the package and runs the suite on the copy.
 
     python devtools/mutate.py [--stop-early] [--each-axis] [--jobs N] [--only NAME] [--cases NAME] [--json FILE]
 
-A mutation is caught where `twin regress` ends with 1. Named is the axis and the block that most failed cases name first: right
-where they are those that were changed (a change of a law has no axis). The unchanged copy must pass. `--stop-early` runs the cases
-with traces first, and the long ones only on a mutation that all of those let pass. `--each-axis` changes eleven numbers of every axis instead of the list, which
-the finder of the block was made with. Nothing in this tree is written.
+A mutation is caught if `twin regress` exits with 1. The axis and block that most failed cases name should be the changed ones (a change
+of a law has no axis). The unchanged copy must pass. `--stop-early` runs the cases with traces first, and the long ones only if all of
+them pass. `--each-axis` changes eleven numbers of every axis instead of the list, with which the block finder was developed. Nothing
+is written in this tree.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DATA = "models/mikron_ucp710.toml"
 
 @dataclass(frozen=True)
 class Mutation:
-    """Replace the first `old` after `after` in `file`; `axis` and `blocks` are what the suite should name."""
+    """Replaces the first `old` after `after` in `file`; the suite should name `axis` and one of `blocks`."""
 
     name: str
     file: str
@@ -116,12 +116,13 @@ def of_each_axis() -> tuple[Mutation, ...]:
 
 
 def copied(folder: Path) -> None:
-    """The package with its models and examples, and the compiled loops that are already there."""
+    """Copy the package with models, examples and compiled functions."""
     for name in ("twin", "models", "examples"):
         shutil.copytree(HERE / name, folder / name)
 
 
 def mutated(folder: Path, mutation: Mutation) -> None:
+    """Apply a mutation to the copy in a folder."""
     file = folder / mutation.file
     text = file.read_text(encoding="utf-8")
     start = text.find(mutation.after)
@@ -132,7 +133,7 @@ def mutated(folder: Path, mutation: Mutation) -> None:
 
 
 def judged(folder: Path, passes: list[list[str]], jobs: int) -> tuple[int, dict[str, Any], str]:
-    """Exit code, document and last words of the suite on a copy; of its passes the first that does not end with 0."""
+    """Exit code, document and last message of the suite on a copy, from the first pass that does not exit with 0."""
     code, document, words = 0, dict[str, Any](), ""
     for i, cases in enumerate(passes):
         out = folder / f"out{i}"
@@ -199,7 +200,7 @@ def main() -> int:
             )
         print(f"{mutation.name:52s} {verdict}  ({seconds:.0f} s)", flush=True)
     if not results:
-        print("no mutation was asked for; --only takes parts of the names above", file=sys.stderr)
+        print("mutate: no mutation has such a name; --only takes parts of their names", file=sys.stderr)
         return 2
     caught = sum(r["caught"] for r in results)
     either = sum(r["caught"] and r["named"] for r in results)

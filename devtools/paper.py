@@ -1,7 +1,7 @@
-"""Every figure and number of the paper beside the twin's: `scripts/paper`, or one at a time with `--only`.
+"""Figures and numbers of the paper and of the twin: `scripts/paper`, or one at a time with `--only`.
 
 scripts/paper                      all, into out/paper: pictures and paper.md
-scripts/paper --only figure3       friction from currents at constant speeds, and its trend curve
+scripts/paper --only figure3       friction from currents at constant speeds, with trend curve
 scripts/paper --only figure4       X 200 mm at 15 m/min, feedforward off and on
 scripts/paper --only axes          simulated minus measured position of one, two and three axes
 scripts/paper --only parts         figures 5 to 8: the chain, the three parts and their marks, under the paper's assumptions
@@ -18,7 +18,6 @@ import tomllib
 
 import numpy as np
 
-from devtools.paper_parts_figures import draw_geometry
 from twin.cli.demo import DISTANCE, JERK, SPEED, draw, finding_of, paper_test, run_test
 from twin.exam.draw import AXES, SIGNALS, columns_of, draw_case
 from twin.exam.draw import simulate as record
@@ -26,33 +25,37 @@ from twin.exam.plant.parameters import Richness
 from twin.exam.programme import TestRun
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import default_machine_path, load_machine
-from twin.report.figure import BLUE, RED, new_figure, save_png
+from twin.report.figure import BLUE, INK, RED, SOFT, new_figure, save_png
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 from twin.simulation.summary import table
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
 from twin.surface.paper_parts import PARTS
-from twin.surface.part import read_part
+from twin.surface.part import Part, read_part
 from twin.surface.picture import draw_cut
+from twin.surface.shapes import PLANES, Profile
 
 ROOT = Path(__file__).resolve().parent.parent
 VARIANT = ROOT / "models" / "mikron_ucp710_paper.toml"
 SPEEDS_MM_PER_S = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 100.0, 150.0, 200.0, 250.0)
 ZONES_UM = {"part1_tangent_planes": 30.0, "part2_vertical_corner": 20.0, "part3_dome": 30.0}
-"""Spacing of the rays; on part 2 as in its file, so that a ray stands on the edge itself, where the mark is deepest."""
+"""Spacing of the rays; on part 2 that of its file, so that one ray is on the edge, where the mark is deepest."""
+
+MOST_POINTS = 20_000
+"""Most points of a drawn path."""
 
 Row = tuple[str, str, str, str]
-"""What, the paper's, ours, and why they differ."""
+"""Quantity, value of the paper, value of the twin, reason for the difference."""
 
 
 def figure3(out: Path) -> list[Row]:
-    """Friction of X: torque at the motor from the current at constant speeds, both ways, and the line through it."""
+    """Friction of X: motor torque from the current at constant speeds in both directions, with a fitted line."""
     machine = load_machine().with_axes(["X"])
     axis = machine.axis("X")
     speed, torque = [], []
     for wanted in SPEEDS_MM_PER_S:
-        # long enough that the loops have settled
+        # long enough for the loops to settle
         way = max(0.4 * wanted * 1e-3, 4e-3)
         times, position = moves_in_turn(0.0, [way, -way], wanted * 1e-3, axis.max_acceleration, 50.0, 0.1, 1e-3)
         trace = simulate(machine, Setpoints(position[:, None], times[1] - times[0]), noise_seed=int(wanted)).trace
@@ -77,7 +80,7 @@ def figure3(out: Path) -> list[Row]:
     table_ = machine.document["axis"]["X"]
     return [
         ("Fig. 3, law of friction", "Coulomb and viscous, static", "Coulomb and viscous, static", ""),
-        ("Fig. 3, Coulomb of X", "not readable", f"{coulomb:.3f} Nm (planted {table_['coulomb_friction_nm']:g})", "planted: an estimate of the machine file"),
+        ("Fig. 3, Coulomb of X", "not readable", f"{coulomb:.3f} Nm (planted {table_['coulomb_friction_nm']:g})", "planted: the estimate in the machine file"),
         ("Fig. 3, viscous of X", "not readable", f"{viscous * 1e3:.2f} mNm s/rad (planted {table_['viscous_friction_nm_s_per_rad'] * 1e3:g})", ""),
     ]  # fmt: skip
 
@@ -97,7 +100,7 @@ def figure4(out: Path) -> list[Row]:
 
 
 def axes(out: Path) -> list[Row]:
-    """Simulated minus measured position: measured stands a second plant that shares no law with the twin, with 1 % spread."""
+    """Simulated minus measured position, where "measured" is the second plant with 1 % parameter spread."""
     machine = load_machine()
     document = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
     case = draw_case(710, "healthy", document, richness=Richness.off(), run_set="exam")
@@ -124,7 +127,7 @@ def axes(out: Path) -> list[Row]:
         panels[count - 1, 0].set_ylabel("simulated -\nmeasured [um]")
         panels[count - 1, 0].set_title(f"{count} axis" if count == 1 else f"{count} axes at once")
         panels[count - 1, 0].legend(loc="upper right", ncols=3)
-        why = "measured is the second plant of the exam, 1 % beside the data sheet and not identified first; no gap of a real machine"
+        why = "measured: second plant of the exam with 1 % spread, not identified first; not a real machine"
         rows.append((f"{count} axes, at constant speed", "+-4 um", f"+-{worst['speed'] * 1e6:.2f} um", why))
         rows.append((f"{count} axes, in acceleration", "6 to 8 um", f"{worst['ramps'] * 1e6:.2f} um", "the same"))
     panels[-1, 0].set_xlabel("time [s]")
@@ -133,7 +136,7 @@ def axes(out: Path) -> list[Row]:
 
 
 def parts(out: Path) -> list[Row]:
-    """The chain from program to surface on the three parts under the paper's assumptions, and the geometry of the parts."""
+    """Program to surface for the three parts under the paper's assumptions, and the geometry of the parts."""
     machine = load_machine(VARIANT)
     rows: list[Row] = []
     for name in PARTS:
@@ -152,7 +155,7 @@ def parts(out: Path) -> list[Row]:
             rows.append(
                 ("Fig. 6 and 8, part 1, mark", "about 20 um", f"{depth['fast']:.1f} um", "radius 20 mm and slope 20 degrees chosen")
             )
-            rows.append(("Fig. 5, of it by the interpolator", "not printed", f"{commanded:.1f} um", "rounding 4.8 um assumed"))
+            rows.append(("Fig. 5, share of the interpolator", "not printed", f"{commanded:.1f} um", "rounding 4.8 um assumed"))
         elif name == "part2_vertical_corner":
             rows.append(("Fig. 7, part 2, fast", "about 30 um", f"{depth['fast']:.1f} um", "outer corner of 90 degrees, 10 m/min chosen"))
             rows.append(("Fig. 7, part 2, slow", "about 5 um", f"{depth['slow']:.1f} um", "the rounding alone"))
@@ -163,10 +166,42 @@ def parts(out: Path) -> list[Row]:
                     "part 3, rotary axes, feedforward on",
                     "about 0.001 deg",
                     f"{rms:.5f} deg RMS",
-                    "constant delay taken out; geometry chosen",
+                    "without the constant delay; geometry chosen",
                 )
             )
     return rows
+
+
+def draw_geometry(part: Part, path: np.ndarray, file: Path) -> None:
+    """Draw a part with the programmed path (pose, 3) of the tip [m]: a profile in its plane, other surfaces from above."""
+    figure, axes = new_figure(1, 1, width=8.0, height=5.0)
+    ax = axes[0, 0]
+    path = path[:: max(1, len(path) // MOST_POINTS)] * 1e3
+    first, second = 0, 1
+    for surface in part.surfaces:
+        rays = surface.rays(part, spacing=max(surface.spacing, 2e-4))
+        if isinstance(surface.shape, Profile):
+            first, second, _ = PLANES[surface.shape.plane]
+            outline = rays.point.reshape(*rays.shape, 3)[0] * 1e3
+            ax.plot(outline[:, first], outline[:, second], color=INK, lw=2.0, label=f"{surface.name}, nominal")
+        else:
+            ax.plot(*(rays.point[:, [first, second]].T * 1e3), ",", color=INK, label=f"{surface.name}, nominal")
+    low, high = ax.get_xlim(), ax.get_ylim()
+    ax.plot(path[:, first], path[:, second], color=BLUE, lw=0.7, label="programmed tip")
+    tip = part.tool.profile * 1e3
+    edge = np.vstack([tip * [-1.0, 1.0], tip[::-1]][::-1])
+    if second == 2:  # the tool axis lies in this plane
+        at = path[np.argmax(path[:, second] * (np.abs(path[:, first]) < 1.0))] if len(path) else np.zeros(3)
+        ax.plot(edge[:, 0] + at[first], edge[:, 1] + at[second], color=SOFT, lw=0.8, label=part.tool.name)
+    margin = 6.0
+    ax.set_xlim(low[0] - margin, low[1] + margin)
+    ax.set_ylim(high[0] - margin, high[1] + margin)
+    ax.set_aspect("equal")
+    ax.set_xlabel(f"{'xyz'[first]} [mm]")
+    ax.set_ylabel(f"{'xyz'[second]} [mm]")
+    ax.set_title(part.name)
+    ax.legend(loc="best")
+    save_png(figure, file)
 
 
 ITEMS: dict[str, Callable[[Path], list[Row]]] = {"figure3": figure3, "figure4": figure4, "axes": axes, "parts": parts}
@@ -183,7 +218,7 @@ def main() -> int:
         began = time.perf_counter()
         rows += ITEMS[name](args.out)
         print(f"{name}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
-    text = table(["what", "paper", "twin", "why they differ"], [list(row) for row in rows], left=4)
+    text = table(["quantity", "paper", "twin", "reason for the difference"], [list(row) for row in rows], left=4)
     print(text)
     (args.out / "paper.md").write_text(f"# The paper beside the twin\n\n```\n{text}\n```\n", encoding="utf-8")
     print(f"written: {args.out}")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the pictures of docs/diagnosis.md: a machine with two hidden effects is recorded, diagnosed, and its report's figures kept.
+"""Draws the pictures of docs/diagnosis.md: records and diagnoses a machine with two hidden effects and saves the figures of the report.
 
 python devtools/picture_diagnosis.py [--seed 2] [--quick]
 """

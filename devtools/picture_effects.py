@@ -1,10 +1,10 @@
-"""Pictures of what each effect looks like, and the page that explains all effects: docs/effects.md, docs/pictures/effects/.
+"""Draws a picture of each effect and writes the page of all effects: docs/pictures/effects/, docs/effects.md.
 
     python devtools/picture_effects.py                     all pictures and the page
     python devtools/picture_effects.py --only backlash     one picture
     python devtools/picture_effects.py --text              the page alone (a test holds it to the library)
 
-What a picture shows stands on the effect itself (`twin.effects.picture.Picture`); `twin.simulation.effect_picture` draws it.
+Each effect defines its own picture (`twin.effects.picture.Picture`); `twin.simulation.effect_picture` draws it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BEGIN, END = "<!-- begin: written by devtools/picture_effects.py -->", "<!-- end
 
 
 def page_text(machine: Machine) -> str:
-    """The part of the page between the markers: one section an effect, by block."""
+    """The part of the page between the markers: one section per effect, by block."""
     lines = []
     for block in BLOCKS:
         effects = [e for e in EFFECTS.values() if e.block == block]

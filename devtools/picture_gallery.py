@@ -1,8 +1,8 @@
-"""Makes the reports of docs/gallery.md and photographs their first page with a headless Chromium.
+"""Makes the reports of docs/gallery.md and takes screenshots of their first page with a headless Chromium.
 
     python -m devtools.picture_gallery [--out out/gallery] [--only NAME]
 
-The worn machine is of the second plant: 15 um of backlash on X, Coulomb friction of Y a third higher. Minutes, most of them the diagnosis.
+The worn machine is simulated by the second plant: 15 um of backlash on X, Coulomb friction of Y a third higher. Takes minutes, mostly for the diagnosis.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def photograph(page: Path, picture: Path, width: int = 1200, height: int = 1000)
 
 
 def main() -> None:
-    """Make what is asked for."""
+    """Make the requested reports and screenshots."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/gallery"))
     parser.add_argument("--only", action="append", help="beside, gap, diagnosis, identify, study")

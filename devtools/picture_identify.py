@@ -1,4 +1,4 @@
-"""Pictures of an identification: a machine of the second plant, up to 30 % off its machine file, recorded and identified.
+"""Draws the pictures of docs/identify.md: a machine of the second plant, up to 30 % off its machine file, recorded and identified.
 
     python devtools/picture_identify.py [--seed 9000] [--keep out/drawn]
 
@@ -24,7 +24,7 @@ PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=9000)
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps drawn campaigns")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for drawn campaigns")
     args = parser.parse_args()
     machine = load_machine().with_values({"parameter_tolerance": SPREAD})
     with tempfile.TemporaryDirectory() as scratch:

@@ -3,7 +3,7 @@
     python devtools/picture_machine.py                                  docs/pictures/machine.png
     python devtools/picture_machine.py --pose 40 -80 -100 20 35 --camera table --output part.png
 
-Renders without a display; set MUJOCO_GL=osmesa where EGL is missing.
+Renders without a display; set MUJOCO_GL=osmesa if EGL is missing.
 """
 
 import argparse

@@ -1,10 +1,9 @@
-"""Pictures of the three worked studies, with the closed forms beside what was simulated.
+"""Pictures of the three worked studies, simulated and in closed form.
 
-    python devtools/picture_study.py [--studies FOLDER]     runs them into FOLDER (default out/studies) where they are not there yet
+    python devtools/picture_study.py [--studies FOLDER]     runs missing studies into FOLDER (default out/studies)
+    python devtools/picture_study.py --only side_by_side    one picture
 
-    python devtools/picture_study.py --only side_by_side       one picture
-
-Writes docs/pictures/study/*.png; that of two designs side by side is drawn by the viewer and needs a Vulkan driver.
+Writes docs/pictures/study/*.png. The viewer draws the two designs side by side and needs a Vulkan driver.
 """
 
 from __future__ import annotations
@@ -121,7 +120,7 @@ def matching(folder: Path) -> Any:
 
 
 def side_by_side(picture: Path) -> None:
-    """The viewer on the machine as it is and with half the inertia of X at the same margins, on the five-axis program."""
+    """Screenshot of the viewer with the present machine and half the inertia of X at the same margins, on the five-axis program."""
     study = read_study(ROOT / "examples" / "half_inertia" / "study.toml")
     study = replace(study, runs=study.runs[-1:])
     (run,) = study.runs

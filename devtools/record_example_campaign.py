@@ -2,7 +2,7 @@
 
     python -m devtools.record_example_campaign [FOLDER]
 
-The second plant shares no code with the twin, so that the twin's gap on these runs is a check of its law and its solution.
+The second plant shares no code with the twin, so the twin's gap on these runs checks its control law and its integration.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def record(folder: Path, case: Case, machine: dict) -> None:
     lines, at = ["# recorded on the second plant: python -m devtools.record_example_campaign\n" + 'machine = "mikron_ucp710"\n'], 0.0
     for test in example_runs(machine):
         trace = simulate(case, machine, test, at)
-        # set points in full, they are differentiated twice; what was measured in single precision (4 nm at 50 mm)
+        # set points in double precision, because they are differentiated twice; measured signals in single precision (4 nm at 50 mm)
         columns = columns_of(trace, SIGNALS["no velocity set point"])
         table = pa.table(
             {name: v if "setpoint" in name or name.startswith("time") else v.astype(np.float32) for name, v in columns.items()}

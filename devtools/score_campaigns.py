@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Diagnoses campaigns whose truth is known and scores what was said: effects named and missed, contributions, what is left.
+"""Diagnoses campaigns with known truth and scores the answers: named and missed effects, contributions, remaining gap.
 
 python -m devtools.score_campaigns CAMPAIGN [CAMPAIGN ...]
 
@@ -25,7 +25,7 @@ from twin.recordings.campaign import read_campaign
 from twin.units import ARCSEC
 
 LEAST = 0.3
-"""Contribution in multiples of noise from which it is compared."""
+"""Least contribution that is compared, as a multiple of the noise."""
 
 NOTHING = {"times_noise": 0.0}
 
@@ -52,11 +52,11 @@ def main() -> None:
 
 
 def print_score(document: dict[str, Any], folder: Path) -> None:
-    """Print named, missed and false effects, and what their contributions are off by."""
+    """Print named, missed and false effects, and the errors of their contributions."""
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8")).get("effect", [])
     true = {(e["name"], e["axis"]) for e in truth}
     named = [(e["effect"], e["axis"]) for e in document["effects"]]
-    print(f"  named {len(named)}, of them there {sum(k in true for k in named)}, there in all {len(true)}")
+    print(f"  named {len(named)}, of these present {sum(k in true for k in named)}, present in all {len(true)}")
     for what, keys in (("false", [k for k in named if k not in true]), ("missed", sorted(true - set(named)))):
         if keys:
             print(f"  {what}: " + ", ".join(" ".join(k) for k in keys))
@@ -71,7 +71,7 @@ def print_score(document: dict[str, Any], folder: Path) -> None:
     true = [known[what_of(r)]["true_position_rms"] for r in rows]
     errors = [abs(r["position"] * to_si[r["position_unit"]] / rms - 1.0) for r, rms in zip(rows, true) if rms > 0.0]
     if errors:
-        print(f"  true position of the axis without it: off by {100 * float(np.median(errors)):.0f} % in the median of {len(errors)}")
+        print(f"  change of the true position by an effect: median error {100 * float(np.median(errors)):.0f} % of {len(errors)}")
     brier = np.mean([(probability - there) ** 2 for probability, there in marks["candidates"]])
     print(
         f"  order of the five largest in multiples of noise: Kendall tau {marks['order']:.2f}; largest named: {marks['largest']}; "

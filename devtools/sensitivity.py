@@ -1,13 +1,13 @@
-"""Which thresholds of the diagnosis matter: each varied by a third, up and down, on machines of the second plant.
+"""Sensitivity of the diagnosis to its thresholds: each is varied by a third, up and down, on machines of the second plant.
 
     python devtools/sensitivity.py --out DIR [--cases 3] [--seed 500] [--only evidence price ...] [--full]
     python devtools/sensitivity.py --list
 
 The cases (healthy, one effect, two effects, in turn) are drawn once into DIR/cases, four runs each. Each threshold of
-`twin.diagnose.settings` is multiplied by 2/3 and by 4/3; whole numbers move by at least 1. An answer counts as changed where the verdict, an
-effect that is named, a size (by more than 2 %) or the remaining gap (by more than 5 %) is another one. Answers are kept in
-DIR/answers.json, so that a run that was broken off goes on. One diagnosis takes about a minute of two idle cores, `--full` three: all thresholds on three cases
-are a night's work.
+`twin.diagnose.settings` is multiplied by 2/3 and by 4/3; integers change by at least 1. An answer counts as changed if the verdict or a
+named effect differs, a size differs by more than 2 %, or the remaining gap by more than 5 %. Answers are stored in DIR/answers.json, so
+that an interrupted run continues. One diagnosis takes about a minute on two idle cores, three minutes with `--full`; all thresholds on
+three cases take a night.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from twin.simulation.summary import table
 KINDS = ("single", "healthy", "pair")
 FACTORS = (2.0 / 3.0, 4.0 / 3.0)
 SIZE, GAP = 0.02, 0.05
-"""Relative changes of a size and of the remaining gap from which an answer is another one."""
+"""Relative changes of a size and of the remaining gap above which an answer counts as changed."""
 
 
 def varied(name: str, factor: float) -> Thresholds:
-    """The default thresholds with one multiplied; a whole number stays one and moves by at least 1."""
+    """The default thresholds with one multiplied; an integer stays an integer and changes by at least 1."""
     value = getattr(DEFAULT, name)
     if isinstance(value, int):
         moved = round(value * factor)
@@ -45,7 +45,7 @@ def varied(name: str, factor: float) -> Thresholds:
 
 
 def answer_of(folder: Path, thresholds: Thresholds, quick: bool) -> dict[str, Any]:
-    """What matters of a diagnosis: verdict, sizes of the effects named, remaining gap."""
+    """Compared values of a diagnosis: verdict, sizes of the named effects, remaining gap."""
     machine = load_machine()
     document = diagnose(read_campaign(folder, machine), machine, quick=quick, thresholds=thresholds).document()
     sizes = {f"{e['effect']} {e['axis']}": next(iter(e["parameters"].values()))["value"] for e in document["effects"]}
@@ -53,7 +53,7 @@ def answer_of(folder: Path, thresholds: Thresholds, quick: bool) -> dict[str, An
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """How an answer differs from the one with the default thresholds."""
+    """Differences of an answer from the one with the default thresholds."""
     out = [] if before["verdict"] == after["verdict"] else [f"{before['verdict']} -> {after['verdict']}"]
     if set(before["sizes"]) != set(after["sizes"]):
         out.append(f"names {', '.join(sorted(after['sizes'])) or 'nothing'}")

@@ -1,7 +1,7 @@
-"""Pages of the site that lie outside docs/ or are made from code: a hook of mkdocs (mkdocs.yml).
+"""Site pages from outside docs/ or generated from code: a hook of mkdocs (mkdocs.yml).
 
-README.md is the home page; the README of models/ and examples/ and the changelog are pages; the reference of commands, Python names
-and JSON files is made from the parser, the docstrings and the schemas. Links between them are turned to where they stand on the site.
+README.md is the home page; the READMEs of models/ and examples/ and the changelog are pages; the reference of commands, Python names
+and JSON files is generated from the parser, the docstrings and the schemas. Links between them are adapted to the site.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links of pages in docs/ that lead to files outside of it (called by mkdocs)."""
+    """Adapt links from pages in docs/ to files outside of it (called by mkdocs)."""
     source = page.file.src_uri
     return markdown if source in pages() else links_on_site(markdown, f"docs/{source}", source)
 
@@ -52,7 +52,7 @@ _PAGES: dict[str, str] = {}
 
 
 def links_on_site(text: str, file: str, page: str) -> str:
-    """Text of a file of the repository with its links as they are from a page of the site.
+    """Text of a file of the repository with its links adapted to a page of the site.
 
     A link to a file that has no page becomes its path.
     """
@@ -74,11 +74,11 @@ def links_on_site(text: str, file: str, page: str) -> str:
 
 
 def commands() -> str:
-    """The help of every command, as the parser prints it."""
+    """The help of every command."""
     sys.path.insert(0, str(ROOT))
     from twin.cli.parser import COMMANDS, build_parser
 
-    out = ["# Commands", "", "What `twin COMMAND --help` prints. Exit codes: 0 done, 1 a verdict that fails, 2 bad input or usage."]
+    out = ["# Commands", "", "Output of `twin COMMAND --help`. Exit codes: 0 done, 1 a verdict that fails, 2 bad input or usage."]
     for group, of_group in COMMANDS.items():
         out += ["", f"## {group[0].upper() + group[1:]}"]
         for command in of_group:
@@ -94,7 +94,7 @@ def python_names() -> str:
     sys.path.insert(0, str(ROOT))
     import twin
 
-    out = ["# Python names", "", "What `import twin` offers; [From Python](../python.md) shows how they go together."]
+    out = ["# Python names", "", "The public names of `import twin`; [From Python](../python.md) shows their use."]
     for name in sorted(n for n in twin.__all__ if not n.startswith("_")):
         thing = getattr(twin, name)
         function = getattr(thing, "__wrapped__", thing)  # of a package that is called like its function
@@ -109,7 +109,7 @@ def python_names() -> str:
         if described:
             out += [
                 "",
-                "| member | what |",
+                "| member | meaning |",
                 "|---|---|",
                 *(f"| `{m}` | {html.escape(text).replace('|', chr(92) + '|')} |" for m, text in described),
             ]
@@ -121,11 +121,11 @@ def json_files() -> str:
     out = [
         "# JSON files",
         "",
-        "Each begins with `schema` (name and number of its format) and `version` (of twin). From `twin/report/schemas`.",
+        "Each file begins with `schema` (name and number of its format) and `version` (of twin). Source: `twin/report/schemas`.",
     ]
     for file in sorted((ROOT / "twin" / "report" / "schemas").glob("*.json")):
         schema = json.loads(file.read_text(encoding="utf-8"))
-        out += ["", f"## {file.stem}", "", schema.get("title", ""), "", "| key | type | always | what |", "|---|---|---|---|"]
+        out += ["", f"## {file.stem}", "", schema.get("title", ""), "", "| key | type | always | meaning |", "|---|---|---|---|"]
         for key, of in schema.get("properties", {}).items():
             kind = of.get("type", "one of " + ", ".join(f"`{v}`" for v in of["enum"]) if "enum" in of else "")
             kinds = " or ".join(kind) if isinstance(kind, list) else kind

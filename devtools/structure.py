@@ -1,4 +1,4 @@
-"""Counts of the structure of a checkout: size, loose modules, import circles, untyped and long functions, numbers that decide.
+"""Counts of the structure of a checkout: size, loose modules, import cycles, untyped and long functions, numeric constants.
 
 python -m devtools.structure [--root CHECKOUT] [--json]
 """
@@ -41,7 +41,7 @@ def imported(module: str, tree: ast.Module, known: set[str], is_package: bool) -
 
 
 def circles(edges: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of files that import each other, directly or by others (strongly connected, Tarjan 1972)."""
+    """Groups of files that import each other, directly or indirectly (strongly connected components, Tarjan 1972)."""
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
@@ -73,7 +73,7 @@ def functions(tree: ast.Module) -> list[ast.FunctionDef]:
 
 
 def is_untyped(function: ast.FunctionDef) -> bool:
-    """Lacks the type of an argument (but self and cls) or of the result."""
+    """Lacks the type of an argument (except self and cls) or of the result."""
     arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
     return function.returns is None or any(a.annotation is None and a.arg not in ("self", "cls") for a in arguments)
 
@@ -85,7 +85,7 @@ def is_kernel(function: ast.FunctionDef) -> bool:
 
 
 def numeric_constants(tree: ast.Module) -> int:
-    """Names in capitals at the top of a module that stand for numbers."""
+    """Module constants with numbers."""
     count = 0
     for node in tree.body:
         targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
@@ -108,7 +108,7 @@ def named_effects(trees: dict[str, ast.Module]) -> dict[str, str]:
 
 
 def files_that_say(trees: dict[str, ast.Module], word: str) -> set[str]:
-    """Modules in which a text is the word and nothing else, as code that treats one effect apart writes it; the second plant is no part of the twin."""
+    """Modules with a string equal to the word, as in code for one particular effect; without the second plant."""
     return {
         module
         for module, tree in trees.items()
@@ -117,25 +117,25 @@ def files_that_say(trees: dict[str, ast.Module], word: str) -> set[str]:
 
 
 def files_for_an_effect(trees: dict[str, ast.Module]) -> list[int]:
-    """For each effect the modules that name it, its own among them."""
+    """Number of modules that name each effect, including its own."""
     return [len({module, *files_that_say(trees, name)}) for name, module in named_effects(trees).items()]
 
 
 def files_for_a_format(trees: dict[str, ast.Module]) -> list[int]:
-    """For each reader of a trace format the modules that name it, its own among them."""
+    """Number of modules that name each reader of a trace format, including its own."""
     folder = "twin.recordings.formats."
     readers = [module for module in trees if module.startswith(folder) and not module.endswith((".by_ending", ".__init__"))]
     return [len({module, *files_that_say(trees, module.removeprefix(folder))}) for module in readers]
 
 
 def thresholds(trees: dict[str, ast.Module]) -> int:
-    """Numbers of the one settings object of a diagnosis."""
+    """Number of thresholds in the settings of a diagnosis."""
     settings = trees.get("twin.diagnose.settings", ast.Module([], []))
     return sum(isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "_of" for node in ast.walk(settings))
 
 
 def exempt_modules(root: Path) -> list[str]:
-    """Patterns of modules that the type checker lets have untyped functions."""
+    """Patterns of modules that the type checker exempts."""
     checker = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("mypy", {})
     patterns: list[str] = []
     for override in checker.get("overrides", []):
@@ -153,7 +153,7 @@ def counts(root: Path) -> dict[str, int]:
     every = [function for tree in trees.values() for function in functions(tree)]
     lengths = [(f.end_lineno or f.lineno) - f.lineno + 1 for f in every]
     arguments = [len(f.args.posonlyargs) + len(f.args.args) + len(f.args.kwonlyargs) for f in every]
-    edges.pop("twin")  # the front door names everything, and imports it when it is asked for
+    edges.pop("twin")  # imports everything lazily
     found = circles({module: targets - {"twin"} for module, targets in edges.items()})
     effects, formats = files_for_an_effect(trees), files_for_a_format(trees)
     package = root / "twin"

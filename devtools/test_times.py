@@ -1,4 +1,4 @@
-"""The slowest tests by processor time, which another job on the computer does not change as it changes the time on the clock.
+"""Lists the slowest tests by processor time, which other loads on the computer change less than the time on the clock.
 
 scripts/test -p devtools.test_times            the 30 slowest, and the sum
 """
@@ -24,14 +24,14 @@ def _processor_s() -> float:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Note when a test begins; its teardown's report carries what it took."""
+    """Note the processor time at the start of a test."""
     item.stash[_BEGAN] = _processor_s()
     return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-    """Hand the time to the process that prints."""
+    """Attach the processor time of the test to its teardown report, for the process that prints."""
     report = yield
     if call.when == "teardown":
         report.user_properties = [*report.user_properties, ("processor_s", _processor_s() - item.stash[_BEGAN])]
@@ -39,7 +39,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Print the slowest."""
+    """Print the slowest tests."""
     took: dict[str, float] = defaultdict(float)
     for reports in terminalreporter.stats.values():
         for report in reports:

@@ -1,4 +1,4 @@
-"""The worked studies of docs/study.md: runs them and prints every number of that section, closed forms beside them.
+"""The worked studies of docs/study.md: runs them and prints their numbers, with closed forms.
 
 python devtools/worked_studies.py [--studies FOLDER] [--only NAME]     into FOLDER (default out/studies), resumed where they are there
 """
@@ -27,7 +27,7 @@ Table = dict[str, np.ndarray]
 
 
 def carried_out(name: str, studies: Path) -> Path:
-    """The folder of a worked study, simulated as far as it is not there yet."""
+    """The folder of a worked study, simulated as far as necessary."""
     folder = studies / name
     if twin(["study", str(EXAMPLES / f"{name}.toml"), "--out", str(folder), "--resume", "--no-replay", "--quiet"]):
         raise SystemExit(2)
@@ -46,7 +46,7 @@ def span(values: np.ndarray) -> str:
 
 
 def corner(out: Path) -> None:
-    """What carriage mass costs in a corner; a speed controller with integral time Tn leaves J Tn jerk / (Kp Kv) at constant jerk."""
+    """Carriage mass in a corner; a speed controller with integral time Tn leaves an error J Tn jerk / (Kp Kv) at constant jerk."""
     t, machine = table_of(out), load_machine()
     contour, deviation, gain = t["contour_error_max_um"], t["control_deviation_max_X_um"], t["position gain"]
     own = gain == 1.0
@@ -73,14 +73,14 @@ def friction_share() -> None:
     """The nominal corner with and without Coulomb friction on X and Y."""
     study = read_study(EXAMPLES / "corner_mass.toml")
     smooth = with_numbers(study.machine, {f"axis.{axis}.coulomb_friction_nm": 0.0 for axis in "XY"})
-    print("corner of the machine as it is, um: deviation of X, contour error")
+    print("corner of the present machine, um: deviation of X, contour error")
     for words, machine in (("with Coulomb friction", study.machine), ("without", smooth)):
         found = evaluate(replace(work_of(study), study=replace(study, machine=machine)), (700.0, 1050.0, 1.0)).responses
         print(f"  {words}: {found['control_deviation_max_X_um']:.2f}, {found['contour_error_max_um']:.2f}")
 
 
 def least_at(out: Path, response: str, rotor: float, low: float, high: float) -> tuple[float, float]:
-    """Lead [m] and value at the least of a response on the study's surrogate."""
+    """Lead [m] and value at the minimum of a response on the study's surrogate."""
     predict = surrogate_from(out, response)
     leads = np.linspace(low, high, 2001)
     values = [predict({"screw lead": float(lead), "rotor inertia": rotor})[0] for lead in leads]
@@ -89,9 +89,9 @@ def least_at(out: Path, response: str, rotor: float, low: float, high: float) ->
 
 
 def rigid_body_current(machine: Machine, tilt: np.ndarray, turn: np.ndarray, period: float) -> np.ndarray:
-    """Current of A (sample,) that rigid bodies ask for: friction, gravity m g y and the change of the angular momentum about A.
+    """Current of A (sample,) from rigid bodies: friction, gravity m g y and the change of the angular momentum about A.
 
-    A body at y (turned by C) and z off the axis of A has L = (I + m (y^2 + z^2)) A' - m z y': what C turns on the tilted table counts, too.
+    A body at y (rotated by C) and z from the axis of A has L = (I + m (y^2 + z^2)) A' - m z y', which includes the motion of C.
     """
     a = machine.axis("A")
     speed = np.gradient(tilt, period)
@@ -108,7 +108,7 @@ def rigid_body_current(machine: Machine, tilt: np.ndarray, turn: np.ndarray, per
 
 
 def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Largest current of A of every variant (variant,): as simulated, and of rigid bodies."""
+    """Largest current of A of every variant (variant,): simulated, and from rigid bodies."""
     study = read_study(EXAMPLES / "table_payload.toml")
     setpoints = work_of(study).sources[0].setpoints
     if setpoints is None:
@@ -121,11 +121,11 @@ def payload_currents(out: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def payload(out: Path) -> None:
-    """What mass and place of a payload cost; the largest current of A against that of rigid bodies."""
+    """Influence of mass and place of a payload; the largest current of A against that of rigid bodies."""
     t, limit = table_of(out), load_machine().axis("A").motor.peak_current_a
     found, theory = payload_currents(out)
     most, mass = int(np.argmax(found)), t["payload mass"]
-    # of the variants that are about as heavy as the worst one, the one that takes least
+    # the variant with the least current among those about as heavy as the worst one
     alike = np.flatnonzero(np.abs(mass - mass[most]) < 15.0)
     least = alike[np.argmin(found[alike])]
     print(f"largest current of A, A: {span(found)}, {100 * found[most] / limit:.0f} % of its limit; rigid bodies {span(theory)}")
@@ -143,7 +143,7 @@ def payload(out: Path) -> None:
 
 
 def lead(out: Path) -> None:
-    """What a longer lead buys on the machine as it is and with half the rotor."""
+    """Influence of the lead on the present machine and with half the rotor."""
     t = table_of(out)
     print("at leads of 10, 20 and 30 mm: largest smooth current, A; copper loss of X, W; rapid move, s")
     for rotor in (1.0, 0.5):
@@ -160,7 +160,7 @@ def matching(out: Path) -> None:
     machine = load_machine()
     x = machine.axis("X")
     jerk, speed = 5.0, 0.25
-    a_peak = math.sqrt(speed * jerk)  # the move of x_200mm.csv is too slow for its acceleration limit: constant jerk up and down
+    a_peak = math.sqrt(speed * jerk)  # the move of x_200mm.csv does not reach its acceleration limit: constant jerk up and down
     print("lead of least current, mm: study, sqrt(J / m), and with viscous friction at half speed")
     for rotor in (0.5, 1.0, 2.0):
         inertia = rotor * x.rotor_inertia_kg_m2

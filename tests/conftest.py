@@ -1,6 +1,11 @@
-"""What all tests share: the Mikron, set points in which every axis moves, and the recorded data beside the repository."""
+"""Shared by all tests: the Mikron, set points that move every axis, and the recorded data beside the repository."""
 
 from __future__ import annotations
+
+import os
+
+# before numpy is imported, and inherited by child processes: BLAS threads waiting for each other took more than half of the processor time
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from pathlib import Path
 
@@ -14,17 +19,13 @@ ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
 
 
-LONG_ROOMS = ("recovery", "exam", "identify", "diagnose", "surface")
-"""Rooms whose files take longest, the longest first: they begin first, so that no process is left with one of them at the end."""
+LONG_ROOMS = ("recovery", "diagnose", "exam", "identify", "surface", "reference", "recordings")
+"""Folders with the longest files, which start first so that both processes end at about the same time."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long rooms first; the order inside a room stays."""
-
-    def turn(item: pytest.Item) -> int:
-        return next((i for i, room in enumerate(LONG_ROOMS) if room in item.path.parts), len(LONG_ROOMS))
-
-    items.sort(key=turn)
+    """Long folders first; the order within a folder stays."""
+    items.sort(key=lambda item: next((i for i, room in enumerate(LONG_ROOMS) if room in item.path.parts), len(LONG_ROOMS)))
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +36,7 @@ def mikron() -> Machine:
 
 @pytest.fixture(scope="session")
 def nominal_campaign() -> Path:
-    """Runs recorded on a nominal machine; skips where they are not there."""
+    """Runs recorded on a nominal machine; skips the test if they are missing."""
     folder = SHARED / "campaigns" / "nominal"
     if not folder.is_dir():
         pytest.skip("no recorded campaign: ../shared/campaigns/nominal is not beside this repository")
@@ -43,7 +44,7 @@ def nominal_campaign() -> Path:
 
 
 def swings(machine: Machine, seconds: float, period: float = 1e-3) -> Setpoints:
-    """Every axis swings from rest about the middle of its reach, each at its own frequency."""
+    """Every axis oscillates from rest about the middle of its travel, each at its own frequency."""
     t = np.arange(round(seconds / period) + 1) * period
     columns = []
     for a, axis in enumerate(machine.axes):

@@ -17,7 +17,7 @@ LOADERS = {"np", "numpy", "pickle", "tomllib", "json", "trimesh", "URDF", "panda
 """What has a `load`, `loads` or `run_path` that reads a file or its text."""
 
 ALLOWED = {
-    "cli/exam.py": {"read_bytes": 2, "read_text": 1},  # the machine file that is asked for, and the seal that it wrote
+    "cli/exam.py": {"read_bytes": 2},  # the machine file that is asked for
     "cli/import_recordings.py": {"read_text": 1},  # a map that it would write over
     "cli/parser.py": {"open": 1},  # os.devnull
     "compiled_functions.py": {"read_bytes": 3},  # the package's own source
@@ -27,7 +27,6 @@ ALLOWED = {
     "documents.py": {"read_text": 1, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
     "effects/user_files.py": {"exec_module": 1},  # effects that --effects names: code of the user's own
     "exam/answer.py": {"read_bytes": 3},  # what the examination wrote, against its seal
-    "exam/draw.py": {"read_text": 1, "tomllib.loads": 1},  # runs apart from the package, with the files of its own examination
     "exam/mark.py": {"read_text": 1},  # what the examination wrote
     "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
     "exam/session.py": {"read_bytes": 3, "read_text": 3, "tomllib.loads": 2},  # the package's own source, and what the examination wrote
@@ -106,10 +105,7 @@ WRITERS = {"write_text", "write_bytes", "savefig", "write_table", "write_csv", "
 """Names of calls that write a file; methods of `copy` count for shutil alone."""
 
 WRITES = {
-    "exam/draw.py": {
-        "write_table": 1,
-        "write_text": 1,
-    },  # apart from the package; runs before the campaign.toml that makes them count, and a truth
+    "exam/draw.py": {"write_table": 1},  # apart from the package; runs before the campaign.toml that makes them count
     "recordings/formats/delimited.py": {"copyfile": 1},  # its own scratch files
     "recordings/trace.py": {"write_table": 1},  # blocks of a file that `beside` opened
     "recordings/write.py": {"write_table": 1},  # a piece of a file that `beside` opened

@@ -1,8 +1,8 @@
-"""What does a diagnosis say of a law that nobody listed? A machine of the second plant with one, recorded and diagnosed.
+"""Diagnosis of an unlisted law: a machine of the second plant with such a law is recorded and diagnosed.
 
     python examples/unlisted_law/run.py [--out out/unlisted_law]
 
-The second plant shares no code with the twin. Its Y axis has a drag by the square of the speed (grease that churns), which no effect of the
+The second plant shares no code with the twin. Its Y axis has a drag by the square of the speed (churning grease), which no effect of the
 library describes. Only the Y axis is recorded. The truth is printed at the end; the diagnosis never sees it.
 """
 
@@ -12,38 +12,24 @@ import argparse
 import json
 from pathlib import Path
 import sys
+import tomllib
 
 import pyarrow.parquet as pq
 
 from twin.cli import main as twin
-from twin.exam.draw import main as draw
+from twin.exam.draw import SHIPPED_MACHINE, draw_case, write_campaign
 
-SEED, EFFECT, AXIS = "7101", "windage", "Y"
+SEED, EFFECT, AXIS = 7101, "windage", "Y"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/unlisted_law"), metavar="DIR", help="folder for campaign and diagnosis")
     out = parser.parse_args().out
-    campaign, truth = out / "campaign", out / "truth.toml"
-    words = [
-        "--seed",
-        SEED,
-        "--kind",
-        "outside",
-        "--effect",
-        EFFECT,
-        "--axis",
-        AXIS,
-        "--runs",
-        "short",
-        "--out",
-        str(campaign),
-        "--truth",
-        str(truth),
-    ]
-    if code := draw(words):
-        sys.exit(code)
+    campaign = out / "campaign"
+    sheet = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
+    case = draw_case(SEED, "outside", sheet, effect=EFFECT, axis=AXIS, run_set="short")
+    write_campaign(case, campaign, sheet, runs="short")
     for file in campaign.glob("*.parquet"):
         table = pq.read_table(file)
         pq.write_table(table.select([c for c in table.column_names if c.startswith(("time", f"{AXIS}."))]), file)
@@ -53,9 +39,7 @@ def main() -> None:
     for law in document["laws"]:
         for known in law["looks_like"]:
             print(f"looks like: {known['name']}. {known['sentence']} To be sure, measure {known['to_be_sure']}.")
-    print(
-        "\nthe truth:", *[line for line in truth.read_text(encoding="utf-8").split("[[outside]]")[1].splitlines()[1:5] if line], sep="\n  "
-    )
+    print("\nthe truth:", *(f"{key} = {value}" for key, value in case.effects[0].items()), sep="\n  ")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import pytest
 from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
 from twin.exam.answer import write_answer
-from twin.exam.budget import budget_of, groups_of
+from twin.exam.budget import SIGNALS, SUBSTEPS, budget_of, groups_of, noise_of
 from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of, truth_toml
 from twin.exam.mark import mark, mark_answer
 from twin.exam.mark_budget import mark_budget
@@ -36,7 +36,7 @@ SCALE = {"constant_force": "force", "cyclic_error": "amplitude", "lead_error": "
 
 @pytest.fixture
 def drawn_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No plant run asks whether a drawn machine is stable: what is drawn is all that counts here."""
+    """Skip the stability run of drawn machines, which these tests do not need."""
     monkeypatch.setattr(drawing, "behaves", lambda case, machine: True)
 
 
@@ -84,7 +84,7 @@ def test_a_background_is_3_to_15_percent_of_usual_sizes() -> None:
 
 @pytest.mark.usefixtures("drawn_only")
 def test_old_kinds_stay_what_they_were() -> None:
-    """Numbers of a seed as they were drawn before everyday and wide machines existed."""
+    """Seeds give the same numbers as before everyday and wide machines existed."""
     case = draw_case(5, "single", MACHINE, effect="speed_integral_time", axis="Y")
     assert (case.encoder_zero, case.wide) == ("each run", False)
     assert case.effects[0]["factor"] == pytest.approx(SPEED_INTEGRAL_TIME_OF_SEED_5, rel=1e-12)
@@ -134,13 +134,14 @@ def test_a_tenth_of_every_kind_is_wide() -> None:
     assert sum(s.share for s in STRATA) == pytest.approx(1.0)
     assert all(type(q.wide) is bool for q in questions)  # it is written to the sealed truth
     assert [q.number for q in questions_of(4, 1000) if q.wide] != [q.number for q in questions if q.wide]
+    assert {questions_of(seed, 1)[0].wide for seed in range(40)} == {True, False}  # also in small examinations
 
 
 # --- the plant ---------------------------------------------------------------------------------------
 
 
 def moves(seconds: float = 0.6) -> TestRun:
-    """All axes turn round and move, each with its own rhythm; nothing begins at zero."""
+    """All axes move and reverse, each at its own frequency, from starts away from zero."""
     t = np.arange(round(seconds * 1e3)) * 1e-3
     wave = [
         start + size * np.sin(2 * math.pi * hz * t) ** 2
@@ -183,8 +184,16 @@ def test_axes_that_push_each_other_are_one_group() -> None:
     assert groups_of(joined) == [("X", "Z"), ("Y",), ("A", "C")]
 
 
+def test_noise_is_the_spread_of_several_recordings() -> None:
+    """The current noise from two recordings agrees with the standard deviation over six others."""
+    case, test = machine_with(), moves(0.3)
+    recordings = [drawing.simulate(replace(case, noise_seed=seed), MACHINE, test, 0.0, SUBSTEPS) for seed in range(6)]
+    spread = np.sqrt(np.mean(np.var([r.current for r in recordings], axis=0, ddof=1), axis=0))
+    assert noise_of(replace(case, noise_seed=7), MACHINE, test, 0.0)[SIGNALS.index("current")] == pytest.approx(spread, rel=0.15)
+
+
 def test_a_budget_is_what_changes_without_each_effect() -> None:
-    """Effects asked together, axis by axis, get what each gets by itself; a drift is its formula."""
+    """Effects removed together on different axes get the same budget as alone; a drift agrees with its formula."""
     case = machine_with(CYCLIC, *FORCES, DRIFT)
     rows = {(r["effect"], r["axis"]): r for r in budget_of(case, MACHINE, [moves(), moves()])}
     assert len(rows) == 6
@@ -254,13 +263,13 @@ def test_what_is_missed_false_or_out_of_order_is_marked() -> None:
 def test_probabilities_are_asked_of_every_candidate_that_can_be_known() -> None:
     tried = {("thermal_drift", "X"): 0.2, ("inertia", "Y"): 0.3, ("stribeck", "C"): 0.6}
     m = mark_budget(TRUTH, said({("thermal_drift", "X"): 200.0}, tried))
-    # named: 0.9 of what is there; tried and not there: 0.3; hidden below noise: not asked; three others that must be seen: 0
+    # named and present: 0.9; tried and absent: 0.3; below the visible size: not scored; three other visible ones: 0
     assert sorted(m["candidates"]) == [[0.0, True]] * 4 + [[0.3, False], [0.9, True]]
 
 
 @pytest.mark.usefixtures("drawn_only")
 def test_an_everyday_machine_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawn with its budget, recorded, answered, marked: with a background on X alone, one run, and an answer that is written here."""
+    """Drawn with its budget, recorded, answered by this test, marked; with background effects on X only and one run."""
     monkeypatch.setattr(drawing, "BACKGROUND", tuple(b for b in BACKGROUND if b[1] == "X"))
     monkeypatch.setattr(drawing, "MOST_MAIN", 0)
     monkeypatch.setitem(drawing.RUN_SETS, "short", ("acceleration",))

@@ -1,4 +1,4 @@
-"""The examination: what is asked, sealed and marked; and a short one, sat for real."""
+"""The examination: questions, seals, marks and scores; and a complete short examination."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PLANT = [*sorted((PACKAGE / "plant").glob("*.py")), *(PACKAGE / f"{name}.py" for
 
 
 def test_the_plant_imports_nothing_of_the_twin() -> None:
-    """A twin that is checked against itself proves nothing."""
+    """The second plant imports nothing of the twin."""
     assert len(PLANT) > 10
     for module in PLANT:
         text = module.read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def test_the_plant_imports_nothing_of_the_twin() -> None:
 
 
 def test_the_candidate_cannot_see_the_truth() -> None:
-    """The process that is examined imports neither the drawing nor the marking."""
+    """The examined process imports neither the drawing nor the marking."""
     for module in ("candidate", "baselines", "answer"):
         text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
         assert not re.search(r"(from|import) (twin\.exam)?\.(draw|mark|session|questions|score)\b", text), module
@@ -76,7 +76,7 @@ def test_a_seal_holds(tmp_path: Path) -> None:
     digest = seal("the truth\n", tmp_path)
     assert digest == hashlib.sha256(b"the truth\n").hexdigest()
     assert seal("the truth\n", tmp_path) == digest  # an examination that goes on
-    with pytest.raises(InputError, match="another examination was sealed here"):
+    with pytest.raises(InputError, match="an examination with other machines was sealed here"):
         seal("another truth\n", tmp_path)
     with pytest.raises(InputError, match="not those that were sealed"):
         unseal("a truth bent afterwards\n", tmp_path)
@@ -225,8 +225,8 @@ def test_pairs_alone_and_lost_cases_make_a_report() -> None:
     ]
     document = {"score": score(marks), "marks": [{"case": "0", **m} for m in marks], "not_drawn": {}, "not_answered": 3}
     titles = [s.title for s in sections_of({**document, "seed": 1, "richness": "off", "seal": "0"})]
-    assert "What was taken for what" not in titles
-    assert "How far the gap shrinks" in titles
+    assert "Confusion matrix" not in titles
+    assert "Gap before and after" in titles
 
 
 def test_wilson_interval_against_the_printed_one() -> None:
@@ -237,7 +237,7 @@ def test_wilson_interval_against_the_printed_one() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--cases", "0"], "give 1 or more"),
+        (["--cases", "0"], "give 1 to 100000"),
         (["--seed", "-1"], "give 0 or more"),
         (["--workers", "0"], "give 1 or more"),
         (["--only", "health"], "healthy"),
@@ -273,22 +273,22 @@ def test_place_that_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 KINDS = ("usual", "scale and current", "healthy", "outside")
-"""One case of each: an effect to be named, with all signals and with few; nothing; what cannot be named. An everyday machine takes longer than these
-together: test_everyday.py diagnoses one axis of one."""
+"""One case each: an effect with all signals, an effect with few signals, no effect, a fault outside the library. An everyday machine would take
+longer than these together; test_everyday.py marks one with a single axis."""
 RUNS = {"short": ("acceleration", "reversal", "five_axis"), "exam": ("exam_five_axis",)}
 CASES = len(KINDS)
 
 
 @contextlib.contextmanager
 def threads(scheduler: str | None, workers: int | None) -> Iterator[ThreadPoolExecutor]:
-    """In the place of `processes`: what is patched here counts there, too. Diagnoses are processes of their own as ever."""
+    """Replaces `processes`, so that patches of this process take effect; diagnoses still run in separate processes."""
     with ThreadPoolExecutor(2) as pool:
         yield pool
 
 
 @pytest.fixture(scope="module")
 def sat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[str]]]:
-    """A short examination, and how it was called."""
+    """A short examination: its folder and its arguments."""
     out = tmp_path_factory.mktemp("exam")
     arguments = ["exam", "--seed", "11", "--cases", str(CASES), "--short", "--quick", "--richness", "off", "--out", str(out)]
     with pytest.MonkeyPatch.context() as patch:
@@ -301,7 +301,7 @@ def sat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[s
 
 
 def finished(out: Path, code: object) -> Path:
-    """The folder of an examination that ended with the exit code that its targets ask for."""
+    """The folder of an examination, after checking its exit code against its targets."""
     targets = json.loads((out / "exam.json").read_text(encoding="utf-8"))["score"]["targets"]
     assert code == int(any(is_failed(t) for t in targets))
     return out
@@ -320,10 +320,10 @@ def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
     # no simpler method does as well
     for baseline in ("re-tuning", "nearest signature", "sparse regression"):
         assert sum(m["baselines"][baseline]["first"] for m in marks) < sum(m["first"] for m in marks)
-    # and they are no straw men
+    # but they name some effects
     assert sum(m["baselines"]["nearest signature"]["first"] for m in marks) > 0
     assert sum(m["baselines"]["sparse regression"]["first"] for m in marks) > 0
-    # the plant is not the twin: with the same parameters they are close, and not the same
+    # the plant is not the twin: with the same parameters they are close but not equal
     same = document["score"]["same_parameters"]
     assert 0.5 < same["level"] < 2.0
     assert (out / "report.html").stat().st_size > 50_000
@@ -381,7 +381,7 @@ def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.
 
 def test_nothing_can_be_opened_that_was_not_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exam", "--seed", "3", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
-    assert "nothing has been answered yet" in capsys.readouterr().err
+    assert "no case has been diagnosed yet" in capsys.readouterr().err
     assert not (tmp_path / "truths.json").exists()
 
 
@@ -391,7 +391,7 @@ def outlook_of(products: np.ndarray, nuisances: int) -> dict[str, Any]:
 
 
 def test_what_could_be_found_by_closed_forms() -> None:
-    """Two answers of length a and b under the angle phi: found from sqrt(2 DEFAULT.evidence) / a, told apart from that over sin(phi)."""
+    """Two responses of length a and b at an angle phi: found from sqrt(2 DEFAULT.evidence) / a, separated from that over sin(phi)."""
     a, b, phi = 10.0, 20.0, 0.3
     cross = a * b * math.cos(phi)
     one = outlook_of(np.array([[a * a, cross], [cross, b * b]]), 0)["one"]
@@ -403,7 +403,7 @@ def test_what_could_be_found_by_closed_forms() -> None:
 
 
 def test_what_re_tuning_does_alike_cannot_be_found() -> None:
-    """A nuisance whose answer is the effect's leaves of it what its prior forbids."""
+    """If a nuisance has the same response as an effect, only its prior makes the effect visible."""
     c = 100.0
     one = outlook_of(np.array([[c * c, c * c, 0.0], [c * c, c * c, 0.0], [0.0, 0.0, 1.0]]), 1)["one"]
     left = c * c - c**4 / (c * c + DEFAULT.prior_weight)

@@ -271,7 +271,7 @@ def test_same_seed_same_trace():
 
 
 def lively() -> TestRun:
-    """0.9 s in which every axis accelerates, turns round and moves slowly, each with its own rhythm."""
+    """0.9 s in which every axis accelerates, reverses and moves slowly, each at its own frequency."""
     t = np.arange(900) * 1e-3
     ease = np.minimum(1.0, t / 0.2) ** 2 * (3 - 2 * np.minimum(1.0, t / 0.2))
     columns = [
@@ -350,7 +350,7 @@ def test_kinds_of_cases():
 def test_a_state_that_is_no_number_is_reported():
     s = nominal()
     s.inductance[Y] = 1e-9  # far too fast for the step
-    with pytest.raises(PlantError, match="axis Y ran away"):
+    with pytest.raises(PlantError, match="axis Y is unstable"):
         run(s, LIVELY.set_points)
 
 
@@ -415,7 +415,7 @@ RECORDED = [("nominal", "circle_zx"), ("nominal", "acceleration"), ("f", "five_a
 
 @pytest.mark.parametrize(("campaign", "name"), RECORDED)
 def test_recorded_runs_are_reproduced(campaign, name):
-    """Richness off, its true parameters and effects: what is left is two independent noises, here and in the record."""
+    """Without richness and with the true parameters and effects only two independent noises remain, here and in the recording."""
     if not SHARED.is_dir():
         pytest.skip("the recorded campaigns (../shared/campaigns beside the repository) are not here")
     about = {r["file"]: r for r in tomllib.loads((SHARED / campaign / "campaign.toml").read_text())["run"]}[f"{name}.parquet"]
@@ -437,7 +437,7 @@ def test_recorded_runs_are_reproduced(campaign, name):
 
 
 def test_set_points_of_a_program_keep_their_period():
-    """Every second sample, said to be 2 ms apart, is the same run: read as 1 ms apart it would be twice as fast and millimetres off."""
+    """Every second sample with a period of 2 ms is the same run; read with 1 ms it would be millimetres off."""
     settings = settings_of(MACHINE, unit_factors())
     points = LIVELY.set_points[:401]
     whole, half = run(settings, points, noise=False), run(settings, points[::2], noise=False, set_point_period_s=2e-3)

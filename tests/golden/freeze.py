@@ -1,4 +1,4 @@
-"""The frozen run, and the command that freezes it again after a wanted change:
+"""The frozen run, and the command that stores it again after an intended change:
 
 python -m tests.golden.freeze
 """

@@ -1,4 +1,4 @@
-"""A frozen run: whatever changes the numbers of the twin shows here, with the versions that made the frozen ones."""
+"""A frozen run: detects any change of the twin's numbers; its package versions are stored with it."""
 
 import json
 

@@ -1,7 +1,7 @@
-"""Hidden effects found on machines that are not the twin: the examination's plant records, the search names.
+"""Hidden effects on machines of the second plant are found by the search.
 
-Each effect stands here with one that is easily taken for it. One axis, three short runs; the whole library is a candidate
-every time. The long examination is a command.
+Each effect is listed beside one that is easily confused with it. One axis, three short runs, the whole library as candidates. The
+long examination is a command.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -47,7 +47,7 @@ def run_of(name, turns):
 
 
 def travel(axis):
-    """Over a good part of the travel; the table turns while it is tilted."""
+    """A long run over the travel; the table rotates while tilted."""
     if axis == "A":
         return run_of("travel", {"A": ([0.5, -1.2, 0.7], 0.5), "C": ([3.0, 3.0, -6.0], 1.5)})
     one = 1.0 if axis in "XYZ" else 16.0
@@ -55,7 +55,7 @@ def travel(axis):
 
 
 def campaign_of(folder, kind, effect, axis, runs, richness=RIGID):
-    """Draw a machine and record it: (campaign, what is hidden)."""
+    """Draw a machine and record it: (campaign, hidden effect)."""
     table = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
     case = draw_case(SEED, kind, table, effect=effect, axis=axis if effect else None, richness=richness)
     record(case, runs, axis if axis in "XYZ" else "AC", folder, table)
@@ -63,7 +63,7 @@ def campaign_of(folder, kind, effect, axis, runs, richness=RIGID):
 
 
 def observed(folder, kind, effect, axis, richness=RIGID):
-    """Draw a machine, record it: (what it shows beside the twin, truth)."""
+    """Draw a machine and record it: (its residuals against the twin, truth)."""
     campaign, hidden = campaign_of(folder, kind, effect, axis, [*short_runs(axis), travel(axis)], richness)
     return group_of(campaign, axis), hidden
 
@@ -126,7 +126,7 @@ def test_hidden_effect_is_named_with_its_size(tmp_path, effect, axis, parameter,
 
 
 def with_late_break_away(group, samples):
-    """The group where each record shows its first start that much later than it was, in the speed."""
+    """The group with the first start of each run delayed by `samples` in the recorded speed."""
     channels = []
     for channel in group.channels:
         residual = channel.residual.copy()
@@ -142,7 +142,7 @@ def with_late_break_away(group, samples):
 
 @pytest.mark.parametrize(("effect", "parameter"), [("coulomb_friction", "factor"), ("stribeck", "velocity")])
 def test_a_late_break_away_bends_no_size(tmp_path, effect, parameter):
-    """6 ms late, an error of a few samples that depends steeply on friction: followed, it costs 6 % of the size."""
+    """A break-away 6 ms late affects a few samples that depend steeply on friction; fitting them would change the size by 6 %."""
     group, hidden = observed(tmp_path, "single", effect, "X")
     found = sized(searched(with_late_break_away(group, 3)), load_machine(), map)
     assert [s.effect.name for s in found.fit.settings] == [effect]
@@ -155,21 +155,21 @@ def test_a_late_break_away_bends_no_size(tmp_path, effect, parameter):
     [pytest.param("hardening_spring", "X", marks=pytest.mark.slow), ("windage", "Y"), ("notch_filter", "Z"), ("scale_coupling_play", "Z")],
 )
 def test_effect_outside_the_library_is_unknown(tmp_path, effect, axis):
-    """Its next of kin may be named, but does not explain it: one size in one run and another in the next, or much left in all."""
+    """A related effect may be named but does not explain it: its size differs between runs, or much remains."""
     found, _ = found_on(tmp_path, "outside", effect, axis)
     assert is_unknown(found)
 
 
 @pytest.mark.parametrize(("effect", "axis"), [("current_limit", "C"), ("backlash", "A"), ("speed_gain", "Y")])
 def test_large_effect_casts_no_shadow(tmp_path, effect, axis):
-    """On a machine with a little of everything, what a large effect leaves of its own is no second effect."""
+    """On a machine with small imperfections the remainder of a large effect is not named as a second effect."""
     found, _ = found_on(tmp_path, "single", effect, axis, Richness.small())
     assert [(s.effect.name, s.axis) for s in found.fit.settings] == [(effect, axis)]
     assert not is_unknown(found)
 
 
 def test_a_position_gain_leaves_nothing_of_its_law(tmp_path):
-    """Its controller is fed with the measured position: where an axis came to rest by chance is no part of it."""
+    """The controller law uses the measured position, so the random rest position of an axis leaves no residual."""
     found, hidden = found_on(tmp_path, "single", "position_gain", "Z", Richness.small())
     levels = [float(np.mean(u**2)) for channel, u in settled_channels(found) if channel.name == "controller"]
     assert max(levels) < 1.6  # 1.4; fed with the simulated position 2.0
@@ -177,7 +177,7 @@ def test_a_position_gain_leaves_nothing_of_its_law(tmp_path):
 
 
 def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
-    """Its first free mode at 1 / position cycle: there what little its damping differs shows as if a filter were off."""
+    """With its first mode at 1 / position cycle, a slightly different damping resembles a wrong filter."""
     found, _ = found_on(tmp_path, "healthy", None, "C", replace(Richness.small(), compliance_hz=(402.0, 403.0)))
     assert found.fit.settings == ()
     assert not is_unknown(found)
@@ -185,7 +185,7 @@ def test_drive_train_that_meets_the_cycle_of_the_control_is_healthy(tmp_path):
 
 
 def of_scale_and_current(folder, kind, effect, axis, richness=RIGID):
-    """Draw a machine, record set point, scale and current alone: (what it shows beside the twin, truth)."""
+    """Draw a machine and record set point, scale and current only: (its residuals against the twin, truth)."""
     hidden = campaign_of(folder, kind, effect, axis, [*short_runs(axis), travel(axis)], richness)[1]
     for file in folder.glob("*.parquet"):
         table = pq.read_table(file)
@@ -196,7 +196,7 @@ def of_scale_and_current(folder, kind, effect, axis, richness=RIGID):
 
 @pytest.mark.parametrize("mode_hz", [430.0, 452.0, 476.0, 520.0])
 def test_drive_train_that_meets_the_cycle_is_found_without_motor_encoder(tmp_path, mode_hz):
-    """Scale and current alone: a mode a twentieth off leaves half as much again as there is noise."""
+    """With scale and current only, a mode 5 % off would leave half the noise in addition."""
     richness = replace(Richness.small(), compliance_hz=(mode_hz, mode_hz + 0.5))
     found = searched(of_scale_and_current(tmp_path, "healthy", None, "X", richness)[0])
     assert found.fit.settings == ()
@@ -208,7 +208,7 @@ def test_drive_train_that_meets_the_cycle_is_found_without_motor_encoder(tmp_pat
 
 
 def test_a_lead_error_shows_without_motor_encoder(tmp_path):
-    """The speed loop feels that the motor turns otherwise, beside a drive train that is known. So it does of a set point a little late."""
+    """With a known drive train the changed motor motion shows in the speed loop; a slightly late set point has the same effect."""
     group, hidden = of_scale_and_current(tmp_path, "single", "lead_error", "Z", replace(Richness.small(), compliance_hz=(460.0, 461.0)))
     first = searched(group).rounds[0]
     lead = next(c for c in first if c.setting.effect.name == "lead_error")
@@ -224,7 +224,7 @@ def test_healthy_machine_has_none(tmp_path):
 
 
 def test_what_a_run_cannot_tell_apart_is_called_ambiguous(tmp_path):
-    """On the way at a steady speed a scale that drifts and a screw with a wrong lead do the same."""
+    """In a run at constant speed a drifting scale and a lead error have the same effect."""
     campaign_of(tmp_path, "single", "thermal_drift", "Z", [run_of("cruise", {"Z": ([0.2], 0.03)})])
     whole = pq.read_table(tmp_path / "cruise.parquet")
     pq.write_table(whole.slice(400, 5600), tmp_path / "cruise.parquet")

@@ -1,4 +1,4 @@
-"""examples/emps all the way: on the measured axis where its record is there, and always on a record that is made here."""
+"""examples/emps as a whole: on the measured axis if its recording is available, and on a simulated recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from tests.conftest import ROOT, SHARED
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
 from twin.identify.single_axis import fit_single_axis
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
+from twin.simulation.gap import SignalGap
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -30,29 +31,26 @@ def example() -> ModuleType:
     return script("examples/emps/run.py", "emps_example")
 
 
-def diagnosis_of(example: ModuleType, record: Path, out: Path) -> tuple[dict[str, Any], dict[str, float]]:
-    """The diagnosis of a record, and the RMS [um] of each machine's gap on the last third."""
-    example.import_record(record, out, picture=False)
-    document = example.diagnosed(out, quick=True)
-    machines = {"file": load_machine(example.MACHINE), "published": example.published(), "corrected": example.corrected(out)}
+def gaps_on_last_third(example: ModuleType, out: Path, machines: dict[str, Machine]) -> dict[str, dict[str, SignalGap]]:
+    """Gap of X on the last third of the recording, by machine and signal."""
     run, predictions = example.last_third(out, machines)
-    return document, {name: example.gap_of(machines[name], run, p)["X"]["motor_position"].rms for name, p in predictions.items()}
+    return {name: example.gap_of(machines[name], run, p)["X"] for name, p in predictions.items()}
 
 
 def control_is_not_blamed(document: dict[str, Any]) -> None:
-    """No place, no effect, and no candidate that would close anything lies in a controller."""
+    """No place, no effect, and no candidate with an influence on the gap is in a controller."""
     assert not [p for p in document["where"] if p["block"] in CONTROL]
     assert not [e for e in document["effects"] if e["block"] in CONTROL]
     alone = {c["effect"]: c["explained"] for c in document["candidates"] if "beside" not in c}
     asked = ("position_gain", "speed_gain", "loop_delay", "set_point_filter", "current_filter")
     assert document["where"]
     assert alone
-    assert all(alone.get(name, 0.0) < 0.05 for name in asked)  # what closes nothing is not listed
+    assert all(alone.get(name, 0.0) < 0.05 for name in asked)  # candidates without influence are not listed
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
-    """A record like the measured one, of the machine file with what is planted: three speeds there and back, 24.84 s."""
+    """A recording like the measured one, simulated with planted effects: three speeds there and back, 24.84 s."""
     machine = load_machine(example.MACHINE)
     settings = [check_setting({"name": n, "axis": "X", **p}, machine, "planted") for n, p in PLANTED.items()]
     times = [0.0, 0.05, 0.45, 0.5, 0.6, 1.25, 1.35, 1.4, 1.55, 2.6, 2.75, 2.8, 2.85, 3.02, 3.07, 3.12]
@@ -74,14 +72,16 @@ def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
 
 
 def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_path: Path) -> None:
-    document, gaps = diagnosis_of(example, made, tmp_path)
+    example.import_record(made, tmp_path, picture=False)
+    document = example.diagnosed(tmp_path, quick=True)
+    gaps = gaps_on_last_third(example, tmp_path, {"file": load_machine(example.MACHINE), "corrected": example.corrected(tmp_path)})
     found = {e["effect"]: e["parameters"] for e in document["effects"]}
     assert set(found) == set(PLANTED)
     assert found["viscous_asymmetry"]["fraction"]["value"] == pytest.approx(-0.19, rel=0.03)
     assert found["torque_ripple"]["amplitude_nm"]["value"] == pytest.approx(4e-4, rel=0.05)
     assert found["torque_ripple"]["periods_per_rev"]["value"] == pytest.approx(1.0, rel=1e-3)
     control_is_not_blamed(document)
-    assert gaps["corrected"] < 0.1 * gaps["file"]
+    assert gaps["corrected"]["motor_position"].rms < 0.1 * gaps["file"]["motor_position"].rms
     told = example.order_text(document)
     assert told.index("viscous asymmetry") < told.index("torque ripple") < told.index("no effect of the library")
 
@@ -98,23 +98,34 @@ def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: p
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.slow
-def test_the_measured_axis(example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Effects, sizes and gap of the measured record; unlisted laws, which take most of a diagnosis, are not searched for here."""
-    monkeypatch.setattr("twin.diagnose.procedure.laws_beside", lambda *_: ())
+@pytest.fixture(scope="module")
+def measured(example: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The measured recording, imported, identified and diagnosed in full: folder and diagnosis."""
     if not RECORD.is_file():
         pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
-    document, gaps = diagnosis_of(example, RECORD, tmp_path)
+    out = tmp_path_factory.mktemp("measured")
+    example.import_record(RECORD, out, picture=False)
+    example.show_and_run("identify", out / "fit", "--machine", example.MACHINE, "--out", example.identified_file(out))
+    return out, example.diagnosed(out)
+
+
+@pytest.mark.slow
+def test_the_measured_axis(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
+    """Effects, sizes and gap of the measured recording."""
+    out, document = measured
+    machines = {"file": load_machine(example.MACHINE), "published": example.published(), "corrected": example.corrected(out)}
+    gaps = gaps_on_last_third(example, out, machines)
     assert document["effects"][0]["effect"] == "viscous_asymmetry"
     assert -0.25 < document["effects"][0]["parameters"]["fraction"]["value"] < -0.13
     control_is_not_blamed(document)
     assert np.sqrt(np.mean(example.law_error(example.read_emps(RECORD)) ** 2)) < 4.5e-3
-    assert gaps["corrected"] < 0.5 * gaps["file"]
-    assert gaps["corrected"] < 0.85 * gaps["published"]
+    position = {name: gap["motor_position"].rms for name, gap in gaps.items()}
+    assert position["corrected"] < 0.5 * position["file"]
+    assert position["corrected"] < 0.85 * position["published"]
 
 
 def diagnosis_told(document: dict[str, Any]) -> list[str]:
-    """What the page says of a diagnosis: effects with their intervals, laws by their heights where they have one, verdict, gap."""
+    """Statements of the page on a diagnosis: effects with intervals, heights of laws, verdict, gap."""
     found = {e["effect"]: e["parameters"] for e in document["effects"]}
     fraction, ripple = found["viscous_asymmetry"]["fraction"], found["torque_ripple"]["amplitude_nm"]
     laws = [law["parameters"]["height"] for law in document["laws"] if "height" in law["parameters"]]
@@ -129,23 +140,17 @@ def diagnosis_told(document: dict[str, Any]) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_page_holds_todays_numbers(example: ModuleType, tmp_path: Path) -> None:
+def test_the_page_holds_todays_numbers(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
     """docs/measured_axis.md: law, identification, diagnosis, gap on the last third, regression."""
-    if not RECORD.is_file():
-        pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
     page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
-    record = example.read_emps(RECORD)
-    example.import_record(RECORD, tmp_path, picture=False)
-    example.show_and_run("identify", tmp_path / "fit", "--machine", example.MACHINE, "--out", example.identified_file(tmp_path))
-    axis = example.identified(tmp_path).axis("X")
-    document = example.diagnosed(tmp_path)
+    (out, document), record = measured, example.read_emps(RECORD)
+    axis = example.identified(out).axis("X")
     machines = {"start": load_machine(example.MACHINE), "published": example.published()}
-    machines |= {"identified": example.identified(tmp_path), "corrected": example.corrected(tmp_path)}
-    run, predictions = example.last_third(tmp_path, machines)
-    rows = {}
-    for name, prediction in predictions.items():
-        gap = example.gap_of(machines[name], run, prediction)["X"]
-        rows[name] = f"| {gap['motor_position'].rms:.2f} um | {gap['voltage'].rms:.3f} V | {gap['motor_position'].max:.1f} um |"
+    machines |= {"identified": example.identified(out), "corrected": example.corrected(out)}
+    rows = {
+        name: f"| {gap['motor_position'].rms:.2f} um | {gap['voltage'].rms:.3f} V | {gap['motor_position'].max:.1f} um |"
+        for name, gap in gaps_on_last_third(example, out, machines).items()
+    }
     said = [
         f"{np.sqrt(np.mean(example.law_error(record) ** 2)) * 1e3:.1f} mV RMS",
         f"inertia {axis.moving_mass_kg + axis.reflected_inertia:.1f} kg",

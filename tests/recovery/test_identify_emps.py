@@ -1,4 +1,4 @@
-"""A really measured axis (EMPS benchmark), where its record is there; and its own simulation, always."""
+"""A measured axis (EMPS benchmark), if its recording is available, and a simulation of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Known machines are found again: recorded, drawn with a richer plant and 30 % off, re-simulated, planned."""
+"""Identification of known machines: recorded, drawn 30 % off on a richer plant, refined by simulation, planned."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def check(judged: list[Judged]) -> None:
 
 
 FEW = ("constant_velocity", "acceleration_ff_off", "acceleration", "tilt_hold", "circle_xy")
-"""Runs of a campaign that hold what there is to know; the last one is left out of the fit."""
+"""Runs that determine all parameters; the last one is left out of the fit."""
 
 
 def test_a_recorded_machine(study: ModuleType, mikron: Machine) -> None:
@@ -132,7 +132,7 @@ def test_the_example_plans_records_and_identifies(tmp_path: Path) -> None:
 
 
 def test_a_contradicted_tolerance_keeps_the_torque_constants(mikron: Machine) -> None:
-    """Everything 20 % off in a file that promises 1 %: nothing is split, the product is the value."""
+    """With everything 20 % off in a file with a tolerance of 1 %, products are not split."""
     machine = mikron.with_axes(["X"])
     axis = machine.axis("X")
     true = machine.with_axis(
@@ -147,7 +147,7 @@ def test_a_contradicted_tolerance_keeps_the_torque_constants(mikron: Machine) ->
 
 @pytest.fixture(scope="module")
 def predict_once() -> Callable[..., Any]:
-    """The simulations behind a prediction, made once: they do not hang on the wanted precision."""
+    """The simulations behind a prediction, made once, because they do not depend on the wanted precision."""
     kept: list[Any] = []
 
     def predict(*arguments: Any) -> Any:
@@ -161,7 +161,7 @@ def predict_once() -> Callable[..., Any]:
 def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(
     mikron: Machine, predict_once: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Z by itself: planned, recorded by the twin with other noise, identified: intervals come out as predicted, and hold."""
+    """Z alone: planned, recorded by the twin with other noise, identified; intervals are as predicted and contain the truth."""
     monkeypatch.setattr("twin.identify.plan._predict", predict_once)
     machine = mikron.with_axes(["Z"])
     plan = plan_campaign(machine, precision=0.02)

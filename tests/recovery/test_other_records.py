@@ -1,4 +1,4 @@
-"""Records and machines off the beaten track: a clock that fits no cycle, one signal only, no tolerance; the diagnosis still answers."""
+"""Diagnosis of unusual recordings and machines: a clock that fits no cycle, a single signal, no tolerance."""
 
 from dataclasses import replace
 import math
@@ -31,7 +31,7 @@ FOLDS = [[0], [1], [2]]
 
 @pytest.mark.parametrize(("period", "begin"), [(1e-3, 86400.123), (0.9e-3, 0.0), (1.0 / 1024.0, 17.0)])
 def test_a_clock_that_fits_no_cycle_is_no_fault(tmp_path, period, begin):
-    """The twin is compared at the times of the record; the controllers' own samples are not looked for where they are not recorded."""
+    """The twin is compared at the times of the recording; controller samples are used only if they are recorded."""
     campaign, _ = campaign_of(tmp_path, "healthy", None, "X", [*short_runs("X"), travel("X")])
     machine, runs = load_machine(), []
     for run in campaign.runs:
@@ -66,7 +66,7 @@ def test_a_machine_without_tolerance_is_searched(tmp_path):
 
 
 def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp_path):
-    """What is not named does not stand in the corrected machine."""
+    """An effect that is not named is not in the corrected machine."""
     group, _ = observed(tmp_path, "single", "coulomb_friction", "X")
     found = searched(group)
     assert len(named([found])) == 1
@@ -76,7 +76,7 @@ def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp
 
 
 def test_each_of_two_effects_keeps_its_own_place():
-    """Both keep what they show; what a block without an effect shows goes to the larger of them but for a twentieth."""
+    """Both effects keep their own blocks; the share of a block without an effect goes to the larger one, except a twentieth."""
     listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
         _lead(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
@@ -96,7 +96,7 @@ def test_a_gain_is_placed_where_two_p_controllers_show_it():
 
 
 def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_path):
-    """Noise in the loop winds it up; the cycle of the control, which winds it up too, is no noise of a sensor."""
+    """Noise in the loop deflects the drive train; the deflection by the control cycle does not count as sensor noise."""
     found = searched(observed(tmp_path, "healthy", None, "C", RICHNESS["small"])[0])
     assert any(n.quantity == "elasticity" and n.owner == "C" for n in found.tuning.nuisances)
     levels = [float(np.mean((left / c.spread) ** 2)) for c, left in transmission_residuals(found)]
@@ -110,7 +110,7 @@ def transmission_residuals(found):
 
 
 def test_noise_is_that_of_a_machine_that_rings(tmp_path):
-    """Steps of the set point ring on a drive train near 450 Hz: beside a rigid twin the scale looks twice as noisy as it is."""
+    """Set point steps excite a drive train near 450 Hz: against a rigid twin the scale noise would seem twice as large."""
     group = observed(tmp_path, "healthy", None, "Y", replace(RICHNESS["small"], compliance_hz=(450.0, 450.5)))[0]
     about = searched(group).group
     ratios = [np.median(a.sigma / b.sigma) for a, b in zip(group.channels, about.channels) if a.name == "position" and a.run == 1]
@@ -118,7 +118,7 @@ def test_noise_is_that_of_a_machine_that_rings(tmp_path):
 
 
 def test_effects_that_would_not_show_are_told(tmp_path):
-    """Y moves alone and one way: whether another axis pulls at it cannot be said, nor whether friction differs by direction, nor what drives can give."""
+    """Y moves alone in one direction: coupling, direction-dependent friction and drive limits cannot be determined."""
     campaign_of(tmp_path, "healthy", None, "Y", [run_of("one way", {"Y": ([0.05, 0.05], 0.03)})])
     campaign = read_campaign(tmp_path, load_machine())
     document = diagnose(campaign, load_machine()).document()

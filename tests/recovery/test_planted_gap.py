@@ -1,4 +1,4 @@
-"""A campaign made by the twin itself: the gap is noise where nothing is planted, and shows what is planted."""
+"""A campaign made by the twin: the gap is noise without a planted error, and shows a planted one."""
 
 from pathlib import Path
 

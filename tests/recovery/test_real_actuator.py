@@ -1,4 +1,4 @@
-"""The example of the actuator: on strokes that are made here, and on the recorded ones where they are."""
+"""The actuator example: on simulated strokes, and on the recorded ones if they are available."""
 
 from __future__ import annotations
 

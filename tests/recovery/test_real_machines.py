@@ -1,4 +1,4 @@
-"""The examples on a machine tool and on a robot that nobody here built: where their recordings are, all the way; where not, one line."""
+"""The examples on a real machine tool and a robot: complete if their recordings are available, otherwise a one-line error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The recorded SINUMERIK machine, where its recording is there: control law and place of the position loop, from a start that is off."""
+"""The recorded SINUMERIK machine, if its recording is available: control law and place of the position loop, from a wrong start."""
 
 from __future__ import annotations
 

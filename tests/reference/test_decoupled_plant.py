@@ -1,4 +1,4 @@
-"""The decoupled plant against MuJoCo: the same loop, another step; what is fitted on the one is reported from the other."""
+"""The decoupled plant, used for fits, against the MuJoCo plant: the same loop with another integration."""
 
 import numpy as np
 import pytest

@@ -100,7 +100,7 @@ def test_written_and_read(mikron: Machine, tmp_path: Path) -> None:
 
 
 def fine_measuring(machine: Machine) -> Machine:
-    """The machine with measuring systems that round to almost nothing."""
+    """The machine with negligible rounding of its measuring systems."""
     steps = {k: 1e-13 for k in machine.document["measurement"] if k.endswith(("resolution_m", "resolution_rad", "resolution_deg"))}
     return machine.with_values({f"measurement.{key}": value for key, value in steps.items()})
 
@@ -144,7 +144,7 @@ def test_the_loop_of_the_drive_itself(mikron: Machine) -> None:
 
 
 def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
-    """Td costs no phase: at a gain at which a loop with that much dead time is unstable the drive's still is not."""
+    """Td costs no phase: the drive's loop is stable at a gain at which a loop with that dead time is unstable."""
     fast = with_dsc(mikron, 8e-3).with_values({"axis.X.loops.position_gain_per_s": 160.0})
     margins = margins_of(loops_of(fast, fast.axis("X"))[2])
     assert margins.stable
@@ -156,7 +156,7 @@ def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
 
 
 def test_errors_without_delay_know_the_drive(mikron: Machine) -> None:
-    """At constant speed nothing is left of the following error of a loop closed in the drive once both delays are taken out."""
+    """At constant speed the following error of a loop closed in the drive is zero without both delays."""
     machine = with_dsc(mikron, 5.25e-3).with_axes(["X"])
     t = np.arange(900) * 1e-3
     x = SPEED * np.where(t < 0.2, t**2 / 0.4, t - 0.1) - 0.05

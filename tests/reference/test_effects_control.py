@@ -11,7 +11,7 @@ from tests.builders.one_axis import NO_COULOMB, axis_of, follow, integrated_axis
 
 SPEED = 0.1
 POSITION_TOLERANCE = 5e-8
-"""The twin holds the motor speed over a tick in its winding and steps semi-implicitly; the reference does neither [m]."""
+"""Tolerance for the twin's constant motor speed in the winding over a tick and its semi-implicit step, which the reference does not have [m]."""
 CURRENT_TOLERANCE = 0.02
 
 
@@ -47,7 +47,7 @@ def test_as_integrated_from_the_law(effect, reference):
     trace = follow("X", setpoint, [NO_COULOMB, effect] if effect else [NO_COULOMB])
     position, current = integrated_axis("X", rounded_move, 0.22, **reference)
     count = len(position)
-    # at the limit the integrator stops and goes tick by tick: which tick is a matter of rounding
+    # at the limit rounding decides in which ticks the integrator runs
     loose = 50.0 if "limit" in reference else 1.0
     assert np.abs(trace.get("X", "position")[:count] - position).max() < loose * POSITION_TOLERANCE
     assert np.abs(trace.get("X", "current")[:count] - current).max() < loose * CURRENT_TOLERANCE
@@ -78,7 +78,7 @@ def test_velocity_feedforward():
 
 
 def test_torque_feedforward():
-    """The torque that is fed forward is factor J_ff a / r in the middle of a constant acceleration."""
+    """The torque feedforward is factor J_ff a / r during constant acceleration."""
     a = axis_of("X")
     t = np.arange(301) * 1e-3
     trace = follow("X", 0.5 * 1.5 * np.maximum(t - 0.02, 0.0) ** 2, [{"name": "torque_feedforward", "factor": 0.5}])
@@ -152,7 +152,7 @@ def test_current_filter():
 
 
 def test_current_limit():
-    """While it lasts M a = Kt i / r - friction; i stays below the limit by what the growing back-EMF takes, Ke a / r Tni / Kpi."""
+    """At the limit M a = Kt i / r - friction; i is below the limit by the effect of the growing back EMF, Ke a / r Tni / Kpi."""
     a = axis_of("X")
     m, r = a.motor, a.ratio
     t = np.arange(301) * 1e-3

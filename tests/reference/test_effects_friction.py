@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from tests.builders.one_axis import TICK, axis_of, follow, missing_force, steady, swing, total_inertia
 
 TOLERANCE = 2e-3
-"""Of the Coulomb level: what is left of accelerating at the end of a steady move."""
+"""Remaining acceleration force at the end of a steady move, as a share of the Coulomb level."""
 
 
 def force_at_speed(speed, effects, axis="X"):
@@ -113,7 +113,7 @@ def test_presliding_under_swinging(shape):
     ],
 )
 def test_recorded_friction_closes_the_balance(effects):
-    """Recorded friction = what motor and mass leave, tick by tick: the record holds the friction of the effects too."""
+    """The recorded friction is the motor force minus that of the mass at every tick, including the friction of effects."""
     a = axis_of("X")
     trace = follow("X", swing(3e-3, 8.0, 0.4), effects)
     recorded = trace.get("X", "torque_friction")[:-1] / a.ratio

@@ -43,7 +43,7 @@ def test_encoder_eccentricity():
 
 
 def test_thermal_drift_goes_on_across_runs():
-    """rate (started_at + t): the second run starts where the first one of the campaign would have come to."""
+    """rate (started_at + t): the second run continues the drift of the first one."""
     for started_at in (0.0, 40.0):
         trace = follow("Y", steady(0.01, 0.3), [{"name": "thermal_drift", "rate": 0.3e-6}], started_at=started_at)
         assert np.abs(scale_minus_motor(trace, "Y") - 0.3e-6 * (started_at + trace.time)).max() < 1e-15

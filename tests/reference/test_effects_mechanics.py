@@ -16,7 +16,7 @@ G = 9.81
 
 
 def test_torque_constant():
-    """Holding Z takes m g r / (factor Kt): the control's own constant does not help."""
+    """Holding Z takes m g r / (factor Kt), whatever constant the control uses."""
     a = axis_of("Z")
     trace = follow("Z", np.zeros(100), [{"name": "torque_constant", "factor": 0.9}])
     expected = a.moving_mass_kg * G * a.ratio / (0.9 * a.motor.torque_constant_nm_per_a)
@@ -52,7 +52,7 @@ def test_inertia_on_a_vertical_axis_has_weight():
 
 
 def test_constant_force():
-    """Held from the first tick on, and added to the friction in both directions."""
+    """The force is held from the first tick and adds to the friction in both directions."""
     a = axis_of("X")
     effect = {"name": "constant_force", "force": 400.0}
     still = follow("X", np.zeros(50), [effect])
@@ -63,7 +63,7 @@ def test_constant_force():
 
 
 def test_steady_load_of_the_file_is_a_constant_force():
-    """A machine whose file holds a steady load moves as one with that constant force put on it, in both plants."""
+    """A steady load in the machine file acts like a constant force effect, in both plants."""
     axis = axis_of("X")
     loaded = MACHINE.with_values({"axis.X.constant_torque_nm": 400.0 * axis.ratio}).with_axes(["X"])
     shaken = with_effects(MACHINE.with_axes(["X"]), [{"name": "constant_force", "axis": "X", "force": 400.0}])
@@ -120,7 +120,7 @@ def test_table_unbalance_is_inertia_too():
 
 
 def test_torque_ripple():
-    """The balance lacks amplitude sin(n q / r + phase) exactly; its line stands at n periods a motor turn."""
+    """The force balance lacks exactly amplitude sin(n q / r + phase), a spectral line at n periods per motor turn."""
     a = axis_of("X")
     trace = follow("X", steady(0.05, 0.9), [{"name": "torque_ripple", "amplitude_nm": 0.2, "periods_per_rev": 6.0, "phase_rad": 0.5}])
     q = trace.get("X", "motor_position")
@@ -148,7 +148,7 @@ def test_cross_axis_coupling():
 
 
 def test_periodic_disturbance():
-    """force sin(2 pi f t) from the start of the run, whatever the axis does."""
+    """force sin(2 pi f t) from the start of the run, independent of the motion."""
     trace = follow("X", there_and_back(0.005, 0.05), [NO_COULOMB, {"name": "periodic_disturbance", "frequency_hz": 21.0, "force": 300.0}])
     t = (np.arange(len(trace.time) - 1) + 0.5) * TICK
     assert np.abs(missing_force(trace, "X") - 300.0 * np.sin(2 * np.pi * 21.0 * t)).max() < 1.6

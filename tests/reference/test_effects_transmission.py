@@ -32,7 +32,7 @@ def test_backlash(axis, stiffness_hz):
     effect = {"name": "backlash", "clearance": 15e-6} | ({"contact_stiffness": stiffness} if stiffness_hz else {})
     speed, tilt = 0.001, -0.3 if axis == "A" else 0.0
     move = there_and_back(1e-3, speed, 0.5, 50.0)
-    # A is held where its weight is nothing, so that gravity presses no flank
+    # A is held where its gravity torque is zero, so that no flank is loaded
     if axis == "A":
         tilt = balanced_tilt()
     trace = follow(axis, tilt + move, [effect])
@@ -46,14 +46,14 @@ def test_backlash(axis, stiffness_hz):
 
 
 def balanced_tilt():
-    """The tilt of A at which its holding current is nothing."""
+    """The tilt of A at which its holding current is zero."""
     angles = np.linspace(-1.2, 0.4, 17)
     held = [follow("A", np.full(4, angle)).get("A", "current")[0] for angle in angles]
     return float(np.interp(0.0, *zip(*sorted(zip(held, angles)))))
 
 
 def test_backlash_shows_nothing_where_gravity_presses_one_flank():
-    """Z: the load hangs on its lower flank in both directions; only the spring gives."""
+    """On Z the load stays on its lower flank in both directions; only the spring deflects."""
     stiffness = (2 * math.pi * 450.0) ** 2 * reduced_mass("Z")
     trace = follow("Z", there_and_back(1e-3, 0.001, 0.5, 50.0), [{"name": "backlash", "clearance": 15e-6}])
     gap = motor_minus_scale(trace, "Z")
@@ -83,7 +83,7 @@ def chirped(axis, effects, low, high, seconds=4.0):
 @pytest.mark.parametrize("axis", ["X", "C"])
 @pytest.mark.parametrize("mode_hz", [35.0, 75.0])
 def test_transmission_compliance(axis, mode_hz):
-    """The motor feels an antiresonance at sqrt(k / load) / 2 pi, where the load swings most, a resonance at sqrt(k / reduced) / 2 pi."""
+    """The motor has an antiresonance at sqrt(k / load) / 2 pi and a resonance at sqrt(k / reduced) / 2 pi."""
     load = load_inertia(MACHINE, axis_of(axis))
     stiffness = (2 * math.pi * mode_hz) ** 2 * load
     damping = 2 * 0.02 * math.sqrt(stiffness * reduced_mass(axis))

@@ -1,4 +1,4 @@
-"""Where the twin is exact: motion under constant force at the tick, and the winding between two ticks."""
+"""Exact parts of the twin: motion under constant force at the ticks, and the winding between two ticks."""
 
 import mujoco
 import numpy as np

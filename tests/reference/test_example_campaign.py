@@ -11,7 +11,7 @@ from twin.simulation.campaign_gap import CampaignGap, gap
 
 ROW = re.compile(r"^\| ([XYZAC]) \| ([\d.]+) (um|arcsec) \| ([\d.]+) \3 \| ([\d.]+) A \| ([\d.]+) A \|$", re.M)
 LIMITS = {"um": 0.1, "arcsec": 0.25, "A": 0.06}
-"""RMS above which the twin and the second plant no longer agree within noise."""
+"""Largest RMS gap that agrees within noise."""
 
 
 @pytest.fixture(scope="module")

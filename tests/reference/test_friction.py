@@ -1,4 +1,4 @@
-"""Friction that sticks below break-away and follows its law above, in the model by itself and in a run of the twin."""
+"""Friction sticks below break-away and follows its law above, in the model alone and in a run of the twin."""
 
 import mujoco
 import numpy as np

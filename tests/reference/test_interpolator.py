@@ -102,7 +102,7 @@ def slow_turning(rows: int, blocks: int) -> str:
 def test_slow_turning_blocks_between_rapids_take_the_same_time_in_any_windows(
     mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Windows that did not reach their optimum disagreed where they were joined: jerk above the limit there, and all moves slower for it."""
+    """Regression: windows short of their optimum disagreed at their joints, which raised the jerk above the limit and slowed all moves."""
     program = read_program(write(tmp_path, slow_turning(3, 60)), mikron)
     seconds = []
     for window in (lookahead.WINDOW, 4000, 1500):
@@ -226,7 +226,7 @@ def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp
 
 
 def test_great_circle_that_the_travel_of_a_breaks_is_refused(mikron: Machine, tmp_path: Path) -> None:
-    """A ends at +30 deg: on the way A and C would swing to their other solution, the tool in the cut. Over the pole they go on."""
+    """A ends at +30 deg: A and C must pass over the pole instead of switching to their other solution during the cut."""
     path = tmp_path / "swing.mpf"
     text = "TRAORI\nORIWKS\nG0 X0 Y0 Z150 A3={} B3={} C3=0.9\nG1 X0 Y40 A3={} B3={} C3=0.8 F1000\n"
     path.write_text(text.format(0.3, 0.2, 0.5, 0.0))
@@ -253,7 +253,7 @@ def test_great_circle_keeps_the_tool_axis_in_its_plane(mikron: Machine, tmp_path
 
 
 def test_budget_names_the_level(mikron: Machine, tmp_path: Path) -> None:
-    """A perfect follower leaves level 1 only; a machine that runs 50 um aside is level 2, measured across the path."""
+    """A perfect follower has level 1 errors only; a lateral offset of 50 um is a level 2 error."""
     program = read_program(write(tmp_path, "G642 CTOL=0.01\nG1 X20 F3000\nY20\n"), mikron)
     setpoints = interpolate(program, mikron)
     perfect = Trace(setpoints.time, {(a, "position"): setpoints.get(a, "setpoint") for a in mikron.axis_names}, mikron.kinds)

@@ -85,7 +85,7 @@ def test_twin_and_second_plant_agree(mikron: Machine, name: str) -> None:
     other = run(settings, points.position, noise=False)
     nominal = simulate(machine, points).trace
     signal = "current" if name == "late record" else "motor_position"
-    # the law does much more than the two differ by
+    # the effect of the law is much larger than the difference of the two plants
     tolerance = 0.005 * np.ptp(other.current[:, 0]) if name == "late record" else allowed
     assert np.sqrt(np.mean((nominal.get("X", signal) - trace.get("X", signal)) ** 2)) > 3.0 * tolerance
     assert np.sqrt(np.mean((trace.get("X", "position") - other.position[:, 0]) ** 2)) < allowed

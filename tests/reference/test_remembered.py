@@ -1,4 +1,4 @@
-"""What is remembered between runs of one process depends on all that it was computed from: another machine gets its own answer."""
+"""Cached results depend on everything that they were computed from: another machine gets its own result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole twin in steady states that can be written down: lag at constant speed, holding currents, limits."""
+"""The whole twin in steady states with closed forms: lag at constant speed, holding currents, limits."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_lag_without_feedforward(mikron: Machine, delay: float) -> None:
 
 
 def test_lag_with_velocity_feedforward(mikron: Machine) -> None:
-    """v d_pos, and a weight of 0.9 leaves a tenth of v / Kv."""
+    """v d_pos, plus a tenth of v / Kv at a weight of 0.9."""
     full = constant_speed(mikron.with_feedforward("velocity"))
     part = mikron
     for name in mikron.axis_names:
@@ -75,7 +75,7 @@ def test_current_limit_is_kept_and_left_without_windup(mikron: Machine) -> None:
 
 
 def test_voltage_limit_bounds_the_speed(mikron: Machine) -> None:
-    """With a bus of 30 V the axis ends at the speed where back electromotive force and friction's current take it all."""
+    """With a bus of 30 V the final speed is where back EMF and the friction current need the whole voltage."""
     machine = mikron.with_axes(["X"]).with_axis("X", bus_limit_v=30.0)
     axis, m = machine.axes[0], machine.axes[0].motor
     t = np.arange(1300) * 1e-3

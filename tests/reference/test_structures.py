@@ -123,7 +123,7 @@ def test_decoupled_plant_is_the_engine(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_begins_in_motion(tmp_path: Path) -> None:
-    """Cut out of a longer run, it is simulated as if the machine had come along: without a lead-in it would start with a jump."""
+    """A section of a longer run is simulated from its motion; without a lead-in it would start with a jump."""
     machine = slides(tmp_path, "X", (1000, 1000))
     _, position = moves_in_turn(0.0, [0.12, -0.12], 0.15, 2.0, 40.0, 0.0, 1e-3)
     whole = simulate(machine, Setpoints(position[:, None], 1e-3)).trace

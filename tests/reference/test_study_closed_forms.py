@@ -1,4 +1,4 @@
-"""Design studies against closed forms: what inertia costs the follower, and the lead that matches it."""
+"""Design studies against closed forms: error over inertia, and the matching lead."""
 
 import math
 from pathlib import Path
@@ -32,10 +32,10 @@ def masses(tmp_path: Path, fixed: str, response: str) -> tuple[np.ndarray, np.nd
 
 
 def test_without_integrator_and_torque_feedforward_the_error_is_proportional_to_inertia(tmp_path: Path) -> None:
-    """At constant acceleration the speed controller must make J a / r: e = J a / (r Kp), and the position lags by r e / Kv = J a / (Kp Kv).
+    """At constant acceleration the speed controller must produce J a / r: e = J a / (r Kp), and the position lags by r e / Kv = J a / (Kp Kv).
 
-    Two small terms do not depend on J: the back EMF grows steadily, behind which the current loop stays as if the motor had
-    Kt Ke Tni / Kpi more inertia; and the speed is sampled on average half a tick before the middle of a position cycle.
+    Two small terms do not depend on J: the growing back EMF acts like an additional inertia of Kt Ke Tni / Kpi, and the speed is sampled
+    on average half a tick before the middle of a position cycle.
     """
     acceleration = 1.0
     write_move(tmp_path / "move.csv", distance=0.2, acceleration=acceleration, jerk=50.0, speed=0.3)

@@ -104,7 +104,7 @@ def test_tool_of_revolution_equals_the_same_tool_of_elements() -> None:
 
 
 def test_ball_about_its_centre_is_a_ball() -> None:
-    """A ball-end that turns about the centre of its ball cuts nothing more than the ball."""
+    """A ball-end that turns about the centre of its ball cuts only the ball."""
     tool = ball_end(2 * R, cutting_length=0.02)
     # sub-steps of 5 nm bulge: the tip moves on a straight line between poses, so the poses must be close
     fine = np.array([[math.sin(a), 0.0, math.cos(a)] for a in np.linspace(0.0, math.radians(25.0), 4001)])

@@ -1,4 +1,4 @@
-"""Meshes as stock: thickness and volume of dexels are the mesh's, rays end where they first leave it."""
+"""Meshes as stock: dexels have the thickness and volume of the mesh, and rays end at their first exit."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def test_the_opposite_wall_of_a_pocket_is_no_stock(tmp_path: Path, inside_out: b
 
 
 def test_stock_that_ends_below_the_nominal_surface(tmp_path: Path) -> None:
-    """0.2 mm too little: the last way out below the surface; nothing at all within the depth: empty, whatever lies further out."""
+    """Stock 0.2 mm too small: the last exit below the surface counts; no stock within the depth: the ray is empty."""
     np.testing.assert_allclose(heights(tmp_path, [NEAR, OPPOSITE], 1.2), -0.2, atol=1e-3)
     np.testing.assert_allclose(heights(tmp_path, [NEAR, OPPOSITE], 2.0), -0.5, atol=1e-9)
 

@@ -25,7 +25,7 @@ def urdf(mikron: Machine, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bodies_alone(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Without what a URDF does not know: motors, friction, travel."""
+    """Without motors, friction and travel, which URDF does not have."""
     for values in (model.dof_armature, model.actuator_armature, model.dof_damping, model.dof_frictionloss):
         values[:] = 0.0
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
@@ -68,7 +68,7 @@ def test_same_machine_with_its_drives(mikron: Machine, urdf: Path) -> None:
 
 
 def test_another_mass_shows(mikron: Machine, urdf: Path) -> None:
-    """The comparison can fail: one per mille of the table's mass is seen."""
+    """The comparison can fail: it detects 0.1 % of the table's mass."""
     model = bodies_alone(spec_of_urdf(urdf)[0].compile())
     expected = accelerations(model, mikron.axis_names)
     model.body("table").mass[0] *= 1.001

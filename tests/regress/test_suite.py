@@ -1,4 +1,4 @@
-"""Suites, golden results and verdicts of `twin regress`: what a user can do wrong, and what a program can read."""
+"""Suites, golden results and verdicts of `twin regress`: bad input and machine-readable output."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_machine_that_did_not_change_passes(suite: Path, tmp_path: Path) -> No
 
 
 def moved(golden: Golden, case: Case) -> Golden:
-    """A golden result in which one sample of each signal, each number and word, and one event of each kind is another."""
+    """Golden results that differ in one sample of a signal, in one number or word, or in one event."""
     trace, features = golden.trace, {}
     if trace is not None:
         machine, signals = machine_of(case), dict(trace.signals)
@@ -110,7 +110,7 @@ def moved(golden: Golden, case: Case) -> Golden:
 
 @pytest.mark.parametrize("case", SHIPPED, ids=lambda case: case.name)
 def test_every_kept_number_is_guarded(case: Case) -> None:
-    """What is compared with itself passes; moved just beyond its tolerance each signal, number, word and event fails."""
+    """A result passes against itself; each signal, number, word and event fails when moved just beyond its tolerance."""
     golden = read_golden(case)
     now = Outcome(golden.features, golden.trace, golden.events, machine_of(case))
     same, checks = compare(case, golden, now), compare(case, moved(golden, case), now)
@@ -121,7 +121,7 @@ def test_every_kept_number_is_guarded(case: Case) -> None:
 
 
 def alone(golden: Golden, case: Case) -> Iterator[tuple[str, Outcome]]:
-    """Outcomes in which one kind of thing alone is another, with how the checks that must see it end."""
+    """Outcomes that differ in one respect, with the ending of the check that must fail."""
     machine, trace = machine_of(case), golden.trace
     assert trace is not None
 
@@ -204,7 +204,7 @@ def test_a_failure_leaves_its_evidence(suite: Path, tmp_path: Path, capsys: pyte
         assert (folder / name).stat().st_size > 0
     sentence = (folder / "sentence.txt").read_text().strip()
     assert sentence.startswith("axis U differs from 0.")
-    assert "first in its chain: mechanics" in sentence
+    assert "first changed block: mechanics" in sentence
     assert sentence in capsys.readouterr().out
 
 
@@ -251,7 +251,7 @@ moves.B = { distances_deg = [10.0, -10.0], speed_deg_per_s = 40.0 }
 
 @pytest.mark.slow
 def test_other_control_structures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """P/P on a voltage, P/PI on a current, P/P on a torque: what each commands is compared, and the block that changed is named."""
+    """P/P on a voltage, P/PI on a current, P/P on a torque: the command is compared, and the changed block is named."""
     write_slides(tmp_path)
     folder = tmp_path / "suite"
     folder.mkdir()
@@ -354,7 +354,7 @@ def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path
     assert regress(suite, tmp_path) == 1
     case = json.loads((tmp_path / "out" / "regress.json").read_text())["cases"][0]
     assert case["place"]["axis"] == "U"
-    assert "the simulation stops" in case["text"]
+    assert "simulation aborted" in case["text"]
 
 
 @pytest.mark.parametrize(
@@ -384,7 +384,7 @@ def test_bad_suites_end_with_one_line(
 ) -> None:
     edit(suite / "moves.toml", old, new)
     capsys.readouterr()
-    # what only shows when the case runs is said when its golden result is to be made
+    # errors that appear only when the case runs are reported on --update
     update = ["--update", "--reason", "another case"] if new in ("distance_mm", "moves.V") else []
     assert regress(suite, tmp_path, *update) == 2
     one_line(capsys, *words)
@@ -414,7 +414,7 @@ def test_update_says_what_it_skips(suite: Path, tmp_path: Path, capsys: pytest.C
     )
     capsys.readouterr()
     assert regress(suite, tmp_path, "--update", "--reason", "a measured campaign") == 0
-    assert "skipped, its golden result stays as it is: spring: campaign not_here is not here" in capsys.readouterr().out
+    assert "skipped, golden result unchanged: spring: campaign not_here is not here" in capsys.readouterr().out
 
 
 def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -428,7 +428,7 @@ def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: 
 
 
 def test_the_suites_of_the_page_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What docs/regression.md tells a user to write is a suite, makes its golden results and passes."""
+    """The suite in docs/regression.md is valid, makes its golden results and passes."""
     blocks = re.findall(r"```toml\n(.*?)```", (HERE / "docs/regression.md").read_text(), re.DOTALL)
     assert len(blocks) == 2
     for name in ("mikron_ucp710.toml", "mikron_ucp710.xml"):

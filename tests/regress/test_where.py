@@ -1,14 +1,16 @@
-"""Which block left its law first, on a machine whose drive closes the position loop."""
+"""Finds the first changed block on a machine whose drive closes the position loop."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace, read_trace
-from twin.regress.where import FOLLOWED, SHARE, block_shares
+from twin.regress.compare import Check
+from twin.regress.where import FOLLOWED, SHARE, block_shares, place_of
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 
@@ -34,7 +36,7 @@ def machine_with(lag_s: float = 0.0, **values: float) -> Machine:
     ],
 )
 def test_a_drive_that_closes_the_position_loop(change: dict[str, float], block: str, lag_s: float) -> None:
-    """The block that changed is the first with a large share; those before it follow the law of the golden result."""
+    """The changed block is the first with a large share; blocks before it follow the golden law."""
     golden = machine_with(lag_s)
     if block in ("speed controller", "mechanics"):  # a share of what the file has
         document = golden.document["axis"]["X"]
@@ -62,3 +64,19 @@ def test_a_record_without_what_the_drive_follows(key: str, block: str) -> None:
     assert next((name for name, share in shares.items() if share > SHARE), "") == block, shares
     if block == "mechanics":
         assert shares["speed controller"] < 1e-3, shares  # 1.6e-3 with what the NC sends
+
+
+@pytest.mark.parametrize(
+    ("shares", "named"),
+    [
+        ({"position controller": 0.05, "current loop": 0.4, "mechanics": 0.9}, "current loop"),  # first above SHARE, not the largest
+        ({"position controller": 0.1, "current loop": 0.3, "mechanics": 0.2}, "current loop"),  # none above SHARE: the largest
+    ],
+)
+def test_the_first_block_with_a_large_share_is_named(monkeypatch: pytest.MonkeyPatch, shares: dict[str, float], named: str) -> None:
+    monkeypatch.setattr("twin.regress.where.block_shares", lambda *_: iter(shares.items()))
+    time = np.arange(10) * 2e-3
+    trace = Trace(time, {("X", "position"): np.zeros(10)}, {"X": "linear"})
+    place = place_of(load_machine(), trace, trace, [Check("X.position max", "X", "um", 1.0, 0.1)])
+    assert place is not None
+    assert (place.axis, place.block) == ("X", named)

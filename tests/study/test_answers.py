@@ -166,7 +166,7 @@ def test_retuned_loops_have_the_margins_of_the_machine_as_it_was() -> None:
 
 
 def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
-    """A surrogate that misses what was left out moves nothing; a variant at its limit enters no effect; the commonest reason is named."""
+    """A poor surrogate gives no effects; a variant at its limit is left out; the most common reason is named."""
     study = read_study(write_spec(tmp_path, 'answer = ["noise", "line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 30\n'))
     rng = np.random.default_rng(1)
     rows: list[Row] = []
@@ -182,21 +182,21 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
     assert noise.effects == []
     assert line.effects[0].value == pytest.approx(np.ptp([row[1][0] for row in rows[:30]]))  # half of 2 kg^-1 x the range
     said = sentences(answers)
-    assert "too uneven" in said[0]
-    assert f"mass moves it most, by {valued('line', line.swings[0].swing)}" in said[1]  # what the first bar shows
+    assert "too irregular" in said[0]
+    assert f"largest influence: mass, {valued('line', line.swings[0].swing)}" in said[1]  # what the first bar shows
     assert swing_rows(answers, line)[0][1] == valued("line", line.swings[0].swing)
-    assert any("1 of 34 variants could not be run; commonest reason: axis X: moving_mass_kg = .." in text for text in said)
+    assert any("1 of 34 variants could not be run; most common reason: axis X: moving_mass_kg = .." in text for text in said)
     assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)
 
 
 def test_effects_that_the_design_cannot_part_are_left_out() -> None:
-    """Two factors that nearly go together: their coefficients are thousands, the response changes by one."""
+    """Two nearly proportional factors get coefficients of thousands for a response that changes by one; these are dropped."""
     a = np.linspace(0.0, 1.0, 12)
     rng = np.random.default_rng(2)
     table = np.column_stack([a, a + 1e-6 * rng.standard_normal(12)])
     y = a + 0.01 * rng.standard_normal(12)
     assert all(2.0 * abs(e.value) <= np.ptp(y) * 1.001 for e in effects_of(["a", "b"], table, y))
-    # all of a full factorial stays, the interaction that makes the whole response too
+    # a full factorial keeps all effects, including the dominant interaction
     corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0], [0.0, 0.0]])
     (largest, *_) = effects_of(["a", "b"], corners, corners[:, 0] * corners[:, 1])
     assert largest.factors == ("a", "b")

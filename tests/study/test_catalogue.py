@@ -1,4 +1,4 @@
-"""Catalogues, masses on bodies, ratings: what changes together changes together, and is held against its rating."""
+"""Catalogues, masses on bodies, and ratings of studies."""
 
 from dataclasses import replace
 import json
@@ -91,12 +91,17 @@ def test_numbers_of_an_entry_change_together(folder: Path, mikron: Machine) -> N
     assert other.motor.torque_constant_nm_per_a == other.commissioned_torque_constant == 1.8
     assert other.motor.peak_current_a == pytest.approx(60.0)
     assert other.motor.bus_limit_v == 300.0  # the drive's, which stays
-    # rotor and screw are one number of the file: both changes add up, and what else turns stays
+    # rotor and screw are one number of the file: both differences add up
     assert other.rotor_inertia_kg_m2 == pytest.approx(6.8e-3 + 9.2e-3 - 4.2e-3 + 2.2e-3 - 2.0e-3)
     assert other.ratio == pytest.approx(0.02 / (2 * math.pi))
     # the loops keep their margins
     grown = (other.rotor_inertia_kg_m2 + 700 * other.ratio**2) / (6.8e-3 + 700 * mikron.axis("X").ratio ** 2)
     assert other.loops.speed_gain_nm_s_per_rad == pytest.approx(3.4 * grown, rel=1e-3)
+    x = mikron.axis("X")
+    winding, resistance = other.motor.inductance_h / x.motor.inductance_h, other.motor.resistance_ohm / x.motor.resistance_ohm
+    assert winding != pytest.approx(1.0, rel=0.05)
+    assert other.loops.current_gain_v_per_a == pytest.approx(x.loops.current_gain_v_per_a * winding)
+    assert other.loops.current_integral_time_s == pytest.approx(x.loops.current_integral_time_s * winding / resistance)
 
 
 def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,7 +126,7 @@ def test_a_study_of_choices_names_them(folder: Path, capsys: pytest.CaptureFixtu
     assert (ratings.rated_torque_nm, ratings.thermal_time_constant_s) == (18.0, 1800.0)
     assert rated(read_study(spec)).axis("X").rotor_inertia_kg_m2 == load_machine().axis("X").rotor_inertia_kg_m2
     message = refused(capsys, "study", str(spec), "--out", str(out), "--resume", "--no-replay", "--compare", "0", "9")
-    assert "--compare 9: no variant of this number" in message
+    assert "--compare 9: no variant with this number" in message
 
 
 def test_shares_of_the_ratings(folder: Path) -> None:
@@ -130,7 +135,7 @@ def test_shares_of_the_ratings(folder: Path) -> None:
     assert small["torque_rms_used_X"] == pytest.approx(1.4 * small["current_rms_X_a"] / 18.0)
     assert large["torque_rms_used_X"] == pytest.approx(1.8 * large["current_rms_X_a"] / 30.0)
     assert small["motor_speed_used_X"] == pytest.approx(small["speed_limit_used_X"] * 3000 / 3600)
-    # a run much shorter than the time constant, again and again: the RMS decides
+    # for a repeated run much shorter than the time constant the RMS determines the heat
     assert small["winding_heat_used_X"] == pytest.approx(small["torque_rms_used_X"] ** 2, rel=1e-3)
     assert "winding_heat_used_X" not in large
     assert small["torque_curve_used_X"] >= small["current_limit_used_X"] * 0.5
@@ -145,7 +150,7 @@ def test_shares_of_the_ratings(folder: Path) -> None:
         ('"40x10", "40x20"', '"40x10"', "has one screw only"),
         ('axis = "X"\ninstalled = "M80"', 'axis = "X"', "'installed' is missing"),
         ("[[factor]]", '[[factor]]\nname = "k"\npath = "axis.X.motor.resistance_ohm"\nrange = [0.4, 0.6]\n[[factor]]', "both set"),
-        ("[design]", '[[tied]]\npath = "axis.X.max_jerk_m_per_s3"\nto = "motor"\n[design]', "is a choice of a catalogue"),
+        ("[design]", '[[tied]]\npath = "axis.X.max_jerk_m_per_s3"\nto = "motor"\n[design]', "is a catalogue choice"),
     ],
 )
 def test_what_a_catalogue_cannot_do(folder: Path, old: str, new: str, words: str) -> None:
@@ -198,7 +203,7 @@ def test_holding_current_by_pose(mikron: Machine) -> None:
         torque += body.mass_kg * mikron.gravity * (turned * np.cos(tilt) - height * np.sin(tilt))
     np.testing.assert_allclose(found.forces[:, 3], torque, atol=1e-6 * np.abs(torque).max())
     np.testing.assert_allclose(holding_effort(mikron, a), torque * a.ratio / a.motor.torque_constant_nm_per_a, atol=1e-9)
-    # what the report draws: A tilts all of it, C turns what is off the middle of a tilted table
+    # as in the report: A tilts the whole load, C rotates an eccentric load on the tilted table
     assert held_axes(mikron) == ["A", "C"]
     degrees, least, largest = span_over(mikron, "A", "A")
     at = np.isclose(np.degrees(tilt), degrees[2])
@@ -210,7 +215,7 @@ def test_holding_current_by_pose(mikron: Machine) -> None:
 
 
 def test_a_workpiece_is_carried_by_the_axes_below_its_table() -> None:
-    """On a mill whose table moves: saddle and table carry what is clamped, the head does not."""
+    """On a mill with a moving table, saddle and table carry the workpiece, the head does not."""
     examples = runpy.run_path(str(ROOT / "examples" / "kinematics" / "run.py"))
     machine = examples["machine_of"]("three_axis")
     table = {"mass_kg": 200.0, "centre_of_mass_m": [0.0, 0.0, 0.0], "inertia_kg_m2": [20.0, 20.0, 20.0]}

@@ -92,7 +92,7 @@ def test_a_killed_worker_loses_nothing(
     assert rows == expected  # every number to the last bit, whoever computed it
     assert table_of(study, rows).equals(table_of(study, expected))
 
-    # the last worker goes, and the scheduler stays: said, not waited for
+    # the last worker is lost while the scheduler stays: reported without waiting for ever
     processes[1].kill()
     processes[1].wait()
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""Responses that a study file asks for: unknown ones are refused at the first variant, and bounds may change without a run."""
+"""Responses named in a study file: unknown ones are refused at the first variant, and constraints may change without a new simulation."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def bound(pattern: str, most: float) -> str:
     ['answer = ["cycle_tim_s"]\n', 'pareto = [["cycle_time_s", "error_um"]]\n', bound("current_limit_used", 0.8), bound("curent_*", 0.8)],
 )
 def test_an_unknown_name_is_refused_at_the_first_variant(asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A constraint that finds no response would be kept by every design."""
+    """Every design would fulfil a constraint that matches no response."""
     study = read_study(write_spec(tmp_path, asked + FACTOR + GRID.replace("3", "40")))
     variants = variants_of(study)
     monkeypatch.setattr(execution, "evaluate", lambda _work, _row: Answer({"cycle_time_s": 1.0, "current_limit_used_X": 0.5}))

@@ -56,7 +56,7 @@ def test_drives_are_those_of_a_record_of_every_tick(tmp_path: Path) -> None:
     work = torque * (speed + after) / 2.0 * TICK
     assert found["mechanical_energy_X_j"] == pytest.approx(work.sum(), rel=2e-3)
     assert found["braking_energy_X_j"] == pytest.approx(-work[work < 0.0].sum(), rel=2e-3)
-    # of all ticks that drive the one nearest to the motor's curve; a class of speed is 2.5 % of the limit wide
+    # the tick closest to the motor's torque curve; speed bins are 2.5 % of the limit wide
     driving = torque * speed > 0.0
     assert found["torque_curve_used_X"] == pytest.approx(
         np.max(np.abs(torque) / x.motor.torque_at(np.abs(speed)), where=driving, initial=0.0), rel=0.03
@@ -123,7 +123,7 @@ def test_half_a_millisecond_of_clipped_voltage_is_said_and_allowed(tmp_path: Pat
 
 @pytest.mark.parametrize("stiffness", [0.0, 3.6e6, 3.7e7])
 def test_margins_do_not_depend_on_the_grid_of_frequencies(tmp_path: Path, stiffness: float) -> None:
-    """A study looks on a coarse grid: crossings and -3 dB are refined, notches between two frequencies are found."""
+    """On the coarse frequency grid of a study, crossings and -3 dB points are refined and notches between grid points are found."""
     spring = f'"effect.transmission_compliance.X.stiffness" = {stiffness}\n"effect.transmission_compliance.X.damping" = 8000.0\n'
     found, _, machine, _ = answered(tmp_path, (f"[fixed]\n{spring}" if stiffness else "") + MASS)
     x = machine.axis("X")

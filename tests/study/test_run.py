@@ -1,4 +1,4 @@
-"""Studies carried out: rows, tables, resumption, limits, what is written."""
+"""Execution of studies: rows, tables, resumption, limits, output files."""
 
 from concurrent.futures import Future
 import json
@@ -104,15 +104,15 @@ def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Pa
     assert "time at current limit of X is" in reasons[3]
     assert [bool(responses) for _, _, responses, _ in found] == [True, False, False, True, True]
     study = read_study(spec)
-    # where only one variant runs, nothing is known of any factor
+    # a single variant shows no effect of any factor
     assert answers_of(study, found[:2]).without_effect == []
-    # a variant at its limit is neither the best nor on the front, and enters no effect
+    # a variant at its limit is not the best, not on the front, and in no effect
     answers = answers_of(study, found)
     assert (answers.failed, answers.broken, answers.best, answers.pareto) == (2, 2, 0, [0])
 
 
 def test_the_commanded_path_of_a_trace_is_that_of_each_variant(tmp_path: Path) -> None:
-    """Set points of the axes are another tool path on another geometry: the contour error stays that of the drives."""
+    """The same set points give another tool path on another geometry, but the same contour error of the drives."""
     time, tilt = moves_in_turn(0.0, [0.3], 0.5, 2.0, 50.0, 0.06, 1e-3)
     signals = {("A", "setpoint"): tilt, ("C", "setpoint"): np.zeros(len(time)), ("Z", "setpoint"): np.zeros(len(time))}
     write_trace(Trace(time, signals, {"A": "rotary", "C": "rotary", "Z": "linear"}), tmp_path / "move.csv")
@@ -131,7 +131,7 @@ def test_a_variant_without_phase_margin_has_its_reason(tmp_path: Path) -> None:
     # the same without the constraint, and with one of one's own
     asked = 'least_phase_margin_deg = 0\n[[constraint]]\nresponse = "crossover_position_loop_X_hz"\nleast = 20\n'
     slow, fast = rows_of(write_spec(tmp_path, asked + gain.replace("330.0", "150.0")), tmp_path / "own")
-    assert "crossover of the position loop of X is 8.441 Hz, at least 20 Hz is asked for" in (slow[3] or "")
+    assert "crossover of the position loop of X is 8.441 Hz, below the least of 20 Hz" in (slow[3] or "")
     assert fast[3] is None
 
 
@@ -140,13 +140,13 @@ def test_a_moment_at_a_limit_is_allowed(tmp_path: Path) -> None:
     ((_, _, found, reason),) = rows_of(write_spec(tmp_path, limit), tmp_path / "out")
     assert found["time_at_current_limit_X_share"] > 0.001
     assert "time at current limit of X is" in (reason or "")
-    assert "at most 0.1 % is allowed" in (reason or "")
+    assert "above the limit of 0.1 %" in (reason or "")
     ((*_, reason),) = rows_of(write_spec(tmp_path, f"most_time_at_limit = 0.9\n{limit}"), tmp_path / "allowed")
     assert reason is None
 
 
 def test_axes_that_take_a_voltage_or_torque(tmp_path: Path) -> None:
-    """P/P on a voltage, P/PI on a current, P/P on a torque: each answers with what it is commanded, in its unit."""
+    """P/P on a voltage, P/PI on a current, P/P on a torque: responses use the commanded quantity and its unit."""
     write_slides(tmp_path)
     machine = load_machine(tmp_path / "slides.toml")
     moves = {
@@ -281,9 +281,9 @@ def test_two_studies_may_not_write_one_folder(tmp_path: Path, capsys: pytest.Cap
     )
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
-        assert "another study writes here" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
+        assert "another study is writing here" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
         other.kill()
-    # a holder that was killed holds nothing
+    # the lock of a killed process is released
     assert main(["study", str(spec), "--out", str(tmp_path / "out"), "--no-replay"]) == 0
 
 
@@ -291,11 +291,11 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
     spec = write_spec(tmp_path)
     out = tmp_path / "out"
     rows_of(spec, out)
-    assert "3 variants are done already; add --resume" in refused(capsys, "study", str(spec), "--out", str(out))
+    assert "already holds 3 variants; add --resume" in refused(capsys, "study", str(spec), "--out", str(out))
     spec.write_text(spec.read_text(encoding="utf-8").replace("levels = 3", "levels = 4"), encoding="utf-8")
     assert "holds another study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
     (out / FILE).write_bytes(b"no database at all" * 100)
-    assert "not a database of a study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
+    assert "not the database of a study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
     (tmp_path / "file").write_text("")
     assert "cannot make this folder" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "file"))
     (tmp_path / "taken" / FILE).mkdir(parents=True)
@@ -305,7 +305,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_workers_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     spec = write_spec(tmp_path)
     for no_address in ("nonsense", "tcp://here", "tcp://127.0.0.1:99999"):
-        assert "is no address; give host and port" in refused(
+        assert "not an address; give host and port" in refused(
             capsys, "study", str(spec), "--out", str(tmp_path / "out"), "--scheduler", no_address
         )
     monkeypatch.setattr("twin.study.execution.SECONDS_TO_ANSWER", 1)
@@ -372,7 +372,7 @@ def test_everything_is_written_and_the_best_machine_is_the_best(tmp_path: Path, 
     assert main(["study", str(spec), "--out", str(out)]) == 0
     told = capsys.readouterr().out
     assert "idle has no effect on any response" in told
-    assert "mass moves it most" in told
+    assert "largest influence: mass" in told
     assert re.search(r"with variant \d: mass \d+\.?\d* kg, idle 0\.\d+ m$", told, re.MULTILINE)
     document = json.loads((out / "study.json").read_text(encoding="utf-8"))
     table = pyarrow.parquet.read_table(out / "table.parquet")

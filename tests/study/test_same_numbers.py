@@ -1,4 +1,4 @@
-"""A study's numbers are its own: whatever ran before in the process, in any order, on any number of threads; and its marks hold."""
+"""The numbers of a study do not depend on earlier studies in the process, the order of variants, or the number of threads."""
 
 from dataclasses import replace
 import json
@@ -18,7 +18,7 @@ from twin.machine.check import check_machine
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.study.design import machine_of, variants_of
-from twin.study.evaluate import evaluate, work_of
+from twin.study.evaluate import _planning_key, evaluate, work_of
 from twin.study.execution import fingerprint
 from twin.study.paths import inertia_at_motor, with_numbers
 from twin.study.spec import read_study
@@ -27,7 +27,7 @@ from twin.study.store import FILE
 GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_y_m"\nvalues = [0.0, 0.05]\n'
 LIMIT = '[[factor]]\nname = "jerk"\npath = "axis.X.max_jerk_m_per_s3"\nvalues = [5.0, 20.0]\n'
 ELSEWHERE = '[fixed]\n"geometry.a_axis_to_c_axis_y_m" = 0.02\n"body.workpiece.mass_kg" = 25.0\n"axis.Y.coulomb_friction_nm" = 3.0\n'
-"""Another machine with the same axes and limits: what is remembered of it under too short a name comes back."""
+"""Another machine with the same axes and limits, to detect caches with incomplete keys."""
 MASS = '[[factor]]\nname = "load"\npath = "added_mass.workpiece"\nvalues = [0.0, 40.0]\n'
 RUN = '[[run]]\ninput = "tilt.mpf"\n'
 DESIGN = '[design]\nkind = "grid"\n'
@@ -41,7 +41,7 @@ def spec_in(folder: Path, factors: str) -> Path:
 
 
 def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
-    """Workers remember models, plans, margins and weights: none of it may reach another machine."""
+    """Workers cache models, plans, margins and weights, which must not be used for another machine."""
     spec, other = spec_in(tmp_path / "a", GEOMETRY + MASS), spec_in(tmp_path / "b", ELSEWHERE + LIMIT + MASS)
     command = [sys.executable, "-m", "twin", "study", str(spec), "--out", str(tmp_path / "fresh"), "--threads", "1", "--no-replay"]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -57,7 +57,7 @@ def test_other_studies_before_change_no_bit(tmp_path: Path) -> None:
 
 
 def test_blas_threads_change_no_bit(tmp_path: Path) -> None:
-    """Workers of a cluster have one BLAS thread, a desk has as many as cores: a dot product of a long record is split among them."""
+    """BLAS splits long dot products among its threads; a study must not depend on their number."""
     time, x = moves_in_turn(0.0, [0.01, -0.01] * 30, 0.1, 2.0, 50.0, 0.06, 1e-3)
     assert len(time) > 12_000
     write_trace(Trace(time, {("X", "setpoint"): x}, {"X": "linear"}), tmp_path / "move.csv")
@@ -110,7 +110,7 @@ def test_half_the_inertia_is_half_the_inertia(mikron: Machine) -> None:
 def test_a_run_is_named_after_no_other_folder(tmp_path: Path) -> None:
     for name in ("../out", "a/b", "/tmp/x", ".hidden", "a\\\\b"):
         spec = write_spec(tmp_path, run=f'[[run]]\ninput = "move.csv"\nname = "{name}"\n')
-        with pytest.raises(InputError, match="files are named after it"):
+        with pytest.raises(InputError, match="becomes part of file names"):
             read_study(spec)
 
 
@@ -119,3 +119,17 @@ def test_the_fingerprint_counts_what_the_numbers_depend_on(tmp_path: Path) -> No
     variants = variants_of(study)
     other = replace(study, machine=study.machine.with_values({"geometry.tool_length_m": 0.13}))
     assert fingerprint(study, variants) != fingerprint(other, variants)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "other_plan"),
+    [
+        ("axis.X.loops.position_gain_per_s", 20.0, True),  # the lowest gain sets how fast an exact stop settles
+        ("axis.X.max_jerk_m_per_s3", 2.0, True),
+        ("geometry.tool_length_m", 0.13, True),
+        ("axis.X.coulomb_friction_nm", 3.0, False),
+        ("axis.X.moving_mass_kg", 800.0, False),
+    ],
+)
+def test_variants_share_a_plan_only_if_it_is_the_same(mikron: Machine, path: str, value: float, other_plan: bool) -> None:
+    assert (_planning_key(mikron.with_values({path: value})) != _planning_key(mikron)) == other_plan

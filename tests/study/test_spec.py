@@ -1,4 +1,4 @@
-"""Study files: numbers by path, ties, designs, and what a wrong file is told."""
+"""Study files: numbers by path, ties, designs, and error messages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -98,7 +98,7 @@ def test_the_control_is_told_a_variant_or_keeps_the_nominal(tmp_path: Path, mikr
 
 
 def without_told_constants(folder: Path, more: str = "") -> Path:
-    """A study of the motor's torque constant on a machine whose file tells the control inertias alone."""
+    """A study of the motor's torque constant on a machine whose file has commissioned inertias only."""
     machine = load_machine()
     told = {f"axis.{a}.commissioned": {"inertia_kg_m2": v} for a, v in zip(machine.axis_names, home_inertia_at_motor(machine).tolist())}
     write_machine(machine.with_values(told), folder / "machine.toml")
@@ -108,7 +108,7 @@ def without_told_constants(folder: Path, more: str = "") -> Path:
 
 @pytest.mark.parametrize(("recommission", "constant"), [(False, 1.4), (True, 1.0)])
 def test_the_control_keeps_the_nominal_torque_constant(tmp_path: Path, recommission: bool, constant: float) -> None:
-    """A motor of 1.0 Nm/A instead of 1.4: only a control that is commissioned anew knows it."""
+    """A motor of 1.0 Nm/A instead of 1.4: only a recommissioned control uses the new value."""
     study = read_study(without_told_constants(tmp_path, f"recommission = {str(recommission).lower()}\n"))
     axis = machine_of(study, np.array([1.0])).axis("X")
     assert axis.motor.torque_constant_nm_per_a == 1.0
@@ -127,7 +127,7 @@ def test_what_the_control_was_told_can_be_varied_itself(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("recommission", [False, True])
 def test_an_inertia_among_the_machine_data_stays_there(tmp_path: Path, mikron: Machine, recommission: bool) -> None:
-    """MD32650 of X tells the control; commissioned anew it is that number that changes."""
+    """MD32650 of X is the commissioned inertia; recommissioning changes this number."""
     shutil.copy(mikron.model_path, tmp_path)
     document = tomlkit.parse(mikron.path.read_text(encoding="utf-8"))
     del document["axis"]["X"]["commissioned"]
@@ -227,7 +227,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "range of nan": (lambda t: t.replace("[500.0, 900.0]", "[nan, 1]"), ("range", "list of numbers")),
     "neither": (lambda t: t.replace("range = [500.0, 900.0]", ""), ("neither values nor a range",)),
     "both": (lambda t: t.replace("range =", "values = [1.0, 2.0]\nrange ="), ("both values and a range",)),
-    "one value": (lambda t: t.replace("range = [500.0, 900.0]", "values = [500.0]"), ("one value only", "[fixed]")),
+    "one value": (lambda t: t.replace("range = [500.0, 900.0]", "values = [500.0]"), ("only one value", "[fixed]")),
     "factor twice": (lambda t: t.replace(GRID, FACTOR + GRID), ("two of [[factor]]", "'mass'")),
     "unknown effect": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlsh.X.clearance"), ("backlsh", "did you mean 'backlash'")),
     "effect's parameter": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X.gap"), ("no parameter 'gap'",)),
@@ -235,7 +235,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "effect short": (lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X"), ("write effect.NAME.AXIS.PARAMETER",)),
     "effect on a wrong axis": (
         lambda t: t.replace("axis.X.moving_mass_kg", "effect.encoder_eccentricity.X.amplitude"),
-        ("axis X cannot have it",),
+        ("axis X cannot have this effect",),
     ),
     "relative effect": (
         lambda t: t.replace("axis.X.moving_mass_kg", "effect.backlash.X.clearance").replace("range", "relative = true\nrange"),
@@ -245,7 +245,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "tie without path": (lambda t: t + '[[tied]]\nto = "mass"\n', ("'path' is missing",)),
     "tie with both": (
         lambda t: t + '[[tied]]\npath = "axis.Y.moving_mass_kg"\nto = "mass"\nslope = 1\nexponent = 2\n',
-        ("slope goes with a factor and without exponent",),
+        ("slope needs a factor and excludes exponent",),
     ),
     "fixed path": (lambda t: '[fixed]\n"axis.X.moving_mas_kg" = 1.0\n' + t, ("[fixed]", "did you mean 'axis.X.moving_mass_kg'")),
     "fixed value": (lambda t: '[fixed]\n"axis.X.moving_mass_kg" = "a"\n' + t, ("[fixed]", "list of numbers")),

@@ -1,4 +1,4 @@
-"""`twin cut` from a trace to files, and what it says to bad input."""
+"""`twin cut` from a trace to files, and its messages for bad input."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_meshes_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         read_mesh(tmp_path / "open.ply", "mm", closed=True)
     assert "not watertight" in read_mesh(tmp_path / "open.ply", "mm", closed=False)[1]
     trimesh.creation.box((4e7, 1.0, 1.0)).export(tmp_path / "huge.obj")
-    with pytest.raises(InputError, match="no plausible part"):
+    with pytest.raises(InputError, match="is not plausible in any of"):
         read_mesh(tmp_path / "huge.obj", None, closed=True)
     (tmp_path / "rubbish.stl").write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match=r"rubbish\.stl"):

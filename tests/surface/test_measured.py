@@ -85,7 +85,7 @@ def test_sur_files_that_are_refused(tmp_path: Path) -> None:
     numbers = np.zeros((10, 20), int)
     for changed, says in (
         ({"at_0": b"DSCOMPRESSED"}, "packed"),
-        ({"at_0": b"SOMETHING"}, "no SUR file"),
+        ({"at_0": b"SOMETHING"}, "not a SUR file"),
         ({"at_14": b"\x02\x00"}, "2 objects"),
         ({"at_108": struct.pack("<i", 4000)}, "ends before"),
         ({"at_212": b"Kelvin".ljust(16, b"\0")}, "unit of z is 'Kelvin'"),

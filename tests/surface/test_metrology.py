@@ -26,7 +26,7 @@ def patch(height: np.ndarray, spacing: float = 1e-5) -> HeightRays:
 
 
 def test_areal_parameters_of_a_sine() -> None:
-    """Amplitude a: Sa = 2 a / pi, Sq = a / sqrt 2, Sz = 2 a, Sku = 1.5; form of the second order falls out."""
+    """Wave of amplitude a: Sa = 2 a / pi, Sq = a / sqrt 2, Sz = 2 a, Sku = 1.5; second-order form is removed."""
     x, y = (np.arange(20_000) + 0.5) * 2e-7, np.arange(50) * 1e-6
     wave = 1e-6 * np.sin(2.0 * math.pi * x / 1e-4)[None] + 0.0 * y[:, None]
     form = 3e-4 * (x[None] / 4e-3) ** 2 - 2e-5 * y[:, None] / 5e-5 + 1e-5 * x[None] * y[:, None] / 2e-7
@@ -139,7 +139,7 @@ def test_contour_and_orientation_error_of_a_shifted_path() -> None:
         ({"kind": "ball", "diameter_mm": 10, "corner_mm": 1}, "unknown key 'corner_mm'"),
         ({"kind": "bull", "diameter_mm": 10, "corner_mm": 6}, "between 0 and the tool's radius"),
         ({"kind": "revolution", "profile_mm": [[1, 2]]}, "at least two points"),
-        ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5], [5, 3]]}, "never fall"),
+        ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5], [5, 3]]}, "non-decreasing heights"),
         ({"kind": "revolution", "profile_mm": [[0, 0], [5, 5, 1]]}, "does not reach"),
     ],
 )
@@ -152,3 +152,7 @@ def test_tools_know_their_size() -> None:
     assert bull_nose(10e-3, 1e-3).radius == pytest.approx(5e-3)
     cone = revolution([(0.0, 0.0), (2e-3, 4e-3), (2e-3, 9e-3)])
     assert (cone.radius, cone.reach) == (pytest.approx(2e-3), pytest.approx(9e-3))
+
+
+def test_scallops_of_different_height_give_their_mean() -> None:
+    assert scallop_height(np.array([5.0, 0.0, 1.0, 0.0, 2.0, 0.0, 3.0, 0.0, 5.0])) == pytest.approx(2.0)

@@ -1,4 +1,4 @@
-"""The paper's three parts as they ship: every one can be cut, at every level."""
+"""The paper's three parts in examples/parts: each can be cut at every level."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_every_part_is_cut_at_every_level(tmp_path: Path, name: str, paper: dict
 
 
 def test_the_variant_changes_only_what_it_says(mikron: Machine) -> None:
-    """Gain and feedforward of every axis, jerk of Z, and the name; everything else is the nominal file's."""
+    """The file differs from the nominal one only in gain and feedforward of every axis, jerk of Z, and name."""
     variant = load_machine(ROOT / "models" / "mikron_ucp710_paper.toml")
 
     def flat(table: Any, path: str = "") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Part files: every shape is read, and each fault is one line that names file, table and key and says what to do."""
+"""Part files: every shape is read, and each error is one line with file, table, key and remedy."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ FAULTS = {
     "flat centre": (TOOL + SPHERE, "centre_mm = [0, 0, 0]", "centre_mm = [0, 0]", "give a list of 3 numbers"),
     "sphere inside out": (TOOL + SPHERE, "radius_mm = 10", "radius_mm = -10", "radius_mm = -10 is no number above 0"),
     "polar reversed": (TOOL + SPHERE, "[10, 60]", "[60, 10]", "polar_deg = .* the first number must lie below the second"),
-    "polar over the pole": (TOOL + SPHERE, "[10, 60]", "[-60, 60]", "polar_deg = .* give angles between 0"),
+    "polar over the pole": (TOOL + SPHERE, "[10, 60]", "[-60, 60]", "polar_deg = .* give angles from 0"),
     "polar of text": (TOOL + SPHERE, "[10, 60]", '"ab"', "polar_deg = 'ab'; give a list of 2 numbers"),
     "no file": (TOOL + MESH, 'file = "part.stl"', "", "file is missing; add it"),
     "file is a number": (TOOL + MESH, '"part.stl"', "5", "file = 5 is no text; write it in quotes"),
@@ -82,7 +82,7 @@ FAULTS = {
         "[0, 0, 2]",
         r"\[tool\]: .* arc of radius 2 mm does not reach over 0 mm; give it two different ends",
     ),
-    "outline that falls": (OUTLINE + PLANE, "[1, 5]", "[1, 0.5]", r"\[tool\]: .* heights that never fall"),
+    "outline that falls": (OUTLINE + PLANE, "[1, 5]", "[1, 0.5]", r"\[tool\]: .* non-decreasing heights"),
 }
 
 

@@ -1,4 +1,4 @@
-"""`twin cut INPUT --part PART.toml --out DIR`: remove material along a path and write what is left."""
+"""`twin cut INPUT --part PART.toml --out DIR`: removes material along a tool path and writes the cut surface."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="F",
         help="velocity+torque | velocity | off, of the simulated run of a program; may be given several times (default: velocity+torque and off)",
     )
-    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: as the part file says)")
+    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: that of the part file)")
     parser.add_argument(
         "--measured", metavar="MAP", help="measured height map (.npz .csv .sur .x3p) of the zone: registered and compared with every cut"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
-    parser.add_argument("--no-files", action="store_true", help="write cut.json and pictures only, no meshes, height maps and recording")
+    parser.add_argument("--no-files", action="store_true", help="write only cut.json and pictures, no meshes, height maps or recording")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Cut, print a table, write everything."""
+    """Cut, print a table, write all files."""
     from twin.simulation.summary import table
 
     part = read_part(args.part)
@@ -102,7 +102,7 @@ def carry_out(args: argparse.Namespace) -> int:
             left=2,
         )
     )
-    print("too deep, left, slow, fast: against the programmed cut; slow and fast by the feed at which the place was made")
+    print("too deep, left, slow, fast: against the programmed cut; slow and fast by the feed during the cut")
     for one in paths:
         if one.errors:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
@@ -112,7 +112,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _compare(machining: Machining, reports: list[dict[str, Any]], measured: HeightMap, out: Path) -> None:
-    """Add to each report how the measured map differs from the cut, print it, and draw both beside each other."""
+    """Add the difference of the measured map to each report, print it, and draw both maps."""
     from twin.surface.picture import draw_measured
 
     for one, report in zip(machining.cuts, reports):
@@ -129,14 +129,14 @@ def _compare(machining: Machining, reports: list[dict[str, Any]], measured: Heig
             "depth_measured_um": depths[1] * 1e6,
         }
         print(
-            f"{one.surface.name}, {one.level.label}: measured less simulated {found.rms * 1e6:.2f} um RMS; deepest below the mean: "
+            f"{one.surface.name}, {one.level.label}: measured minus simulated {found.rms * 1e6:.2f} um RMS; deepest below the mean: "
             f"simulated {depths[0] * 1e6:.2f} um, measured {depths[1] * 1e6:.2f} um"
         )
         draw_measured(simulated, found, one.level.label, out / f"{_name(f'{one.surface.name} {one.level.label}')}_measured.png")
 
 
 def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], words: list[str], *, progress: Any = None) -> list[Level]:
-    """The paths to cut: of a program, of a run directory, or of a trace."""
+    """The paths to cut, from a program, a run directory or a trace."""
     from twin.recordings.trace import read_trace
 
     if source.suffix.lower() in PROGRAM_ENDINGS:
@@ -149,7 +149,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
 
 
 def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:
-    """Pictures of every cut, all levels together, and meshes, height maps and a recording of the finest rays."""
+    """Write pictures of every cut and of all levels together; with `files` also meshes, height maps and a recording."""
     from twin.surface.export import write_height_map, write_mesh
     from twin.surface.picture import colour_end, draw_cut, draw_levels
 
@@ -207,5 +207,5 @@ def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:
 
 
 def _name(text: str) -> str:
-    """A file or entity name without blanks and signs."""
+    """A file or entity name without blanks and special characters."""
     return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")

@@ -1,4 +1,4 @@
-"""`twin exam`: sealed campaigns diagnosed by a process that knows nothing, opened and scored; or what a campaign could show at all."""
+"""`twin exam`: diagnoses sealed campaigns, opens the seals and scores; with --plan, lists what a campaign can show."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         required=True,
         metavar="DIR",
-        help="folder for campaigns, answers, exam.json, report.html; an examination stopped there continues",
+        help="folder for campaigns, answers, exam.json and report.html; an interrupted examination continues there",
     )
-    parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the shipped one)")
+    parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the Mikron)")
     parser.add_argument(
         "--richness",
         choices=("off", "small", "full"),
@@ -33,11 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="small imperfections that no effect describes, in every machine (default small)",
     )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
-    parser.add_argument(
-        "--only",
-        metavar="KIND",
-        help="only one kind of case, e.g. healthy, 'a fifth', outside",
-    )
+    parser.add_argument("--only", metavar="KIND", help="only one kind of case, e.g. healthy, 'a fifth', outside")
     parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
@@ -48,42 +44,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Draw, seal, diagnose, open, mark, score; 1 where a target is missed by more than chance."""
+    """Draw, seal, diagnose, open, mark and score; 1 if a target is missed by more than chance."""
     if args.plan:
         from twin.exam.detectability import detectability_command
 
         return detectability_command(args)
-    from twin.exam.draw import what_lacks
     from twin.exam.mark import mark
-    from twin.exam.questions import STRATA, questions_of
+    from twin.exam.questions import questions_of
     from twin.exam.report import write_exam_report
     from twin.exam.score import is_failed, score
     from twin.exam.session import TRUTHS, draw, each, is_answered, processes, same_examination, seal, sit, sources, truths_text, unseal
-    from twin.machine.machine import default_machine_path, load_machine
     from twin.progress import Progress
 
-    if not 1 <= args.cases <= 100_000:
-        raise InputError(f"--cases {args.cases}: give 1 or more")
-    if args.seed < 0:
-        raise InputError(f"--seed {args.seed}: give 0 or more")
-    if args.workers is not None and args.workers < 1:
-        raise InputError(f"--workers {args.workers}: give 1 or more")
-    if args.only not in (None, *(s.name for s in STRATA)):
-        raise InputError(f"--only {args.only}: no such kind of case; {nearest(args.only, [s.name for s in STRATA])}")
-    machine_file = str(Path(args.machine).resolve() if args.machine else default_machine_path())
-    machine = load_machine(machine_file)
-    if machine.axis_names != ("X", "Y", "Z", "A", "C"):
-        raise InputError(
-            f"{machine_file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}"
-        )
-    table = read_toml(Path(machine_file))
-    if (lack := what_lacks(table)) is not None:
-        raise InputError(f"{machine_file}: the examination's plant cannot be made of it: {lack}; it needs what the Mikron's file has")
+    _check(args)
+    machine_file, machine_name, machine_digest = _machine_of(args)
     out = output_folder(Path(args.out).resolve())
     questions = questions_of(args.seed, args.cases, args.short, args.only)
-    asked_for = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
-    model = (Path(machine_file).read_bytes(), machine.model_path.read_bytes())
-    same_examination(out, {**asked_for, "machine": hashlib.sha256(b"\0".join(model)).hexdigest()[:16]})
+    options = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
+    same_examination(out, {**options, "machine": machine_digest})
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
         with Progress("drawing cases", total=len(questions)) as bar:
@@ -91,27 +69,28 @@ def carry_out(args: argparse.Namespace) -> int:
         impossible = {name: reason for name, reason in drawn.items() if isinstance(reason, str)}
         cases = {name: case for name, case in drawn.items() if not isinstance(case, str)}
         text = truths_text(cases)
-        print(f"{len(cases)} cases sealed, SHA-256 of the truths {seal(text, out)}", flush=True)
-        opened = args.open or (out / TRUTHS).exists()  # once they are open nothing is diagnosed any more
+        digest = seal(text, out)
+        print(f"{len(cases)} cases sealed, SHA-256 of the truths {digest}", flush=True)
+        opened = args.open or (out / TRUTHS).exists()  # no diagnosis after the seals were opened
         asked = [q for q in questions if q.name in cases and (not opened or is_answered(folders[q.name]))]
         if not asked:
-            raise InputError(f"{out}: nothing has been answered yet; call it without --open first")
+            raise InputError(f"{out}: no case has been diagnosed yet; call it without --open first")
         with Progress("diagnosing", total=len(asked)) as bar:
             seconds = each(pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick) for q in asked}, bar)
         unseal(text, out)
-        print(f"opened: {out / 'truths.json'}", flush=True)
+        print(f"opened: {out / TRUTHS}", flush=True)
         with Progress("marking", total=len(asked)) as bar:
             marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
     scored = score(list(marks.values()))
     document = {
         "twin": twin.__version__,
-        **asked_for,
-        "machine": table.get("name", Path(machine_file).stem),
-        "seal": (out / "seal.sha256").read_text(encoding="utf-8").strip(),
+        **options,
+        "machine": machine_name,
+        "seal": digest,
         "not_drawn": impossible,
         "not_answered": len(cases) - len(asked),
         "score": scored,
-        "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2] if seconds else None},
+        "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2]},
         "marks": list(marks.values()),
     }
     write_whole(out / "exam.json", json.dumps(stamped(document, "exam"), indent=1) + "\n")
@@ -121,7 +100,39 @@ def carry_out(args: argparse.Namespace) -> int:
     return int(any(is_failed(t) for t in scored["targets"]))
 
 
-def summary(document: dict) -> str:  # type: ignore[type-arg]
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options out of range."""
+    from twin.exam.questions import STRATA
+
+    if not 1 <= args.cases <= 100_000:
+        raise InputError(f"--cases {args.cases}: give 1 to 100000")
+    if args.seed < 0:
+        raise InputError(f"--seed {args.seed}: give 0 or more")
+    if args.workers is not None and args.workers < 1:
+        raise InputError(f"--workers {args.workers}: give 1 or more")
+    if args.only not in (None, *(s.name for s in STRATA)):
+        raise InputError(f"--only {args.only}: no such kind of case; {nearest(args.only, [s.name for s in STRATA])}")
+
+
+def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
+    """(file, name, digest) of a machine that the second plant can be built from."""
+    from twin.exam.draw import what_lacks
+    from twin.machine.machine import default_machine_path, load_machine
+
+    file = Path(args.machine).resolve() if args.machine else default_machine_path()
+    machine = load_machine(file)
+    if machine.axis_names != ("X", "Y", "Z", "A", "C"):
+        raise InputError(f"{file}: the examination's plant has the axes X, Y, Z, A, C; this file has {', '.join(machine.axis_names)}")
+    table = read_toml(file)
+    if (lack := what_lacks(table)) is not None:
+        raise InputError(
+            f"{file}: the examination's plant cannot be built from it ({lack}); give a file with the same entries as the Mikron's"
+        )
+    digest = hashlib.sha256(b"\0".join((file.read_bytes(), machine.model_path.read_bytes()))).hexdigest()[:16]
+    return str(file), table.get("name", file.stem), digest
+
+
+def summary(document: dict) -> str:
     """The score as a table for the terminal."""
     from twin.exam.report import counted
     from twin.exam.score import target_text, target_word
@@ -146,7 +157,7 @@ def summary(document: dict) -> str:  # type: ignore[type-arg]
     gap, same = s["gap"], s["same_parameters"]
     if gap["before"] is not None:
         lines.append(
-            "gap over noise on exam runs, medians: "
+            "gap over noise on the exam runs, medians: "
             + ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
         )
     if same["level"] is not None:

@@ -1,4 +1,4 @@
-"""`twin regress [SUITE] [--update]`: run a suite, compare with golden results, say what moved."""
+"""`twin regress [SUITE] [--update]`: runs a suite and compares it with golden results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SUITE = "examples/regression"
 ROUNDING = 1e-6
-"""A difference below this share of its tolerance is the rounding of a file: no reason for a new golden result."""
+"""Difference over tolerance below which only the rounding of files differs and no new golden result is written."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,13 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", metavar="FILE", help="JUnit XML (default: junit.xml in --out)")
     parser.add_argument("--json", metavar="FILE", help="the same as JSON (default: regress.json in --out)")
     parser.add_argument("--no-evidence", action="store_true", help="verdicts only: no folder for each failed case")
-    parser.add_argument("--list", action="store_true", help="list the cases and what they guard, and run nothing")
+    parser.add_argument("--list", action="store_true", help="list the cases and their purpose without running them")
     parser.add_argument("--update", action="store_true", help="store the present results as golden results; needs --reason")
     parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """0: nothing moved beyond its tolerance; 1: something did, or a case could not run."""
+    """0: all differences within tolerance; 1: a case failed or could not run."""
     from twin.progress import Progress
     from twin.regress.run_suite import BROKEN, FAILED, run_suite
     from twin.regress.suite import chosen, read_suite
@@ -70,7 +70,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
-    """Show old, new and difference; ask for a reason; write what changed."""
+    """Show old and new values, ask for a reason, write the changed golden results."""
     from twin.progress import Progress
     from twin.regress.compare import uncompared
     from twin.regress.golden import golden_paths, history_of, write_golden
@@ -81,10 +81,10 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         verdicts = run_suite(cases, jobs=args.jobs, update=True, done=lambda: bar(None))
     broken = [v for v in verdicts if v.status == BROKEN or v.stopped]
     if broken:
-        raise InputError(f"{broken[0].case.where}: {broken[0].text}; only a case that runs to its end can become golden")
+        raise InputError(f"{broken[0].case.where}: {broken[0].text}; golden results need a complete run, correct the case first")
     for v in verdicts:
         if v.status == SKIPPED:
-            print(f"skipped, its golden result stays as it is: {v.case.name}: {v.text}")
+            print(f"skipped, golden result unchanged: {v.case.name}: {v.text}")
     rows, changed = [], []
     for v in verdicts:
         if v.new is None:
@@ -110,9 +110,7 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         print("\n".join(f"note: {note}" for note in sorted(others)))
     reason = (args.reason if args.reason is not None else _asked(len(changed))).strip()
     if len(reason) < 5:
-        raise InputError(
-            "--update: golden results change only with a reason that is kept; give --reason 'what changed and why it is right'"
-        )
+        raise InputError("--update: new golden results need a reason, which is stored; give --reason 'what changed and why it is right'")
     for v in changed:
         assert v.new is not None
         number = sum(c.excess > ROUNDING for c in v.checks) if v.golden else len(v.new.features)
@@ -126,7 +124,7 @@ def _cell(value: float | str | None) -> str:
 
 
 def _asked(count: int) -> str:
-    """Ask at a terminal; elsewhere the reason must be given."""
+    """Ask for the reason at a terminal; elsewhere --reason is required."""
     if not sys.stdin.isatty():
         return ""
     try:

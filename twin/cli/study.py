@@ -1,4 +1,4 @@
-"""`twin study`: carry a design study out and answer it."""
+"""`twin study`: runs a design study and evaluates it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Carry out, answer, print the findings."""
+    """Run the study, evaluate it, print the findings."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
@@ -47,7 +47,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
     if args.threads and args.scheduler:
-        raise InputError("--threads is for this machine, the cluster has its own; leave out one of --threads and --scheduler")
+        raise InputError("--threads applies to this computer, --scheduler uses the workers of a cluster; leave out one of them")
     study = read_study(args.spec, args.machine)
     variants = variants_of(study)
     out = Path(args.out)

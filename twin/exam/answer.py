@@ -1,4 +1,4 @@
-"""The answer to a case: what the examined process wrote, sealed by itself, so that no answer is changed after it was given."""
+"""The answer to a case. The examined process seals it with a hash, so that a later change is noticed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MACHINE, BASELINES, DIAGNOSIS, SEAL = "machine.toml", "baselines.json", "diagnos
 
 
 def write_answer(folder: Path, corrected: Machine, baselines: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> None:
-    """Write the corrected machine, what simpler methods say, the seal of all, and the diagnosis last: with it the case is answered."""
+    """Write corrected machine, baselines, seal and, last, the diagnosis: a case counts as answered when the diagnosis exists."""
     folder.mkdir(parents=True, exist_ok=True)
     write_machine(corrected, folder / MACHINE)
     write_whole(folder / BASELINES, json.dumps(baselines, indent=1) + "\n")
@@ -27,17 +27,17 @@ def write_answer(folder: Path, corrected: Machine, baselines: Mapping[str, Any],
 
 
 def read_answer(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(diagnosis, baselines) as they were given.
+    """(diagnosis, baselines) of a sealed answer.
 
     Raises:
-        InputError: a file is not what was sealed.
+        InputError: a file differs from the sealed one.
     """
     try:
         same = (folder / SEAL).read_bytes().strip().decode("ascii", "replace") == _digest(folder, (folder / DIAGNOSIS).read_bytes())
     except OSError:
         same = False
     if not same:
-        raise InputError(f"{folder}: this answer is not what was sealed; remove the folder, and the case is asked again")
+        raise InputError(f"{folder}: this answer is not what was sealed; remove the folder to have the case diagnosed again")
     return read_json_table(folder / DIAGNOSIS), read_json_table(folder / BASELINES)
 
 

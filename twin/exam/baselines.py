@@ -1,10 +1,10 @@
-"""Three simpler methods on the same campaign, to see what the diagnosis adds.
+"""Three simpler methods on the same campaign, as a reference for the diagnosis.
 
-    re-tuning           no effect is known: "none" where re-tuning within the tolerance leaves noise, else "unknown"
-    nearest signature   the start of any effect whose simulated answer lies nearest in direction to the nominal twin's
-                        residual, the toleranced parameters taken as exactly nominal
-    sparse regression   the force residual (current times torque constant, measured minus nominal twin) of each axis regressed
-                        on the textbook terms of mechanics, one at a time by orthogonal matching pursuit; the first one is named
+    re-tuning           knows no effects: "none" if re-tuning within the tolerance leaves only noise, otherwise "unknown"
+    nearest signature   names the effect whose simulated change of the signals is closest in direction to the residual of the
+                        nominal twin; all toleranced parameters keep their nominal values
+    sparse regression   regresses the force residual of each axis (torque constant times measured minus simulated current) on
+                        textbook terms of mechanics by orthogonal matching pursuit and names the first term
 
 Each answers {"verdict": ..., "effect": ..., "axis": ...}.
 """
@@ -26,7 +26,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 NOTICED = 0.12
-"""Excess of the mean square over noise from which these methods say that something is there."""
+"""Excess of the mean square over noise above which these methods report something."""
 
 NOTHING: dict[str, Any] = {"verdict": "none", "effect": None, "axis": None}
 
@@ -37,7 +37,7 @@ def baselines_of(found: Sequence[Found], machine: Machine) -> dict[str, dict[str
 
 
 def _above_noise(group: Group, rows: np.ndarray) -> bool:
-    """Do weighted rows (row,) hold more than noise? What the diagnosis doubts is not known to these methods."""
+    """Do weighted rows (row,) hold more than noise? These methods do not know which rows the diagnosis distrusts."""
     rows = group.in_noise(rows)
     return float(rows @ rows) > (1.0 + NOTICED) * sum(len(c.residual) / c.correlation for c in group.channels)
 
@@ -88,7 +88,7 @@ def _sparse(found: Sequence[Found]) -> dict[str, Any]:
 
 
 def _terms(group: Group, channels: Sequence[Channel]) -> dict[str, np.ndarray]:
-    """Candidate terms (sample, columns) of the force residual of one axis, by the effect that they stand for."""
+    """Candidate terms (sample, columns) of the force residual of one axis, by effect."""
     parts: list[dict[str, np.ndarray]] = []
     for c in channels:
         view = group.views[c.run]
@@ -118,7 +118,7 @@ def _terms(group: Group, channels: Sequence[Channel]) -> dict[str, np.ndarray]:
     stacked = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     best: dict[str, np.ndarray] = {}
     residual = np.concatenate([c.residual for c in channels])
-    for name, columns in stacked.items():  # one order, one source: the one that fits best
+    for name, columns in stacked.items():  # of several orders or source axes the best fit
         effect = name.split()[0]
         if effect not in best or _closed(columns, residual) > _closed(best[effect], residual):
             best[effect] = columns

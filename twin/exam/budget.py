@@ -1,15 +1,16 @@
-"""The true budget of a case: what the second plant would do without each of its effects.
+"""The true budget of a case: the change of the second plant's signals when one effect is removed.
 
-    case = with_budget(case, machine, "all")        # case.budget: one row an effect, largest first
+    case = with_budget(case, machine, "all")        # case.budget: one row per effect, largest first
 
 A row has the form of the recorded campaigns' budget.json: effect, axis, `times_noise` and `true_position_rms`.
-    times_noise         RMS over all axes, runs and the signals position, motor position, current of what changes when this effect
-                        alone is taken away, in multiples of what measuring noise makes of that signal in that run
-    true_position_rms   RMS over all runs of what changes of where the load of its axis truly is [m or rad]
-Both are simulated without noise and rounding. The current counts where the set point moves: that of an axis that sticks is history.
+    times_noise         RMS change of position, motor position and current over all axes and runs when this effect alone is
+                        removed, as a multiple of the measuring noise of that signal in that run
+    true_position_rms   RMS change of the true load position of its axis over all runs [m or rad]
+Both are simulated without noise and rounding. The current counts only while the set point moves: the current of a sticking axis
+depends on its history.
 
-Axes that do not push each other are asked in one run: from each group of coupled axes one effect is taken away at a time, and only
-this group's signals are read. A and C are one group (they share a mass matrix), and so are axes joined by a coupling.
+Axes that do not act on each other share a simulation: it removes one effect from each group of coupled axes and reads only the
+signals of that group. A and C form one group (they share a mass matrix), as do axes joined by a coupling effect.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from .plant.plant import Trace
 from .programme import TestRun
 
 SIGNALS = ("position", "motor_position", "current")
-SUBSTEPS = 2  # RK4 steps a tick: of two runs only the difference counts
-MOVING = (0.2e-3, math.radians(0.2))  # speed of set points [m/s, rad/s] from which a current is compared
-ANOTHER_SEED = 421  # of a second recording, for what noise makes
-DIGITS = 4  # of a row: the seal must hold on another computer
+SUBSTEPS = 2  # RK4 steps per tick: enough, because only differences between runs count
+MOVING = (0.2e-3, math.radians(0.2))  # set point speed [m/s, rad/s] above which currents are compared
+ANOTHER_SEED = 421  # noise seed of the second recording that measures the noise
+DIGITS = 4  # significant digits of a row, few enough for the seal to hold on another computer
 
 
 def with_budget(case: Case, machine: dict, run_set: str) -> Case:
@@ -48,7 +49,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     at = 0.0
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
-        noise = _noise_of(case, machine, test, at)
+        noise = noise_of(case, machine, test, at)
         for taken in _rounds(queues):
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
             other = simulate(replace(still, effects=rest), exact, test, at, SUBSTEPS)
@@ -74,7 +75,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
 
 
 def groups_of(case: Case) -> list[tuple[str, ...]]:
-    """Axes that push each other or read each other, in machine order."""
+    """Groups of mechanically or otherwise coupled axes, in machine order."""
     groups = [{"X"}, {"Y"}, {"Z"}, {"A", "C"}]
     for e in case.effects:
         if "from_axis" in e:
@@ -84,12 +85,12 @@ def groups_of(case: Case) -> list[tuple[str, ...]]:
 
 
 def _rounds(queues: Sequence[Sequence[int]]) -> list[dict[int, int]]:
-    """Effects that are taken away together: group -> effect, the n-th of each group in round n."""
+    """Effects to remove together, one dict (group -> effect) per simulation: round n removes the n-th effect of each group."""
     return [{g: queue[n] for g, queue in enumerate(queues) if n < len(queue)} for n in range(max(map(len, queues), default=0))]
 
 
 def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
-    """Mean square difference [signal, axis]; of the current where the set point moves."""
+    """Mean square difference [signal, axis]; for the current only while the set point moves."""
     speed = np.abs(np.gradient(one.setpoint, one.time, axis=0))
     moving = speed > np.array([MOVING[0]] * 3 + [MOVING[1]] * 2)
     rows = []
@@ -100,10 +101,10 @@ def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
     return np.array(rows)
 
 
-def _noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
-    """Standard deviation [signal, axis] that noise and rounding make of a run, at least what a sensor adds by itself.
+def noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
+    """Standard deviation [signal, axis] of noise and rounding in a run, not below that of the sensor itself.
 
-    Of two recordings of one run: beside a machine without noise, which comes to rest elsewhere than every noisy one, it would be twice as large.
+    Taken from two noisy recordings. A comparison with a noise-free run would double it: without noise an axis comes to rest elsewhere.
     """
     one, other = (
         simulate(replace(case, noise=True, noise_seed=seed), machine, test, at, SUBSTEPS) for seed in (case.noise_seed, ANOTHER_SEED)
@@ -117,7 +118,7 @@ def _noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray
 
 
 def _without_rounding(machine: dict) -> dict:
-    """The machine with encoders so fine that rounding changes nothing."""
+    """The machine with encoder resolutions that make rounding negligible."""
     measurement = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}
     return {**machine, "measurement": measurement}
 

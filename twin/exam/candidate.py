@@ -1,8 +1,8 @@
-"""The process that is examined: one campaign and one machine file in, one diagnosis out. It gets nothing else.
+"""The examined process: it reads one campaign and one machine file and writes one diagnosis. It gets nothing else.
 
     python -m twin.exam.candidate CAMPAIGN MACHINE OUT [--quick]
 
-Writes diagnosis.json and machine.toml as `twin diagnose` does, and baselines.json: what simpler methods say of the same campaign.
+Writes diagnosis.json and machine.toml as `twin diagnose` does, and baselines.json with the answers of the simpler methods.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main() -> int:
     end_with_parent()
     try:
         machine = load_machine(given.machine)
-        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick, threads=1)  # one candidate for each core
+        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick, threads=1)  # one process per core
     except TwinError as error:
         print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

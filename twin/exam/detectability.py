@@ -1,8 +1,8 @@
-"""What a campaign could show at all: which effects, down to which size, with its runs, signals and noise. No truth is needed.
+"""Detectability: which effects a campaign can show, down to which size, given its runs, signals and noise. No truth is needed.
 
-The twin simulates what each effect of usual size would change in this campaign. With the toleranced parameters projected out, the
-answer d of an effect stands against noise by s = |d|^2 / 2 (a log likelihood); against the nearest rival, whose size is free, by
-what remains of d when the rival's answer is projected out too. To first order s grows with the square of the size, so that
+The twin simulates how each effect of usual size changes the signals of this campaign: the response d, in multiples of noise and with
+the toleranced parameters projected out. Its log likelihood against noise is s = |d|^2 / 2. Against the nearest rival, whose size is
+free, the rival's response is projected out of d as well. To first order s grows with the square of the size:
 
     smallest size found           = usual size * sqrt(evidence / s)
     smallest size separated       = usual size * sqrt(evidence / s_rival)
@@ -49,18 +49,18 @@ CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "no scale at all, with current": ("indirect", ("position", "velocity", "current")),
     "no scale at all": ("indirect", ("position", "velocity")),
 }
-"""Which position is recorded, and the channels that the signals make: the scale; the motor encoder while the position loop stays
-closed on the scale; the motor encoder of a machine that has no scale, whose position loop is closed on it."""
+"""Variant -> recorded position and compared channels. Recorded is the scale; or only the motor encoder while the position loop is
+closed on the scale (`motor`); or the motor encoder of a machine without scales, which closes the position loop (`indirect`)."""
 
 USELESS = 1.0
-"""Size, as a multiple of the usual one, above which an effect counts as invisible."""
+"""Multiple of the usual size above which an effect counts as invisible."""
 
 Key = tuple[str, str, str | None]
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """One effect on one axis: smallest size found and separated, as multiples of the usual size, and the nearest rival."""
+    """One effect on one axis: smallest size found and separated (multiples of the usual size), and the nearest rival."""
 
     effect: str
     axis: str
@@ -71,7 +71,7 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Answers:
-    """Inner products of what toleranced parameters and effects change in some runs, by channel: sums over runs are sums of these."""
+    """Inner products of the responses to toleranced parameters and effects in some runs, by channel. They add up over runs."""
 
     nuisances: int
     places: dict[Key, slice]  # columns of each effect on each axis
@@ -85,7 +85,7 @@ class Answers:
 
 
 def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
-    """Simulate every toleranced parameter and every start on the runs of a group."""
+    """Simulate the response to every toleranced parameter and every start on the runs of a group."""
     tuning = tuning_of(group, machine, mapper)
     simulated = mapper(lambda s: _columns(group, s), starts.values())
     blocks = [tuning.jacobian.astype(np.float32)]
@@ -105,7 +105,7 @@ def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapp
 
 
 def starts_by_key(group: Group, machine: Machine) -> dict[Key, Start]:
-    """One start of each effect and axis: the middle of its sizes and shapes."""
+    """One start per effect and axis: the middle one of its sizes and shapes."""
     starts = starts_of(group, machine, np.zeros(group.size))
     keys = dict.fromkeys(s.key for s in starts)
     return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
@@ -119,7 +119,7 @@ def _columns(group: Group, start: Start) -> np.ndarray | None:
 
 
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
-    """Every effect on every axis from summed products (column, column), re-tuning taken out of them first."""
+    """Outlook of every effect on every axis, from summed products (column, column) after projecting out re-tuning."""
     k = like.nuisances
     normal = products[:k, :k] + DEFAULT.prior_weight * np.eye(k)
     free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
@@ -134,7 +134,7 @@ def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
 
 
 def _apart(free: np.ndarray, mine: slice, theirs: slice) -> float:
-    """Half the least square that a rival of free size leaves; of an effect whose phase is unknown the weaker one."""
+    """Half the smallest residual square after fitting a rival of free size; for an effect of unknown phase, of the weaker column."""
     inner, cross = free[theirs, theirs], free[theirs, mine]
     left = free[mine, mine] - cross.T @ np.linalg.pinv(inner, rcond=1e-9, hermitian=True) @ cross if inner.size else free[mine, mine]
     return max(0.5 * float(np.diag(left).min()), 0.0)
@@ -149,7 +149,7 @@ def _smallest(square: float) -> float:
 
 
 def without_scale(campaign: Campaign) -> Campaign:
-    """The campaign as if no scale had been recorded; the position loop stays closed on it."""
+    """The campaign without recorded scales; the position loop stays closed on them."""
     runs = tuple(
         replace(run, trace=replace(run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] != "position"}))
         for run in campaign.runs
@@ -158,14 +158,14 @@ def without_scale(campaign: Campaign) -> Campaign:
 
 
 def indirect(machine: Machine) -> Machine:
-    """The machine without scales: every position loop closed on the motor encoder."""
+    """The machine with every position loop closed on the motor encoder."""
     for axis in machine.axes:
         machine = machine.with_axis(axis.name, encoder="motor")
     return machine
 
 
 def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRun) -> MeasuredRun:
-    """A proposed move of these axes as the twin would record it, noise included, with the signals of another run."""
+    """A proposed move of these axes as the twin would record it, with noise and the signals of the run `like`."""
     trace = move_of(kind, [machine.axis(a) for a in axes])
     simulated = simulate(
         machine.with_feedforward(like.feedforward), setpoints_of(trace, machine), sample_period=trace.period, noise_seed=1
@@ -177,7 +177,7 @@ def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRu
 
 
 def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], None]) -> dict[str, list[Outlook]]:
-    """Outlook by variant of the campaign: its own, with fewer signals, and with each further run."""
+    """Outlooks by variant of the campaign: as recorded, with fewer signals, and with each further run."""
     axes = sorted({a for run in campaign.runs for a in run.trace.axes}, key=machine.axis_names.index)
     motor = all(run.trace.has(a, "motor_position") for run in campaign.runs for a in run.trace.axes)
     names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
@@ -214,7 +214,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
 
 
 def detectability_command(args: argparse.Namespace) -> int:
-    """`twin exam --plan CAMPAIGN --out DIR`: tables on the terminal, plan.json, report.html."""
+    """`twin exam --plan CAMPAIGN --out DIR`: print the tables, write plan.json and report.html."""
     machine = load_machine(args.machine) if args.machine else load_machine()
     campaign = read_campaign(args.plan, machine)
     with Progress("detectability", total=None) as bar:
@@ -238,12 +238,12 @@ def detectability_command(args: argparse.Namespace) -> int:
 
 
 def row_of(o: Outlook) -> list[str]:
-    """One effect in words: sizes in multiples of the usual one."""
+    """Table row of one effect."""
     return [o.effect, o.axis, size_text(o.found), size_text(o.apart), o.rival]
 
 
 def size_text(share: float) -> str:
-    """A multiple of the usual size."""
+    """A multiple of the usual size in words."""
     return (
         "not at all"
         if share > 100
@@ -256,14 +256,14 @@ def size_text(share: float) -> str:
 
 
 def summary_row(name: str, rows: Sequence[Outlook]) -> list[str]:
-    """How many effects of usual size a variant finds and separates, and which not."""
+    """Table row of a variant: how many effects of usual size it finds and separates, and which it does not."""
     lost = sorted({o.effect for o in rows if o.apart > USELESS})
     found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
     return [name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")]
 
 
 def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Outlook]], path: Path) -> None:
-    """The page."""
+    """Write the report page."""
     own = outlooks_of["as recorded"]
     apart = sum(o.apart <= USELESS for o in own)
     helps = max(
@@ -298,4 +298,4 @@ def _chart(rows: Sequence[Outlook]) -> Figure:
     ax.set_yticks(y, [f"{o.effect.replace('_', ' ')} {o.axis}" for o in shown], fontsize=7)
     ax.set_xlabel("smallest size, multiples of the usual one")
     ax.legend(loc="lower left")
-    return Figure(figure_svg(figure), "Left of the line an effect of usual size is seen; at the right edge it is not seen at all.")
+    return Figure(figure_svg(figure), "Left of the line an effect of usual size is visible; at the right edge it is invisible at any size.")

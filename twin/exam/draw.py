@@ -1,21 +1,17 @@
-"""Draws cases and writes their campaigns without truth.
+"""Draws cases and writes their campaigns without the truth.
 
     case = draw_case(seed, "single", machine)            # or pair, triple, healthy, outside, everyday
-    write_campaign(case, folder, machine)                # Parquet + campaign.toml, nothing that gives the truth away
+    write_campaign(case, folder, machine)                # Parquet and campaign.toml; neither reveals the truth
     truth = truth_of(case)                               # for the sealed file, kept elsewhere
 
-Everything comes from the seed: parameter factors, effects and sizes, richness, programme, noise.
-`python -m twin.exam.draw --seed N --kind K --out DIR --truth FILE` does the same from a shell.
+The seed determines everything: parameter factors, effects and sizes, richness, programme, noise.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-import sys
-import tomllib
 import zlib
 
 import numpy as np
@@ -30,7 +26,7 @@ from .plant.plant import SUBSTEPS, PlantError, Trace, run
 from .plant.richness import apply_richness
 from .programme import TestRun, programme
 
-COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # effects of a kind of case
+COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # kind of case -> number of effects
 KINDS = (*COUNTS, "everyday")
 EFFECTS = LIBRARY | OUTSIDE
 SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
@@ -49,9 +45,9 @@ BACKGROUND = tuple(
     )
     for axis in LIBRARY[name].axes
 )
-"""What an everyday machine has on every axis that can have it."""
-BACKGROUND_SCALE = (0.03, 0.15)  # of the usual size, drawn for each
-MOST_MAIN = 3  # effects of usual size beside a background
+"""Small effects of an everyday machine, on every axis that can have them."""
+BACKGROUND_SCALE = (0.03, 0.15)  # share of the usual size, drawn for each effect
+MOST_MAIN = 3  # most effects of usual size besides the background
 ZEROS = ("each run", "kept")
 RICH = Richness()
 # run set -> kinds or names of the runs in it
@@ -60,7 +56,6 @@ RUN_SETS = {
     "short": ("constant_velocity", "acceleration", "reversal", "five_axis"),
     "program": ("program",),
     "exam": ("exam",),
-    "test and program": ("test", "program"),
 }
 SIGNALS = {
     "full": ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current"),
@@ -71,7 +66,7 @@ SIGNALS = {
 _HOMES = (Path(__file__).resolve().parents[1] / "models", Path(__file__).resolve().parents[2] / "models")  # installed, checkout
 SHIPPED_MACHINE = next((home / "mikron_ucp710.toml" for home in _HOMES if home.is_dir()), _HOMES[1] / "mikron_ucp710.toml")
 PAUSE_S = 5.0  # between runs of a campaign
-# decimals of a recorded column in mm, mm/s (or deg, deg/s) and A, as in the campaigns recorded so far
+# decimals of a recorded column: (linear axes in mm, mm/s, A; rotary axes in deg, deg/s, A), as in the recorded campaigns
 DECIMALS = {
     "setpoint": (7, 7),
     "position": (4, 6),
@@ -89,14 +84,14 @@ class Case:
     seed: int
     kind: str
     scale: float
-    effects: tuple[dict, ...]  # as in a truth.toml, library and outside alike
+    effects: tuple[dict, ...]  # as in a truth.toml, from the library and outside it
     factors: dict  # parameter factors, see parameters.unit_factors
     richness: Richness = field(default_factory=Richness)
     noise: bool = True
-    noise_seed: int | None = None  # another recording of the same machine
+    noise_seed: int | None = None  # for another recording of the same machine
     wide: bool = False  # sizes and shapes from ranges three times as wide
-    encoder_zero: str = "each run"  # lead and cyclic error are zero where a run starts; "kept": the encoder keeps its zero
-    budget: tuple[dict, ...] = ()  # what each effect changes, see budget.py
+    encoder_zero: str = "each run"  # lead and cyclic error start at zero in each run; "kept": encoders keep their zero
+    budget: tuple[dict, ...] = ()  # change of the signals by each effect, see budget.py
 
 
 def draw_case(
@@ -114,9 +109,9 @@ def draw_case(
 ) -> Case:
     """A case from its seed.
 
-    effect, axis: fixes them for kinds "single" and "outside" (drawn otherwise). scale: 1 = usual size, 0.2 = a fifth.
-    spread: of the parameters, default the machine file's parameter_tolerance. run_set: the runs whose speeds and
-    currents sizes are measured against (current_limit must be reached where it is looked for). wide: sizes and shapes from
+    effect, axis: fix them for the kinds "single" and "outside" (otherwise drawn). scale: 1 = usual size, 0.2 = a fifth.
+    spread: parameter spread, by default the machine file's parameter_tolerance. run_set: the runs whose peak speeds and
+    currents scale the sizes (a current limit must be reached in the runs that look for it). wide: draw sizes and shapes from
     ranges three times as wide. Everyday and wide machines may have motor encoders that keep their zero from run to run."""
     if kind not in KINDS:
         raise ValueError(f"no kind {kind!r}; there are: {', '.join(KINDS)}")
@@ -138,18 +133,18 @@ def draw_case(
         if not effects or behaves(case, machine):
             return case
     raise PlantError(
-        f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): no draw of 20 leaves the "
-        "control loops stable; use a smaller scale"
+        f"case {seed} ({kind}, {effect or 'any effect'} on {axis or 'any axis'}, scale {scale}): the control loops are unstable "
+        "in all of 20 draws; use a smaller scale"
     )
 
 
 def runs_of(machine: dict, seed: int, run_set: str) -> list[TestRun]:
-    """The runs of a run set, in the order of the programme."""
+    """Runs of a run set, in the order of the programme."""
     return [r for r in programme(machine, seed) if r.kind in RUN_SETS[run_set] or r.name in RUN_SETS[run_set]]
 
 
 def _everyday(rng: np.random.Generator) -> list[tuple[str, str, float]]:
-    """Names, axes and scales: none to three effects of usual size, then the background, of which they replace their own kind."""
+    """Names, axes and scales: up to three effects of usual size, then the background effects that they do not replace."""
     main = _choose("everyday", int(rng.integers(MOST_MAIN + 1)), rng, None, None)
     low, high = BACKGROUND_SCALE
     scales = low + (high - low) * rng.random(len(BACKGROUND))
@@ -157,7 +152,7 @@ def _everyday(rng: np.random.Generator) -> list[tuple[str, str, float]]:
 
 
 def _choose(kind: str, count: int, rng: np.random.Generator, effect: str | None, axis: str | None) -> list[tuple[str, str]]:
-    """Names and axes: every effect equally often, then every axis it can have."""
+    """Names and axes: every effect with the same probability, then every axis that it can be on."""
     library = OUTSIDE if kind == "outside" else LIBRARY
     chosen: list[tuple[str, str]] = []
     while len(chosen) < count:
@@ -169,12 +164,12 @@ def _choose(kind: str, count: int, rng: np.random.Generator, effect: str | None,
         if (name, on) not in chosen:
             chosen.append((name, on))
         elif effect is not None:
-            raise ValueError("effect and axis can be fixed only where one effect is drawn (single, outside)")
+            raise ValueError("effect and axis can be fixed only for kinds with one effect (single, outside)")
     return chosen
 
 
 def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque") -> Settings:
-    """Settings of the plant for this case: factors, effects, richness, and the feedforward that a run has on."""
+    """Plant settings of this case: factors, effects, richness, and the feedforward of a run."""
     s = settings_of(machine, case.factors)
     s.zero_kept = case.encoder_zero == "kept"
     for effect in case.effects:
@@ -188,7 +183,7 @@ def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque"
 
 
 def simulate(case: Case, machine: dict, test: TestRun, started_at_s: float = 0.0, substeps: int = SUBSTEPS) -> Trace:
-    """One run of a case, on set points rounded as they are recorded."""
+    """Simulate one run of a case, on set points rounded as they are recorded."""
     unit = np.array([1e3] * 3 + [180.0 / math.pi] * 2)
     points = np.round(test.set_points * unit, DECIMALS["setpoint"][0]) / unit
     base = case.seed if case.noise_seed is None else case.noise_seed
@@ -197,7 +192,7 @@ def simulate(case: Case, machine: dict, test: TestRun, started_at_s: float = 0.0
 
 
 def behaves(case: Case, machine: dict) -> bool:
-    """Whether the control loops are stable: a short move of all axes does not shake the current and leaves rest behind."""
+    """Are the control loops stable? In a short move of all axes the current must not oscillate, and it must settle at the end."""
     limits = limits_of(machine)
     start, reach = np.array([0.0, 0.0, 0.0, -0.6, 0.0]), np.array([0.06, 0.06, 0.06, 0.3, 0.5])
     columns = [
@@ -217,8 +212,8 @@ def behaves(case: Case, machine: dict) -> bool:
     return bool((standing < 0.01 * peak).all() and (moving < 0.05 * peak).all() and (error < [5e-3] * 3 + [math.radians(2.5)] * 2).all())
 
 
-def what_lacks(machine: dict) -> str | None:  # type: ignore[type-arg]
-    """Why the plant cannot be made of a machine's table; None: it can."""
+def what_lacks(machine: dict) -> str | None:
+    """Why the plant cannot be built from a machine's table; None if it can."""
     try:
         peaks_of(machine, draw_factors(np.random.default_rng(0), 0.0), runs_of(machine, 0, "all"))
     except (KeyError, ValueError) as error:
@@ -227,12 +222,12 @@ def what_lacks(machine: dict) -> str | None:  # type: ignore[type-arg]
 
 
 def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndarray, np.ndarray]:
-    """(largest current [A], largest positive speed) that set points ask of each axis: inertia, friction and gravity alone."""
+    """(largest current [A], largest positive speed) of each axis over the runs, from inertia, friction and gravity alone."""
     s = settings_of(machine, factors)
     mass, pair = load_of(s) + s.motor_mass, pair_of(machine, factors)
     current, speed = np.zeros(5), np.zeros(5)
     for r in runs:
-        if r.name == "chirp":  # its fast end lies beyond the loops' bandwidth
+        if r.name == "chirp":  # its high frequencies exceed the bandwidth of the loops
             continue
         v = np.gradient(r.set_points, 1e-3, axis=0)
         force = mass * np.gradient(v, 1e-3, axis=0) + s.viscous * v + s.coulomb * np.sign(np.round(v, 7))
@@ -247,7 +242,7 @@ def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndar
 
 
 def truth_of(case: Case) -> dict:
-    """The sealed answer: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case], [[budget]] where there is one."""
+    """The truth: [[effect]] of the library, [[outside]] with their block, [parameter.*] factors, [case], and [[budget]] if present."""
     known = [dict(e) for e in case.effects if e["name"] in LIBRARY]
     other = [dict(e, block=OUTSIDE[e["name"]].block) for e in case.effects if e["name"] in OUTSIDE]
     return {
@@ -299,7 +294,7 @@ def write_campaign(
     started_at_s: float = 0.0,
     machine_name: str = "mikron_ucp710",
 ) -> list[str]:
-    """Simulates the runs of a run set and writes them to `folder`; returns their file names. Nothing written gives the truth away."""
+    """Simulate the runs of a run set and write them to `folder` without the truth; returns the file names."""
     if runs not in RUN_SETS or signals not in SIGNALS:
         raise ValueError(
             f"runs {runs!r}, signals {signals!r}: runs must be one of {', '.join(RUN_SETS)}, signals one of {', '.join(SIGNALS)}"
@@ -320,48 +315,7 @@ def write_campaign(
         lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
         at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
         files.append(file)
-    partial = folder / "campaign.toml.partial"  # whole or not there: it says that the campaign is complete
+    partial = folder / "campaign.toml.partial"  # written last and whole: its presence marks a complete campaign
     partial.write_text("\n".join(lines))
     partial.replace(folder / "campaign.toml")
     return files
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m twin.exam.draw", description="draws a sealed case and writes its campaign")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--kind", choices=KINDS, default="single")
-    parser.add_argument("--machine", type=Path, default=SHIPPED_MACHINE, help="nominal machine file (TOML)")
-    parser.add_argument("--effect", choices=sorted(EFFECTS))
-    parser.add_argument("--axis", choices=AXES)
-    parser.add_argument("--scale", type=float, default=1.0)
-    parser.add_argument("--spread", type=float)
-    parser.add_argument("--runs", choices=sorted(RUN_SETS), default="all")
-    parser.add_argument("--signals", choices=sorted(SIGNALS), default="full")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--truth", type=Path, required=True, help="where the truth goes; not inside --out")
-    given = parser.parse_args(arguments)
-    try:
-        if given.out.resolve() == given.truth.resolve().parent:
-            raise ValueError(f"--truth {given.truth} lies in the campaign folder; keep the truth elsewhere")
-        machine = tomllib.loads(given.machine.read_text())
-        case = draw_case(
-            given.seed,
-            given.kind,
-            machine,
-            effect=given.effect,
-            axis=given.axis,
-            scale=given.scale,
-            spread=given.spread,
-            run_set=given.runs,
-        )
-        write_campaign(case, given.out, machine, runs=given.runs, signals=given.signals)
-        given.truth.parent.mkdir(parents=True, exist_ok=True)
-        given.truth.write_text(truth_toml(truth_of(case)))
-    except (OSError, ValueError, PlantError, tomllib.TOMLDecodeError) as error:
-        print(f"twin.exam.draw: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

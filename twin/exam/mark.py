@@ -1,4 +1,4 @@
-"""Marking one answer: what was named against what was there, and how far the gap shrinks on runs that only the examination knows."""
+"""Marks one answer: named effects against the true ones, and the remaining gap on runs that only the examination knows."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NOT_DIAGNOSED: dict[str, Any] = {
     "baselines": {},
     "budget": None,
 }
-"""The mark of a case that could not be diagnosed: wrong in everything."""
+"""Mark of a case without a diagnosis: wrong in every respect."""
 
 Gaps = dict[str, dict[str, dict[str, SignalGap]]]
 
@@ -74,7 +74,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
 
 
 def kept_mark(file: Path) -> dict[str, Any] | None:
-    """The mark that was made before; None where there is none, or not the one that was written: it is made again."""
+    """The mark of an earlier call; None if it is missing or was changed since, so that it is made again."""
     try:
         result = read_json_table(file)
     except InputError:
@@ -83,11 +83,12 @@ def kept_mark(file: Path) -> dict[str, Any] | None:
 
 
 def digest_of(result: Mapping[str, Any]) -> str:
+    """SHA-256 of a mark."""
     return hashlib.sha256(json.dumps(result).encode()).hexdigest()
 
 
 def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
-    """What a `diagnosis.json` says against a truth."""
+    """Mark of a `diagnosis.json` against the truth."""
     true = [what_of(e) for e in truth["effect"]]
     named = [what_of(e) for e in answer["effects"]]
     if truth["outside"]:
@@ -103,7 +104,7 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     rivals = [
         what_of(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
     ]
-    # one effect was named, and the true one listed among its rivals
+    # one effect is named, and the true one is among its rivals
     rightly_ambiguous = answer["verdict"] == "effect" and len(named) == 1 and any(r in true for r in rivals)
     located = [(e["axis"], e["block"]) for e in [*answer["effects"], *answer.get("laws", ())]] or [
         (w["axis"], w["block"]) for w in answer["where"][:1]
@@ -124,7 +125,7 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
 
 
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Error and coverage of every scored parameter of the effects that were rightly named."""
+    """Error and coverage of every scored parameter of the correctly named effects."""
     rows = []
     for said in answer["effects"]:
         for e in truth["effect"]:
@@ -157,7 +158,7 @@ def _apart(a: float, b: float, periodic: bool) -> float:
 
 
 def marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer of a simpler method with its mark."""
+    """Answer of a simpler method, with its mark."""
     true = {(e["name"], e["axis"]) for e in truth["effect"]}
     named = (said["effect"], said["axis"])
     first = named in true if true else said["verdict"] in (("unknown", "law") if truth["outside"] else ("none",))
@@ -165,12 +166,14 @@ def marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[s
 
 
 def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: str) -> dict[str, Any]:
-    """Gap on the exam's own runs, in multiples of what noise makes of the nominal twin's prediction: `before` and `after` correction.
+    """Gap on the exam's own runs, as a multiple of noise: `before` and `after` correction, and for comparison:
 
-    `floor` is what two records of this very machine differ by (over sqrt 2: one of them), `true_effects` what is left with the true
-    parameters and effects in the twin (not asked where encoders keep their zero, which the twin's laws do not), `size` what the effects
-    alone change of the twin. Where the corrected machine cannot be simulated there is no `after`. Of encoders that keep their zero the
-    constant that is left in each run is taken out: it is no gap, as in a diagnosis.
+    floor         difference of two recordings of this machine, divided by sqrt 2
+    true_effects  gap of the twin with the true parameters and effects; missing where encoders keep their zero, which the twin does not model
+    size          change of the twin's signals by the true effects alone
+
+    `after` is missing if the corrected machine cannot be simulated. Where encoders keep their zero, the constant offset between the two
+    encoders in each run is removed first, as in a diagnosis.
     """
     machine = load_machine(machine_file)
     runs, again = (
@@ -206,7 +209,7 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
 
 
 def _again(case: Case) -> Case:
-    """The same machine with other noise."""
+    """The same machine with another noise seed."""
     return replace(case, noise_seed=case.seed + 1)
 
 

@@ -1,7 +1,7 @@
-"""The mark of an everyday machine: what was said of its budget against the true one.
+"""The mark of an everyday machine: the budget of the diagnosis against the true one.
 
-Effects below `VISIBLE` times the noise need not be named, and nothing is asked of a probability that they got: nobody can know. They are
-no false names either: they are there.
+Effects below `VISIBLE` times the noise need not be named, and their probabilities are not scored. Naming them is no error either,
+because they are present.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Any
 from scipy.stats import kendalltau
 
 VISIBLE = 3.0
-"""Multiples of noise from which an effect must be named."""
+"""Multiple of the noise above which an effect must be named."""
 
 LARGEST = 5
-"""Contributions whose order is asked."""
+"""Number of largest contributions whose order is marked."""
 
 What = tuple[str, str, str]
-"""Effect, axis, and the axis that it comes from ('' where it is its own)."""
+"""Effect, axis, and source axis ('' if none)."""
 
 
 def what_of(e: Mapping[str, Any]) -> What:
@@ -28,7 +28,7 @@ def what_of(e: Mapping[str, Any]) -> What:
 
 
 def mark_budget(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
-    """Marks of one case; `recall` and `precision` are pairs (right, of), `order` is Kendall's tau, None where less than two are asked."""
+    """Marks of one case; `recall` and `precision` are pairs (right, of), `order` is Kendall's tau (None for fewer than two effects)."""
     true = {what_of(row): float(row["times_noise"]) for row in truth["budget"]}
     named = {what_of(e) for e in answer["effects"]}
     visible = {what for what, size in true.items() if size >= VISIBLE}
@@ -46,7 +46,7 @@ def mark_budget(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
 
 
 def _order(true: Sequence[float], said: Sequence[float]) -> float | None:
-    """Kendall's tau of two rankings; what was not named contributes nothing, and one value for all is no order."""
+    """Kendall's tau of two rankings; 0 if all stated values are equal."""
     if len(true) < 2:
         return None
     tau = float(kendalltau(true, said).statistic)
@@ -54,7 +54,7 @@ def _order(true: Sequence[float], said: Sequence[float]) -> float | None:
 
 
 def _candidates(true: Mapping[What, float], answer: Mapping[str, Any]) -> list[tuple[float, bool]]:
-    """Probability of every candidate, and whether it is there; what was neither tried nor named has probability 0."""
+    """(probability, is present) of every candidate; a visible effect that was neither tried nor named has probability 0."""
     stated: dict[What, float] = {}
     for e in answer.get("candidates", []):
         stated[what_of(e)] = max(stated.get(what_of(e), 0.0), float(e["probability"]))

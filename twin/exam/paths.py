@@ -1,8 +1,8 @@
 """Rest-to-rest moves and smooth contours at 1 kHz, inside the limits of a machine file. SI: m, rad, s.
 
-A move convolves a pulse of speed v with two boxes of length T1 = v/a and T2 = a/j: speed, acceleration and jerk stay
-below v, a, j (rectangles convolved, as in any moving-average interpolator). A contour is a curve of u in 0..1 whose
-parameter starts and stops with a raised-cosine speed, slowed down as a whole until every axis keeps its limits.
+A move convolves a pulse of speed v with two boxes of length T1 = v/a and T2 = a/j, as a moving-average interpolator does, so that
+speed, acceleration and jerk stay below v, a and j. A contour is a curve over u in 0..1; du/dt starts and stops as a raised cosine,
+and the whole contour is slowed down until every axis keeps its limits.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from .plant.parameters import AXES
 
-PERIOD = 1e-3  # s, of recorded set points
-MARGIN = 0.97  # of every limit: set points stay inside after rounding
+PERIOD = 1e-3  # sample period of recorded set points [s]
+MARGIN = 0.97  # used share of every limit, so that rounded set points stay inside
 DEG = math.pi / 180.0
 
 
@@ -32,6 +32,7 @@ class Limits:
 
 
 def limits_of(machine: dict) -> Limits:
+    """Limits from the axis tables of a machine file."""
     rows = []
     for name in AXES:
         a = machine["axis"][name]
@@ -40,24 +41,17 @@ def limits_of(machine: dict) -> Limits:
         else:
             turn = 2 * math.pi
             low, high = (-1e3, 1e3) if a["travel_deg"] == "endless" else (x * DEG for x in a["travel_deg"])
-            rows.append(
-                (
-                    low,
-                    high,
-                    a["max_velocity_rev_per_min"] * turn / 60,
-                    a["max_acceleration_rev_per_s2"] * turn,
-                    a["max_jerk_rev_per_s3"] * turn,
-                )
-            )
+            per_s = (a["max_velocity_rev_per_min"] / 60, a["max_acceleration_rev_per_s2"], a["max_jerk_rev_per_s3"])
+            rows.append((low, high, *(turn * value for value in per_s)))
     return Limits(*(np.array(column) for column in zip(*rows)))
 
 
 def move(distance: float, speed: float, acceleration: float, jerk: float) -> np.ndarray:
-    """Positions of a rest-to-rest move from 0, at PERIOD; never above the limits, a little slower where samples round up."""
+    """Positions of a rest-to-rest move from 0, at PERIOD; durations are rounded up to samples, so it never exceeds the limits."""
     length = abs(distance)
     if length == 0.0:
         return np.zeros(1)
-    # distance of a short move at full jerk is 2 j T^3, at full acceleration a T (T + a/j): slow down until it fits
+    # a short move does not reach full speed: reduce speed, then acceleration, until the ramps fit into the distance
     for _ in range(200):
         t2 = acceleration / jerk
         t1 = max(speed / acceleration, t2)
@@ -72,13 +66,14 @@ def move(distance: float, speed: float, acceleration: float, jerk: float) -> np.
 
 
 def hold(seconds: float) -> int:
+    """Samples of a time."""
     return round(seconds / PERIOD)
 
 
 def path_of(
     start: float, targets: list[float], speeds: list[float], acceleration: float, jerk: float, dwell: float, lead_in: float = 0.1
 ) -> np.ndarray:
-    """Rest-to-rest moves of one axis with dwells between."""
+    """Rest-to-rest moves of one axis, each followed by a dwell."""
     parts, at = [np.full(hold(lead_in), start)], start
     for target, speed in zip(targets, speeds):
         parts += [at + move(target - at, speed, acceleration, jerk), np.full(hold(dwell), target)]
@@ -87,17 +82,18 @@ def path_of(
 
 
 def together(columns: list[np.ndarray], tail: float = 0.15) -> np.ndarray:
-    """Pads columns to one length by their last value: set points [sample, axis]."""
+    """Set points [sample, axis] from columns, each padded to one length with its last value."""
     n = max(len(c) for c in columns) + hold(tail)
     return np.column_stack([np.concatenate([c, np.full(n - len(c), c[-1])]) for c in columns])
 
 
 def still(values: np.ndarray, n: int) -> np.ndarray:
+    """n samples at rest [sample, axis]."""
     return np.tile(np.asarray(values, dtype=float), (n, 1))
 
 
 def eased(duration: float, ramp: float) -> np.ndarray:
-    """u(t) from 0 to 1 over `duration` s, its speed rising and falling as a raised cosine over `ramp` s."""
+    """u(t) from 0 to 1 over `duration` s; its speed rises and falls as a raised cosine over `ramp` s."""
     t = np.arange(hold(duration) + 1) * PERIOD
     speed = np.where(t < ramp, 0.5 - 0.5 * np.cos(math.pi * t / ramp), 1.0)
     left = t[-1] - t
@@ -107,13 +103,13 @@ def eased(duration: float, ramp: float) -> np.ndarray:
 
 
 def within_limits(points: np.ndarray, limits: Limits) -> np.ndarray:
-    """The share of speed and acceleration limits that set points use, per axis [speed, acceleration]."""
+    """Used share of the speed and acceleration limits [speed or acceleration, axis]."""
     v, a = np.diff(points, axis=0) / PERIOD, np.diff(points, 2, axis=0) / PERIOD**2
     return np.array([np.abs(v).max(axis=0) / limits.speed, np.abs(a).max(axis=0) / limits.acceleration])
 
 
 def contour(curve: Callable[[np.ndarray], np.ndarray], duration: float, limits: Limits, ramp: float = 0.6) -> np.ndarray:
-    """curve(u) [sample, axis] for u in 0..1, slowed down until every limit holds."""
+    """curve(u) [sample, axis] for u in 0..1, slowed down until every axis keeps its limits."""
     for _ in range(40):
         points = curve(eased(duration, ramp))
         use = within_limits(points, limits)

@@ -1,10 +1,9 @@
-"""Set points of test campaigns, 1 kHz, inside travel and limits of the machine file: own, simple, jerk-limited generators.
+"""Set points of the examination's runs at 1 kHz, inside travel and limits of the machine file. Moves and contours: paths.py.
 
-A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward that the control has on. Three kinds:
-  "test"     the ten runs of a test campaign, in the style of the recorded ones, sizes and feeds varied by seed
-  "program"  three runs of a customer's part programs: for "program only" campaigns
-  "exam"     runs that only the exam knows: another contour, another circle, random point to point (the held-out gap)
-Moves and contours come from paths.py.
+A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward of the control. Three kinds:
+  "test"     ten runs of a test campaign like the recorded ones, with sizes and feeds varied by seed
+  "program"  three runs of a customer's part programs
+  "exam"     runs that only the examination knows, for the held-out gap: a contour, a circle, random point to point
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of,
 class TestRun:
     """name, kind ("test", "program", "exam"), feedforward (off | velocity | velocity+torque), set points [sample, axis] SI.
 
-    `period_s` is that of the set points, where it is not the sample period (1 ms)."""
+    `period_s` is the period of the set points; None: the sample period (1 ms)."""
 
     __test__ = False  # not a pytest class
 
@@ -33,72 +32,81 @@ class TestRun:
 
 
 def _vary(rng: np.random.Generator, value: float, by: float = 0.2) -> float:
+    """A value drawn uniformly within 1 +- by."""
     return value * (1.0 + by * (2.0 * rng.random() - 1.0))
 
 
 def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     """The ten runs of a test campaign."""
     lim = limits_of(machine)
-    jerk, acc = MARGIN * lim.jerk, np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
+    acc = np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
     home = np.array([0.0, 0.0, 0.0, _vary(rng, -35.0, 0.12) * DEG, 0.0])
+    runs = [TestRun("constant_velocity", "test", "velocity", _constant_speeds(lim, acc, rng, home))]
+    both = _accelerations(lim, acc, rng, home)
+    runs += [TestRun("acceleration_ff_off", "test", "off", both), TestRun("acceleration", "test", "velocity+torque", both)]
+    runs.append(TestRun("reversal", "test", "velocity+torque", _reversals(rng)))
+    runs.append(TestRun("tilt_hold", "test", "velocity+torque", _tilts(lim, acc, rng)))
+    for name, first, second in (("circle_xy", 0, 1), ("circle_zx", 2, 0)):
+        radius, feed = _vary(rng, 0.03, 0.3), _vary(rng, 0.05, 0.25)
+        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim, rng)))
+    runs.append(TestRun("chirp", "test", "velocity", _chirp(lim, rng)))
+    runs.append(TestRun("five_axis", "test", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))))
+    runs.append(TestRun("corners", "test", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))))
+    return runs
 
-    # Constant speeds from barely moving to rapid, there and back: friction against speed
+
+def _constant_speeds(lim: Limits, acc: np.ndarray, rng: np.random.Generator, home: np.ndarray) -> np.ndarray:
+    """Constant speeds from very slow to rapid, there and back: friction over speed."""
     ladder = [np.array([5.0, 15.0, 40.0, 100.0, 250.0]) * 1e-3] * 3 + [np.array([0.3, 1.0, 4.0, 20.0, 50.0]) * DEG] * 2
     columns = []
     for k in range(5):
         speeds = [_vary(rng, v) for v in ladder[k]]
-        times = (0.4, 0.45, 0.5, 0.35, 0.4)
         targets, used = [], []
-        for wanted, seconds in zip(speeds, times):
+        for wanted, seconds in zip(speeds, (0.4, 0.45, 0.5, 0.35, 0.4)):
             v = min(wanted, 0.6 * lim.speed[k])
             reach = v * seconds + 0.5 * v * v / acc[k]
             reach = min(reach, 0.45 * (lim.high[k] - lim.low[k]), 0.5 * abs(home[3] - lim.low[3]) if k == 3 else 1e9)
             targets += [home[k] + reach, home[k] - reach]
             used += [v, v]
-        columns.append(path_of(home[k], [*targets, home[k]], [*used, used[-1]], acc[k], jerk[k], 0.1))
-    runs = [TestRun("constant_velocity", "test", "velocity", together(columns))]
+        columns.append(path_of(home[k], [*targets, home[k]], [*used, used[-1]], acc[k], MARGIN * lim.jerk[k], 0.1))
+    return together(columns)
 
-    # Full accelerations at three feeds
+
+def _accelerations(lim: Limits, acc: np.ndarray, rng: np.random.Generator, home: np.ndarray) -> np.ndarray:
+    """Full accelerations to two speeds, there and back."""
     columns = []
     for k in range(5):
         far = _vary(rng, 0.10, 0.15) if k < 3 else _vary(rng, 25.0 if k == 3 else 45.0, 0.15) * DEG
         fast = _vary(rng, 0.25, 0.15) if k < 3 else _vary(rng, 70.0 if k == 3 else 100.0, 0.12) * DEG
         fast = min(fast, MARGIN * lim.speed[k])
-        columns.append(
-            path_of(
-                home[k],
-                [home[k] + far, home[k] - far, home[k] + far, home[k] - far, home[k]],
-                [fast, fast, 0.6 * fast, 0.6 * fast, fast],
-                acc[k],
-                jerk[k],
-                0.15,
-            )
-        )
-    both = together(columns)
-    runs += [TestRun("acceleration_ff_off", "test", "off", both), TestRun("acceleration", "test", "velocity+torque", both)]
+        targets = [home[k] + step * far for step in (1, -1, 1, -1, 0)]
+        columns.append(path_of(home[k], targets, [fast, fast, 0.6 * fast, 0.6 * fast, fast], acc[k], MARGIN * lim.jerk[k], 0.15))
+    return together(columns)
 
-    # Slow reversals of two sizes, the second a pre-sliding one
+
+def _reversals(rng: np.random.Generator) -> np.ndarray:
+    """Slow reversals of two sizes, the second within pre-sliding."""
     turn = np.array([0.0, 0.0, 0.0, _vary(rng, -20.0, 0.3) * DEG, 0.0])
     u = eased(5.0, 0.8)
     waves = []
     for size in (_vary(rng, 2e-3), _vary(rng, 20e-6, 0.5)):
         amplitude = np.array([size] * 3 + [size / 2e-3 * DEG] * 2)
         waves.append(turn + np.sin(2 * math.pi * 4.0 * u)[:, None] * amplitude)
-    runs.append(TestRun("reversal", "test", "velocity+torque", np.vstack(waves)))
+    return np.vstack(waves)
 
-    # Gravity in many tilts while C turns: static balance
+
+def _tilts(lim: Limits, acc: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Gravity at many tilts of A while C turns: static balance."""
     tilts = [-90, -70, -50, -30, -10, 10, 25, 0, -40, -90]
     stops = np.clip([s + 4.0 * (2.0 * rng.random() - 1.0) for s in tilts], -97.0, 28.0) * DEG
+    jerk = MARGIN * lim.jerk
     tilt = path_of(stops[0], list(stops[1:]), [_vary(rng, 30.0, 0.1) * DEG] * 9, 4.0, jerk[3], 0.35)
     table = path_of(0.0, [x * DEG for x in (60, 120, 200, 300, 360)], [_vary(rng, 60.0, 0.1) * DEG] * 5, acc[4], jerk[4], 0.9, 1.1)
-    runs.append(TestRun("tilt_hold", "test", "velocity+torque", together([*np.zeros((3, 2)), tilt, table])))
+    return together([*np.zeros((3, 2)), tilt, table])
 
-    # Circles
-    for name, first, second in (("circle_xy", 0, 1), ("circle_zx", 2, 0)):
-        radius, feed = _vary(rng, 0.03, 0.3), _vary(rng, 0.05, 0.25)
-        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim, rng)))
 
-    # Chirp of constant speed amplitude on a slow travel
+def _chirp(lim: Limits, rng: np.random.Generator) -> np.ndarray:
+    """Chirp of constant speed amplitude on a slow travel."""
     n, length = hold(7.0), 7.0
     t = np.arange(n) * PERIOD
     low, high = _vary(rng, 1.0), _vary(rng, 60.0, 0.15)
@@ -113,15 +121,11 @@ def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
         v = window * (_vary(rng, 0.018, 0.1) if k < 3 else _vary(rng, 5.5, 0.1) * DEG) + window * swing * np.sin(phase)
         start = -0.05 if k < 3 else (-40.0 * DEG if k == 3 else 0.0)
         columns.append(start + np.cumsum(v) * PERIOD)
-    runs.append(TestRun("chirp", "test", "velocity", together(columns, 0.0)))
-
-    runs.append(TestRun("five_axis", "test", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))))
-    runs.append(TestRun("corners", "test", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))))
-    return runs
+    return together(columns, 0.0)
 
 
 def program_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
-    """Three customer programs: a circle with Z plunge, a pocket with corners, a five-axis surface."""
+    """Three part programs: a circle with Z plunge, a pocket with corners, a five-axis surface."""
     lim = limits_of(machine)
     circle = _circle(0, 1, _vary(rng, 0.045, 0.3), _vary(rng, 0.08, 0.3), 3, lim, rng)
     t = np.linspace(0.0, 1.0, len(circle))
@@ -134,7 +138,7 @@ def program_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
 
 
 def exam_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
-    """Runs for the held-out gap: five-axis contour, YZ circle, random point to point of all axes."""
+    """Runs for the held-out gap: five-axis contour, YZ circle, random point-to-point moves of all axes."""
     lim = limits_of(machine)
     home = np.array([0.02, -0.03, 0.01, -40.0 * DEG, 20.0 * DEG])
     runs = [
@@ -159,7 +163,7 @@ def programme(machine: dict, seed: int) -> list[TestRun]:
 
 
 def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim: Limits, rng: np.random.Generator) -> np.ndarray:
-    """Full turns from the rim point where `first` is zero and the centre lies at -radius."""
+    """Full circles that start at 0, with the centre at -radius on `first`."""
 
     def curve(u: np.ndarray) -> np.ndarray:
         points = np.zeros((len(u), 5))
@@ -172,7 +176,7 @@ def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim
 
 
 def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: tuple, size: float = 1.0) -> np.ndarray:
-    """Lissajous curve of all five axes with whole numbers of cycles; ends where it starts."""
+    """Closed Lissajous curve of all five axes, with whole numbers of cycles."""
     amplitude = size * np.array([_vary(rng, a) for a in (0.12, 0.09, 0.05, 30.0 * DEG, 60.0 * DEG)])
     amplitude[3] = min(amplitude[3], MARGIN * (home[3] - lim.low[3]), MARGIN * (lim.high[3] - home[3]))
     even = rng.random(5) < 0.4
@@ -185,7 +189,7 @@ def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: 
 
 
 def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) -> np.ndarray:
-    """A square with exact stops overlapped by the jerk ramp (rounded corners), a Z plunge, an XY zigzag back."""
+    """A square whose moves overlap by the jerk ramp (rounded corners), a Z plunge, an XY zigzag back."""
     acc = np.minimum(0.8 * lim.acceleration, 1.6)
     points, at = [still(np.zeros(5), hold(0.2))], np.zeros(5)
 
@@ -205,7 +209,7 @@ def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) ->
         step[:, :3] = shape[:, None] / length * delta
         old = points[-1]
         n = min(overlap, len(old) - 1, len(step) - 1)
-        if n:  # the new move begins while the last one still ends
+        if n:  # the new move begins before the last one ends
             points[-1] = np.vstack([old[:-n], old[-n:] + step[:n]])
             step = step[n:]
         at = at + np.concatenate([delta, [0.0, 0.0]])

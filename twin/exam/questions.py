@@ -1,4 +1,4 @@
-"""What an examination asks: the list of cases, by stratum, from a seed. The answer to a question is drawn later, by `draw`.
+"""The list of cases of an examination, by stratum, from a seed. `draw` draws the machine of each case.
 
 usual             one effect of usual size, every effect of the library in turn
 a fifth           one effect of a fifth of that size
@@ -7,9 +7,9 @@ programs only     one effect, three part programs and no test run
 two, three        effects at once
 healthy           no effect
 outside           one effect that the library does not have
-everyday          a background of 3 to 15 % of usual sizes on every axis, none to three effects of usual size beside
+everyday          background effects of 3 to 15 % of usual size on every axis, plus none to three effects of usual size
 
-A tenth of all kinds is drawn wide: sizes and shapes from ranges three times as wide as the usual ones.
+One case in ten, of every kind, is drawn wide: sizes and shapes come from ranges three times as wide.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from .plant.outside import OUTSIDE
 from .plant.parameters import Richness
 
 RICHNESS = {"off": Richness.off(), "small": Richness.small(), "full": Richness()}
-
 
 WIDE = 10
 """One case in this many, of every kind, is drawn wide."""
@@ -57,7 +56,7 @@ STRATA = (
 
 @dataclass(frozen=True)
 class Question:
-    """One case to be drawn: its number, stratum, seed, and what is fixed about it."""
+    """One case to be drawn: number, stratum, seed, fixed effect, wide or not."""
 
     number: int
     stratum: Stratum
@@ -71,9 +70,9 @@ class Question:
 
 
 def questions_of(seed: int, cases: int, short: bool = False, only: str | None = None) -> list[Question]:
-    """`cases` questions: strata by their shares, effects of a stratum in a shuffled round, order shuffled.
+    """`cases` questions in random order: strata by their shares, and within a stratum every effect in turn.
 
-    short: campaigns of four runs instead of ten. only: nothing but this stratum."""
+    short: campaigns of four runs instead of ten. only: this stratum alone."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 50]))
     asked = [s for s in STRATA if only in (None, s.name)]
     chosen = [(stratum, effect) for stratum, count in zip(asked, _counts(asked, cases)) for effect in _effects(stratum, count, rng)]
@@ -85,7 +84,7 @@ def questions_of(seed: int, cases: int, short: bool = False, only: str | None = 
 
 
 def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:
-    """Cases of each stratum: largest remainders."""
+    """Cases of each stratum, by the method of largest remainders."""
     exact = np.array([s.share for s in strata]) / sum(s.share for s in strata) * cases
     counts = np.floor(exact).astype(int)
     for k in np.argsort(counts - exact)[: cases - counts.sum()]:
@@ -94,7 +93,7 @@ def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:
 
 
 def _effects(stratum: Stratum, count: int, rng: np.random.Generator) -> list[str | None]:
-    """Every effect once before any comes again; None where several are drawn together or none is."""
+    """Effects in random order, each once before any repeats; None for kinds without exactly one effect."""
     library = {"single": LIBRARY, "outside": OUTSIDE}.get(stratum.kind)
     if library is None:
         return [None] * count

@@ -1,4 +1,4 @@
-"""The report of an examination: the score against its targets, pictures, and every case that went wrong."""
+"""The report of an examination: score against targets, plots, and every case that is not exactly right."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .score import is_failed, label_of, singles, target_text, target_word
 Document = Mapping[str, Any]
 
 LISTED = 5
-"""Effects of a case that are listed by name."""
+"""Number of effects of a case that are listed by name."""
 
 
 def write_exam_report(document: Document, path: Path) -> None:
@@ -33,36 +33,36 @@ def write_exam_report(document: Document, path: Path) -> None:
 
 
 def sections_of(document: Document) -> list[Section]:
-    """Every section that has something to show."""
+    """All sections with content."""
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
     sections = [
         Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])]),
         Section(
             "Against simpler methods",
-            ["First-named right by kind of case. Re-tuning knows no effect; the nearest signature compares directions without "
-             "re-tuning; sparse regression sees forces alone."],
+            ["First-named right by kind of case. Re-tuning knows no effects; nearest signature compares directions without "
+             "re-tuning; sparse regression uses forces only."],
             figures=[_baselines(s["strata"])],
         ),
     ]  # fmt: skip
     if s["confusion"]:
-        sections.append(Section("What was taken for what", figures=[_confusion(s["confusion"])]))
+        sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
         sections.append(
             Section(
-                "How small an effect is found",
+                "Detection limits",
                 [
-                    "Size over noise: what the effect alone changes on its axis, RMS over signals and runs, in multiples of what noise makes."
+                    "Size over noise: RMS change of the axis' signals by the effect alone, over signals and runs, as a multiple of the noise."
                 ],
                 figures=[_detection(marks)],
             )
         )
-    sections.append(Section("How far the gap shrinks", figures=[_gaps(marks)]))
+    sections.append(Section("Gap before and after", figures=[_gaps(marks)]))
     if s["calibration"]:
-        sections.append(Section("Whether a probability can be believed", figures=[_calibration(s["calibration"])]))
+        sections.append(Section("Calibration of the probabilities", figures=[_calibration(s["calibration"])]))
     everyday = [m for m in marks if m.get("budget")]
     if everyday:
-        text = "A little of everything on every axis: what each effect changes of the campaign, in multiples of noise, RMS over all axes, runs and signals."
+        text = "Machines with many small effects on every axis. Contribution: RMS change of all signals by one effect, as a multiple of the noise."
         figures = [_budgets(everyday)] + ([_calibration(s["candidates"])] if s.get("candidates") else [])
         sections.append(Section("Everyday machines", [text], figures=figures))
     wrong = [m for m in document["marks"] if "failed" in m or not m["exact"]]
@@ -72,14 +72,14 @@ def sections_of(document: Document) -> list[Section]:
     level = (
         ""
         if same["level"] is None
-        else f" With the same parameters and effects twin and plant differ by {same['level']:.2f} times the noise (RMS): "
+        else f" With the same parameters and effects, twin and plant differ by {same['level']:.2f} times the noise (RMS). Position RMS: "
     )
     level += ", ".join(f"{axis} {value:.3g}" for axis, value in same["position_rms"].items()) + (" um or arcsec." if level else "")
     sections.append(
         Section(
-            "How it was sealed",
+            "Seal",
             [
-                f"Seed {document['seed']}, richness {document['richness']}. The SHA-256 of all truths, published before the first diagnosis: "
+                f"Seed {document['seed']}, richness {document['richness']}. SHA-256 of all truths, published before the first diagnosis: "
                 f"{document['seal']}. The truths stayed in the memory of the examining process until all answers were written." + level
             ],
         )
@@ -88,7 +88,7 @@ def sections_of(document: Document) -> list[Section]:
 
 
 def counted(document: Document) -> str:
-    """How many of the sealed cases are scored, and what of the others."""
+    """Number of scored cases, and the reasons for the others."""
     s, lost = document["score"], document["not_answered"]
     rest = [f"{lost} not answered when it was opened"] if lost else []
     rest += [f"{len(document['not_drawn'])} could not be drawn"] if document["not_drawn"] else []
@@ -100,7 +100,6 @@ def _asked(targets: Sequence[Document]) -> list[Document]:
 
 
 def _target_table(targets: Sequence[Document]) -> Table:
-
     rows = []
     for t in targets:
         value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
@@ -142,7 +141,7 @@ def _baselines(strata: Document) -> Figure:
     ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return Figure(
         figure_svg(figure),
-        "Share first-named right; in brackets the number of cases. For healthy machines and faults outside the library: the verdict.",
+        "Share first-named right, with the number of cases in brackets. For healthy machines and faults outside the library the verdict counts.",
     )
 
 
@@ -158,11 +157,11 @@ def _confusion(table: Document) -> Figure:
         ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color="#1c2430" if said[j] == true[i] else RED)
     ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
     ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
-    ax.set_xlabel("said first")
-    ax.set_ylabel("was there")
+    ax.set_xlabel("named first")
+    ax.set_ylabel("true")
     return Figure(
         figure_svg(figure),
-        "Single effects, healthy machines and faults outside the library; cases by what was there and what was said first.",
+        "Cases with one effect, none, or a fault outside the library, by true effect and first-named effect.",
     )
 
 
@@ -179,7 +178,9 @@ def _detection(marks: Sequence[Document]) -> Figure:
     ax.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=8)
     ax.set_xlabel("size over noise")
     ax.legend(loc="lower right")
-    return Figure(figure_svg(figure), "Every single effect by its size over noise; at the line it moves the signals as much as noise does.")
+    return Figure(
+        figure_svg(figure), "Every case with a single effect, by size over noise. At the line the effect is as large as the noise."
+    )
 
 
 def _gaps(marks: Sequence[Document]) -> Figure:
@@ -201,9 +202,8 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     ax.set_ylabel("gap over noise")
     ax.legend(ncols=3, loc="upper left")
     text = (
-        "Gap on runs that only the examination knows. Before: machine file. True effects: the true parameters and effects in the twin, "
-        "without the little of everything that the plant has beside them. "
-        "After: corrected machine. Floor: two records of the same machine."
+        "Gap on runs that only the examination knows. Before: machine file. True effects: twin with the true parameters and effects, "
+        "without the plant's small imperfections. After: corrected machine. Floor: two recordings of the same machine."
     )
     return Figure(figure_svg(figure), text)
 
@@ -226,7 +226,7 @@ def _budgets(marks: Sequence[Document]) -> Figure:
     ax.legend(loc="upper left")
     return Figure(
         figure_svg(figure),
-        f"Every effect of the everyday machines; not named ones at the foot. Right of the black line ({VISIBLE:.0f} x noise) each must be named.",
+        f"Every effect of the everyday machines; unnamed ones at the bottom. Right of the black line ({VISIBLE:.0f} x noise) each must be named.",
     )
 
 
@@ -239,17 +239,17 @@ def _calibration(bins: Sequence[Document]) -> Figure:
         ax.plot(b["said"], b["value"], "o", color=BLUE)
         ax.annotate(str(b["of"]), (b["said"], b["value"]), textcoords="offset points", xytext=(-14, -3), fontsize=8)
     ax.set_xlabel("stated probability")
-    ax.set_ylabel("share that was there")
+    ax.set_ylabel("share present")
     ax.set_xlim(0, 1.02)
     ax.set_ylim(0, 1.05)
     return Figure(
         figure_svg(figure),
-        "Effects named, by their stated probability; numbers: how many. On the line the stated probability is the share that is right.",
+        "Stated probability against the share that is present; the numbers are counts. On the line the probabilities are calibrated.",
     )
 
 
 def _many(effects: Sequence[Sequence[str]]) -> str:
-    """Effects in words, the first few of many."""
+    """The first few effects in words, and the number of the others."""
     few = ", ".join(f"{e[0]} {e[1]}" for e in effects[:LISTED])
     return few + (f" and {len(effects) - LISTED} more" if len(effects) > LISTED else "")
 
@@ -265,4 +265,4 @@ def _wrong(marks: Sequence[Document]) -> Table:
         said = f"{m['verdict']}{': ' + named if named else ''}"
         size = f"{m['gap']['size']:.2g}" if "size" in m["gap"] else ""
         rows.append([m["case"], m["stratum"], there, said, size])
-    return Table(["case", "stratum", "was there", "was said", "size over noise"], rows, left=4)
+    return Table(["case", "stratum", "true", "diagnosed", "size over noise"], rows, left=4)

@@ -15,7 +15,7 @@ from .mark_budget import VISIBLE
 Mark = Mapping[str, Any]
 
 TARGETS = (
-    # what, stratum, least (or "at most" where negative)
+    # what, target: at least; at most if negative; a range if a pair
     ("first named right, usual size", 0.95),
     ("exactly right, usual size", 0.90),
     ("exactly right, a fifth of usual size", 0.85),
@@ -36,13 +36,13 @@ TARGETS = (
     ("everyday: gap after over floor, median", -1.5),
     ("everyday: Brier score of the candidates", -0.05),
 )
-"""Those of everyday machines stand by themselves: the others are of all kinds but these."""
+"""Targets without the prefix "everyday" exclude everyday machines."""
 
 FULL = ("usual", "a fifth")
-"""Strata of single effects whose campaigns hold all signals and runs."""
+"""Strata of single effects with all signals and runs."""
 
 EVERYDAY = "everyday"
-"""The stratum whose machines have a little of everything."""
+"""Stratum of machines with many small effects."""
 
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 
@@ -57,7 +57,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def score(marks: Sequence[Mark]) -> dict[str, Any]:
-    """Everything that `exam.json` says beside the marks themselves."""
+    """The `score` of an `exam.json`."""
     of = {name: [m for m in marks if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
 
     def share(stratum: str, key: str) -> dict[str, Any] | None:
@@ -109,7 +109,7 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
 
 
 def _everyday(marks: Sequence[Mark]) -> dict[str, dict[str, Any] | None]:
-    """The values of everyday machines, over all their cases together."""
+    """Values of the everyday targets, pooled over all their cases."""
     budgets = [m["budget"] for m in marks]
 
     def counted(key: str) -> dict[str, Any] | None:
@@ -136,7 +136,7 @@ def _candidates(marks: Sequence[Mark]) -> list[tuple[float, bool]]:
 
 
 def _shrunk(marks: Sequence[Mark]) -> list[float]:
-    """Gap after over floor of cases with effects; infinite where nothing was diagnosed, or what was said cannot be simulated."""
+    """Gap after over floor of cases with effects; infinite without a diagnosis or if the corrected machine cannot be simulated."""
     return [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
 
 
@@ -163,7 +163,7 @@ def _met(value: Mapping[str, Any] | None, target: float | tuple[float, float]) -
 
 
 def is_failed(target: Mapping[str, Any]) -> bool:
-    """Is a target of the score missed, a share by more than chance: with all of its 95 % interval?"""
+    """Is a target missed? A share counts as missed only if its whole 95 % interval misses the target."""
     if target["met"] is not False:
         return False
     if "low" not in target:
@@ -174,19 +174,19 @@ def is_failed(target: Mapping[str, Any]) -> bool:
 
 
 def target_word(target: Mapping[str, Any]) -> str:
-    """'met', 'missed', 'too few to say' where chance may have missed it, '' where it was not asked."""
+    """'met', 'missed', 'too few to say' if the interval includes the target, '' without a value."""
     if target["met"] is None:
         return ""
     return "met" if target["met"] else "missed" if is_failed(target) else "too few to say"
 
 
 def label_of(m: Mark) -> str:
-    """What there was, in a word."""
+    """Label of the truth: effect, none, or outside the library."""
     return "outside the library" if m["outside"] else m["true"][0][0] if m["true"] else "none"
 
 
 def answer_of(m: Mark) -> str:
-    """What was said, in a word: on another axis it is no right answer."""
+    """Label of the answer; the right effect on another axis gets a label of its own."""
     if m["verdict"] != "effect" or not m["named"]:
         return {"unknown": "outside the library", "effect": "none"}.get(m["verdict"], str(m["verdict"]))
     name, axis = m["named"][0]
@@ -199,12 +199,12 @@ def _one_each(marks: Iterable[Mark]) -> list[Mark]:
 
 
 def singles(marks: Iterable[Mark]) -> list[Mark]:
-    """Cases with one effect and all signals and runs: `size` is compared with what was measured."""
+    """Cases with one effect, all signals and all runs."""
     return [m for m in marks if len(m["true"]) == 1 and m["stratum"] in FULL]
 
 
 def macro_f1(marks: Sequence[Mark]) -> float:
-    """Mean over what there was (each effect, none, outside the library) of 2 tp / (2 tp + fp + fn)."""
+    """Mean over the true labels (each effect, none, outside the library) of 2 tp / (2 tp + fp + fn)."""
     pairs = [(label_of(m), answer_of(m)) for m in _one_each(marks)]
     labels = sorted({true for true, _ in pairs})
     scores = []
@@ -216,7 +216,7 @@ def macro_f1(marks: Sequence[Mark]) -> float:
 
 
 def confusion(marks: Sequence[Mark]) -> dict[str, dict[str, int]]:
-    """What there was -> what was said -> how often."""
+    """True label -> answered label -> count."""
     table: dict[str, Counter[str]] = {}
     for m in _one_each(marks):
         table.setdefault(label_of(m), Counter())[answer_of(m)] += 1
@@ -224,7 +224,7 @@ def confusion(marks: Sequence[Mark]) -> dict[str, dict[str, int]]:
 
 
 def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
-    """Of the effects named with a probability in each bin, the share that was there."""
+    """Share of present effects by bin of stated probability."""
     rows = []
     for low, high in itertools.pairwise(BINS):
         inside = [(p, right) for p, right in probabilities if low <= p < high or (high == 1.0 and p == 1.0)]
@@ -235,7 +235,7 @@ def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, A
 
 
 def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
-    """Share exactly right of single effects, with all signals and runs, over how far they stand out of the noise."""
+    """Share exactly right of `singles`, by bin of size over noise."""
     rows = []
     edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
     asked = singles(marks)
@@ -247,7 +247,7 @@ def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
 
 
 def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
-    """Of each effect: the smallest size over noise that was exactly right, and the largest that was not."""
+    """Per effect: smallest size over noise that was diagnosed exactly, and largest that was not."""
     out: dict[str, dict[str, Any]] = {}
     for m in singles(marks):
         row = out.setdefault(m["true"][0][0], {"cases": 0, "right": 0, "smallest_right": None, "largest_missed": None})
@@ -262,7 +262,7 @@ def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
 def _gaps(marks: Sequence[Mark]) -> dict[str, Any]:
     rows = [m["gap"] for m in marks if m["true"]]
     return {
-        "unit": "multiples of what noise alone makes, on the exam's own runs; medians over cases with effects",
+        "unit": "multiples of the noise alone, on the exam's own runs; medians over cases with effects",
         **{key: _median(g.get(key) for g in rows) for key in ("before", "after", "floor", "true_effects")},
     }
 
@@ -273,7 +273,7 @@ def _median(values: Iterable[float | None]) -> float | None:
 
 
 def _same_parameters(marks: Sequence[Mark]) -> dict[str, Any]:
-    """Twin against plant with the same parameters and effects: what the two models, and richness, differ by."""
+    """Difference of twin and plant with the same parameters and effects: that of the two models, plus richness."""
     rows = [m["gap"] for m in marks if "true_effects" in m["gap"]]
     axes = sorted({a for g in rows for a in g["true_effects_position"]})
     return {

@@ -1,8 +1,8 @@
-"""Sitting the examination: draw, seal, write campaigns, let each be diagnosed by a process that knows nothing else.
+"""Runs an examination: draw, seal, write campaigns, have each diagnosed by a separate process.
 
-The truths live in the memory of the examining process alone. Their SHA-256 is published before the first diagnosis begins; the
-diagnosing process gets a campaign folder and a machine file, and nothing on the disk gives more away. When all are done the truths
-are written (`truths.json`) and must have that hash.
+The truths exist only in the memory of the examining process. Their SHA-256 is published before the first diagnosis begins. The
+diagnosing process gets a campaign folder and a machine file; nothing on the disk reveals more. After the last diagnosis the truths
+are written (`truths.json`) and must match that hash.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ SEAL, TRUTHS, ASKED = "seal.sha256", "truths.json", "asked.json"
 
 
 def draw(question: Question, machine_file: str, richness: str) -> Case | str:
-    """The case of a question, or why there is none."""
+    """The case of a question, or the reason why none can be drawn."""
     machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
     s = question.stratum
-    for attempt in range(5):  # an axis on which the effect cannot be had stably: another one
+    for attempt in range(5):  # the effect may be unstable on the drawn axis: draw another one
         try:
             case = draw_case(
                 question.seed + attempt,
@@ -58,24 +58,26 @@ def draw(question: Question, machine_file: str, richness: str) -> Case | str:
 
 
 def truths_text(cases: dict[str, Case]) -> str:
-    """All truths as one text, the same for the same cases."""
+    """All truths as one text, in a fixed order."""
     return json.dumps({name: truth_of(case) for name, case in sorted(cases.items())}, indent=1, sort_keys=True) + "\n"
 
 
 def same_examination(out: Path, asked: dict[str, Any]) -> None:
-    """An examination goes on with what it was begun with: the options, the machine and the code of the twin."""
+    """Record the options, machine and code of an examination; refuse to continue one that was begun with others."""
     file = out / ASKED
     text = json.dumps(asked, indent=1) + "\n"
     if file.exists():
         before = read_json_table(file)
         other = sorted(key for key in asked if before.get(key) != asked[key])
         if other:
-            raise InputError(f"{out}: this examination was begun with another {', '.join(other)}; give the same again, or another --out")
+            raise InputError(
+                f"{out}: this examination was begun with another {', '.join(other)}; repeat the first call, or give another --out"
+            )
     write_whole(file, text)
 
 
 def sources() -> str:
-    """Digest of the twin's own files and the user's effects: what diagnoses, and what is diagnosed."""
+    """Digest of the twin's source files and the user's effects."""
     from twin.effects.user_files import loaded_files
 
     home = Path(__file__).resolve().parents[1]
@@ -84,11 +86,11 @@ def sources() -> str:
 
 
 def seal(text: str, out: Path) -> str:
-    """Hash of the truths, written before anything is diagnosed; an examination that goes on must have the same."""
+    """Write and return the hash of the truths; a continued examination must have the same."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     file = out / SEAL
     if file.exists() and _sealed(out) != digest:
-        raise InputError(f"{file}: another examination was sealed here (its machines are others); give another --out")
+        raise InputError(f"{file}: an examination with other machines was sealed here; give another --out")
     write_whole(file, digest + "\n")
     return digest
 
@@ -98,7 +100,7 @@ def _sealed(out: Path) -> str:
 
 
 def unseal(text: str, out: Path) -> None:
-    """Write the truths; they must be what was sealed."""
+    """Write the truths, after checking them against the seal."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     if _sealed(out) != digest:
         raise InputError(f"{out / TRUTHS}: the truths are not those that were sealed; the examination is void")
@@ -106,12 +108,12 @@ def unseal(text: str, out: Path) -> None:
 
 
 def is_answered(folder: str) -> bool:
-    """Has this case been diagnosed, or could it not be?"""
+    """Has this case an answer: a diagnosis, or the reason why there is none?"""
     return any((Path(folder) / "answer" / name).exists() for name in ("diagnosis.json", "failed.txt"))
 
 
 def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool) -> float:
-    """Write a case's campaign and have it diagnosed by another process; returns the seconds that the diagnosis took."""
+    """Write a case's campaign and have it diagnosed by another process; returns the duration of the diagnosis [s]."""
     place = Path(folder)
     campaign, answer = place / "campaign", place / "answer"
     if not is_answered(folder):
@@ -125,8 +127,8 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
         started = time.perf_counter()
         done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        if done.returncode < 0:  # killed from outside: no answer, to be asked again
-            raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); call it again to go on")
+        if done.returncode < 0:  # killed from outside: no answer
+            raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); repeat the command to continue")
         if done.returncode:
             answer.mkdir(parents=True, exist_ok=True)
             write_whole(answer / "failed.txt", reason + "\n")
@@ -136,7 +138,7 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
 
 
 def _seconds(file: Path) -> float:
-    """How long the diagnosis took; 0 where that is not written."""
+    """Recorded duration of a diagnosis [s]; 0 if there is none."""
     try:
         seconds = float(file.read_bytes())
     except (OSError, ValueError):
@@ -158,14 +160,14 @@ def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
             try:
                 yield pool
             except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # what is in hand ends, nothing more begins
+                pool.shutdown(wait=False, cancel_futures=True)  # running tasks end, no new ones start
                 raise
 
 
 def each(
     executor: Executor, function: Callable[..., Any], work: dict[str, tuple[Any, ...]], progress: Callable[[None], None]
 ) -> dict[str, Any]:
-    """function(*arguments) of every entry, in whatever order, reported as they end."""
+    """function(*arguments) of every entry, in parallel; `progress` is called after each."""
     futures = {executor.submit(function, *arguments): name for name, arguments in work.items()}
     results = {}
     for future in as_completed(futures):

@@ -1,7 +1,8 @@
-"""Headless regression runs: cases against golden results, with a verdict that a program can read.
+"""Headless regression runs: cases against golden results, with machine-readable verdicts.
 
-suite     TOML files -> checked cases              outcome   what one case gives: trace, events, numbers
-runners   how each kind of case is run             golden    the kept result, with versions, date and reasons
-compare   outcome against golden, within tolerance where     which block of which axis left its law first
-run_suite all cases in parallel                    write     table, JUnit XML, JSON, a folder for each failure
+suite     TOML files -> checked cases              outcome   result of a case: trace, events, numbers
+runners   runs each kind of case                   golden    stored result, with versions, date and reasons
+compare   outcome against golden, within tolerance where     first block of an axis whose behaviour changed
+run_suite all cases in parallel                    write     table, JUnit XML, JSON
+recorded  moves, and campaigns of the second plant evidence  folder of a failed case
 """

@@ -1,4 +1,4 @@
-"""An outcome against its golden result: per signal RMS and largest difference, events, numbers."""
+"""Compares an outcome with its golden result: RMS and largest difference of each signal, events, numbers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from twin.replay.events import Event
 from twin.units import ARCSEC, AXIS_UNITS
 
 TIME_TOLERANCE_S = 1e-9
-"""Kept and new samples lie at the same times but for the rounding of the file."""
+"""Largest difference between stored and new sample times, for the rounding of the file."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One compared quantity: `found` against `allowed` in `unit`; `golden` and `now` are the two values where there are two.
+    """One compared quantity: difference `found` against `allowed` in `unit`; `golden` and `now` are the two values, if there are any.
 
-    `since_s` is the time from which a signal is beyond its largest allowed difference (None: never, or no time).
+    `since_s` is the time from which a signal exceeds its largest allowed difference (None: never, or not applicable).
     """
 
     quantity: str
@@ -45,12 +45,12 @@ class Check:
 
     @property
     def excess(self) -> float:
-        """How many times the tolerance."""
+        """Difference over tolerance."""
         return self.found / self.allowed if self.allowed > 0 else (0.0 if self.found == 0 else math.inf)
 
     @property
     def text(self) -> str:
-        """For messages."""
+        """The check as a phrase for messages."""
         if isinstance(self.golden, str) or isinstance(self.now, str):
             return f"{self.quantity}: {self.golden} before, {self.now} now"
         if self.golden is not None and self.now is not None:
@@ -74,7 +74,7 @@ def compare(case: Case, golden: Golden, outcome: Outcome) -> list[Check]:
 
 
 def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
-    """Both traces on the golden samples that both have; False where one is longer than the other by a kept sample or more."""
+    """Both traces on their common golden samples, and whether they have the same duration to within a stored sample."""
     every = max(1, round(golden.period / now.period))
     thin = now.decimated(every)
     count = min(len(thin.time), len(golden.time))
@@ -87,7 +87,7 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
 
 
 def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
-    """Unit in which a signal's difference is printed, and the factor from SI."""
+    """Printed unit of a signal's difference, and the factor from SI."""
     units = AXIS_UNITS[machine.axis(axis).kind]
     if signal in ("setpoint", "position", "motor_position"):
         return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)
@@ -108,7 +108,7 @@ def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterato
         for signal in case.compared:
             recorded = [trace.has(axis, signal) for trace in (before, after)]
             if not all(recorded):
-                if any(recorded):  # neither: the axis has no such signal, e.g. no current
+                if any(recorded):  # if neither has it, the axis has no such signal
                     first, then = ("yes" if has else "no" for has in recorded)
                     yield Check(f"{axis}.{signal} is recorded", axis, "", 1.0, 0.0, first, then)
                 continue
@@ -125,7 +125,7 @@ def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterato
 
 
 def _events(case: Case, golden: tuple[Event, ...], now: tuple[Event, ...]) -> Iterator[Check]:
-    """Each kind of event of each axis occurs as often as before and at the same times; blocks also in the same order."""
+    """Each kind of event of each axis: equal count and times; for blocks also equal order."""
     tolerance = case.tolerance["events"]["time_s"]
     before, after = _grouped(golden), _grouped(now)
     for kind, axis in sorted({*before, *after}):
@@ -151,18 +151,18 @@ def _grouped(events: tuple[Event, ...]) -> dict[tuple[str, str], list[Event]]:
 
 
 def uncompared(golden: Golden, now: Golden) -> list[str]:
-    """Names of numbers that the golden result does not know: they fail nothing and are said."""
+    """Names of new numbers without a golden value: they are reported, but do not fail."""
     return [name for name in now.features if name not in golden.features]
 
 
 def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """|now - golden| <= absolute + relative |golden|, of parameters relative |golden| + of_interval half its interval; words stay; none goes."""
+    """|now - golden| <= absolute + relative |golden|; for parameters + of_interval times half the interval. Words must be equal, none may vanish."""
     tolerance = case.tolerance["parameters" if case.kind in ("identify", "diagnose") else "summary"]
     absolute, of_interval = tolerance.get("absolute", 0.0), tolerance.get("of_interval", 0.0)
     for name, before in golden.features.items():
         after = outcome.features.get(name)
         if after is None or isinstance(before.value, str) or isinstance(after.value, str):
-            now = str(after.value) if after else "not there"
+            now = str(after.value) if after else "missing"
             yield Check(name, before.axis, before.unit, float(now != str(before.value)), 0.0, str(before.value), now, before.block)
         else:
             allowed = absolute + tolerance["relative"] * abs(before.value) + of_interval * before.noise
@@ -171,12 +171,12 @@ def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
 
 
 def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """The gap to the measurement must not grow by more than a share, plus a share of what noise alone makes; it may shrink."""
+    """The gap to the measurement may grow by a share of itself plus a share of the noise alone; it may shrink."""
     tolerance = case.tolerance["gap"]
     for name, before in golden.features.items():
         after = outcome.features.get(name)
         if after is None:
-            yield Check(name, before.axis, before.unit, 1.0, 0.0, str(before.value), "not there", before.block)
+            yield Check(name, before.axis, before.unit, 1.0, 0.0, str(before.value), "missing", before.block)
             continue
         old, new = float(before.value), float(after.value)
         allowed = tolerance["growth"] * old + tolerance["above_noise"] * before.noise
@@ -184,7 +184,7 @@ def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
 
 
 def _axis_in(outcome: Outcome) -> str:
-    """The axis that the message of a stopped simulation names."""
+    """The axis in the message of an aborted simulation."""
     words = outcome.failed.replace(":", " ").split()
     names = outcome.machine.axis_names if outcome.machine else ()
     return next((b for a, b in pairwise(words) if a == "axis" and b in names), "")

@@ -1,10 +1,10 @@
-"""What a failed case leaves in its folder.
+"""Evidence of a failed case, in a folder of its own.
 
-sentence.txt                axis, from when, which block first, by how much
+sentence.txt                axis, time, first block and worst difference
 checks.json                 every compared quantity with its tolerance
-plot.png                    golden and new of the axis, and their difference in its tolerance; without traces the worst numbers
+plot.png                    golden and new signals of the axis and their difference; without traces the worst numbers
 golden.parquet new.parquet  both traces, at the same samples
-overlay.rrd                 one over the other, for `twin replay`
+overlay.rrd                 both runs in one recording, for `twin replay`
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PLOTTED = ("setpoint", "position", "velocity", "current", "voltage", "torque")
 def write_evidence(
     folder: Path, case: Case, golden: Golden, outcome: Outcome, checks: Sequence[Check], place: Place | None, text: str
 ) -> Path:
-    """Write the folder of a failed case; returns it."""
+    """Write the evidence of a failed case; returns its folder."""
     output_folder(folder)
     write_whole(folder / "sentence.txt", text + "\n")
     write_json({"checks": [check_table(c) for c in checks]}, folder / "checks.json", "checks")
@@ -50,7 +50,7 @@ def write_evidence(
 
 
 def check_table(check: Check) -> dict[str, Any]:
-    """A check as plain data."""
+    """A check as a JSON table."""
     allowed = check.allowed if np.isfinite(check.allowed) else None
     found = check.found if np.isfinite(check.found) else None
     return {
@@ -67,7 +67,7 @@ def check_table(check: Check) -> dict[str, Any]:
 
 
 def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, place: Place | None, text: str, path: Path) -> None:
-    """Golden and new over each other, and their difference with the tolerance, signal by signal of one axis."""
+    """Plot golden and new signals of one axis, and their differences with the tolerances."""
     from twin.report import new_figure, save_png
     from twin.report.colours import axis_colour, hexadecimal
     from twin.report.figure import RED, SOFT
@@ -90,7 +90,7 @@ def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, 
         row[1].margins(y=0.15)
         if place and place.since_s is not None:
             for panel in row:
-                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":", label="first beyond its tolerance")
+                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":", label="tolerance first exceeded")
         row[1].legend(handles=row[1].get_legend_handles_labels()[0][:1], **above)
     panels[0][0].legend(**above)
     for panel in panels[-1]:
@@ -104,7 +104,7 @@ def _headed(figure: Any, text: str, width: int) -> None:
 
 
 def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
-    """How far each number is from its golden value, in tolerances."""
+    """Plot the difference of each number from its golden value over its tolerance."""
     from twin.report import new_figure, save_png
     from twin.report.figure import BLUE, RED
 
@@ -115,13 +115,13 @@ def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
     panel.barh([c.quantity for c in shown], sizes, color=[BLUE if c.ok else RED for c in shown])
     panel.set_xscale("log")
     panel.axvline(1.0, color="black", linewidth=1.0)
-    panel.set_xlabel("difference over tolerance (1 = just allowed)")
+    panel.set_xlabel("difference over tolerance (1 = limit)")
     _headed(figure, text, 120)
     save_png(figure, path)
 
 
 def _record(machine: Machine, golden: Trace, new: Trace, place: Place | None, text: str, path: Path) -> None:
-    """A recording for the viewer: the golden run moves the machine, the new one is drawn over it."""
+    """Write a recording in which the golden run moves the machine and the new one is overlaid."""
     from twin.replay import write_recording
     from twin.replay.events import TELLING, Event
 

@@ -1,6 +1,6 @@
 """Golden results: `golden/NAME.json` (numbers, events, versions, date, reasons) and `golden/NAME.parquet` (decimated trace).
 
-They lie in a folder `golden` beside the suite file and are written by `twin regress --update` only.
+They are stored in the folder `golden` beside the suite file and written only by `twin regress --update`.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from twin.regress.suite import Case
 from twin.replay.events import Event
 
 FORMAT = 1
-"""Of the files; a golden result of another format cannot be read."""
+"""Format of the files; other formats are refused."""
 _Kept = TypeVar("_Kept", Feature, Event)
 VERSIONED = ("mujoco", "numba", "numpy", "scipy")
 
 
 @dataclass(frozen=True)
 class Golden:
-    """A kept result with where it comes from."""
+    """A stored result with its origin."""
 
     features: Mapping[str, Feature]
     trace: Trace | None
     events: tuple[Event, ...]
     versions: Mapping[str, str]
     history: Sequence[Mapping[str, Any]]
-    case: str  # digest of the case that it is of
+    case: str  # digest of its case
 
 
 def versions() -> dict[str, str]:
-    """Versions that decide the numbers of a run."""
+    """Versions of the packages that influence the numbers of a run."""
     import twin
 
     return {"twin": twin.__version__, **{name: version(name) for name in VERSIONED}}
@@ -53,7 +53,7 @@ def golden_paths(case: Case) -> tuple[Path, Path]:
 
 
 def golden_of(outcome: Outcome, case: Case) -> Golden:
-    """What would be kept of an outcome; a trace each position cycle, so that the laws of the controllers can be checked on it."""
+    """The golden result of an outcome; its trace is sampled at the position cycle, as the check of the control laws needs."""
     trace = None
     if outcome.trace is not None and outcome.machine is not None:
         given = case.table.get("keep_every_ms")
@@ -62,7 +62,7 @@ def golden_of(outcome: Outcome, case: Case) -> Golden:
 
 
 def read_golden(case: Case, of_this_case: bool = True) -> Golden:
-    """The golden result of a case. Raises InputError where it is missing, broken, of another format or of another case."""
+    """The golden result of a case. Raises InputError if it is missing, damaged, of another format or of another case."""
     file, traced = golden_paths(case)
     update = f"make it with: twin regress {case.file} --only {case.name} --update --reason '...'"
     if not file.is_file():
@@ -93,7 +93,7 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
 
 
 def _of(kind: type[_Kept], table: Mapping[str, Any]) -> _Kept:
-    """The dataclass of a table; TypeError where a value is not of its field's type."""
+    """The dataclass of a table; TypeError if a value does not have its field's type."""
     found = kind(**table)
     for name, wanted in get_type_hints(kind).items():
         value = getattr(found, name)
@@ -103,7 +103,7 @@ def _of(kind: type[_Kept], table: Mapping[str, Any]) -> _Kept:
 
 
 def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:
-    """Write a new golden result; its history keeps date, versions, how many numbers changed, and the reason."""
+    """Write a new golden result; its history records date, versions, number of changed values and the reason."""
     file, traced = golden_paths(case)
     entry = {"date": date.today().isoformat(), "reason": reason, "changed": changed, "versions": dict(golden.versions)}
     document = {
@@ -123,7 +123,7 @@ def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]
 
 
 def write_small(trace: Trace, path: Path) -> None:
-    """A trace as `write_trace` writes it, in the units of traces, packed tightly."""
+    """Write a trace like `write_trace`, with stronger compression."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -139,7 +139,7 @@ def write_small(trace: Trace, path: Path) -> None:
 
 
 def history_of(case: Case) -> list[Mapping[str, Any]]:
-    """Reasons and dates of a golden result so far; empty where there is none that can be read."""
+    """History of a golden result; empty if there is none that can be read."""
     try:
         return list(read_json_table(golden_paths(case)[0])["history"])
     except (InputError, ValueError, KeyError, TypeError):

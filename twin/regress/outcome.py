@@ -1,4 +1,4 @@
-"""What one case gives: a trace (where it has one), events, and numbers and words by name."""
+"""The result of a case: trace (if it has one), events, and numbers and words by name."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from twin.regress.suite import SIGNAL_UNITS
 from twin.replay.events import Event
 
 Value = float | str
-"""A number, or a word that must stay the same."""
+"""A number, or a word that must not change."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A number with its unit, or a word; `axis` and `block` say whose it is ('' where it belongs to none)."""
+    """A number with its unit, or a word; `axis` and `block` it belongs to ('' for none)."""
 
     value: Value
     unit: str = ""
     axis: str = ""
     block: str = ""
-    noise: float = 0.0  # of a gap: what measuring noise alone makes; of a parameter: half its interval
+    noise: float = 0.0  # for a gap: that of the measuring noise alone; for a parameter: half its interval
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a case; `failed` is the reason why a simulation stopped before its end ('' where it did not)."""
+    """Result of a case; `failed` is the reason why a simulation was aborted ('' if it was not)."""
 
     features: Mapping[str, Feature]
     trace: Trace | None = None
@@ -41,7 +41,7 @@ class Outcome:
 
 
 def kept_trace(trace: Trace, every_s: float) -> Trace:
-    """The signals that are kept, each `every_s`."""
+    """The stored signals of a trace, sampled every `every_s`."""
     every = max(1, round(every_s / trace.period))
     if every >= len(trace.time):
         raise InputError(f"keep_every_ms = {every_s * 1e3:g} keeps one sample of a run of {trace.time[-1]:.4g} s; keep more")
@@ -50,7 +50,7 @@ def kept_trace(trace: Trace, every_s: float) -> Trace:
 
 
 def flat(prefix: str, content: Any, out: dict[str, Value]) -> dict[str, Value]:
-    """Nested tables and lists as one table of numbers and words, 'a.b.0' -> value."""
+    """Flatten nested tables and lists to 'a.b.0' -> value."""
     if isinstance(content, Mapping):
         for key, value in content.items():
             flat(f"{prefix}.{key}" if prefix else str(key), value, out)

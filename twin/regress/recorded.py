@@ -1,4 +1,4 @@
-"""Moves of a case as set points, and small campaigns that the second plant records on them when the suite runs.
+"""Set points from the moves of a case, and small campaigns that the second plant records with them during the run of a suite.
 
 [moves.X]
 start_mm = 0.0                    # _deg on a rotary axis
@@ -6,9 +6,9 @@ distances_mm = [40.0, -60.0]
 speed_mm_per_s = 100.0
 dwell_s = 0.05                    # default 0.05
 
-[recorded]                        # by `twin.exam`, which shares no law with the twin
-seed = 41                         # of the machine's spread, its effect's size and the noise
-effect = "backlash"               # none: a healthy machine
+[recorded]                        # by the second plant of `twin.exam`
+seed = 41                         # of the parameter spread, the size of the effect and the noise
+effect = "backlash"               # without it: a healthy machine
 axis = "Y"
 feedforward = ["off", "velocity+torque"]      # one run each
 """
@@ -34,14 +34,14 @@ from twin.units import factor_to_si
 
 PERIOD_S = 1e-3
 ACCELERATION_SHARE = 0.8
-"""Share of an axis' acceleration that moves use."""
+"""Share of an axis' greatest acceleration that moves use."""
 LEAST_JERK = 50.0
-"""Moves use this many times the axis' acceleration a second as jerk at least: short moves that still accelerate [1/s]."""
+"""Least jerk of moves over the axis' greatest acceleration [1/s], so that short moves still reach their acceleration."""
 _RECORDED_KEYS = ("seed", "effect", "axis", "feedforward")
 
 
 def setpoints_of_moves(case: Case, machine: Machine) -> Setpoints:
-    """Set points (sample, axis) at 1 ms: each axis' moves from rest to rest; an axis without moves stands at 0 or its nearest end."""
+    """Set points (sample, axis) at 1 ms: rest-to-rest moves; an axis without moves stays at 0 or the nearest end of its travel."""
     columns: dict[str, np.ndarray] = {}
     for name, table in case.table["moves"].items():
         columns[name] = _moves(f"{case.where}: [moves.{name}]", machine, name, table)
@@ -77,7 +77,7 @@ def _moves(where: str, machine: Machine, name: str, table: Any) -> np.ndarray:
 
 
 def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
-    """Record the case's moves on a machine drawn by the second plant, write the campaign to a folder, read it as any other."""
+    """Record the case's moves on a drawn machine of the second plant, write the campaign to a folder and read it."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -102,7 +102,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
         )
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
-    # the second plant moves all five axes; recorded are those of the case
+    # the second plant moves all five axes; only those of the case are recorded
     wanted = setpoints_of_moves(case, machine)
     points = np.zeros((len(wanted.position), len(AXES)))
     for a, name in enumerate(machine.axis_names):

@@ -1,4 +1,4 @@
-"""All cases of a suite, in parallel processes, each compared with its golden result."""
+"""Runs all cases of a suite in parallel processes and compares each with its golden result."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from twin.stopping import end_with_parent
 
 PASSED, FAILED, SKIPPED, BROKEN = "passed", "failed", "skipped", "error"
 HEAVY = {"diagnose": 0, "study": 1, "identify": 2, "cut": 3, "campaign": 4, "run": 5}
-"""Long cases begin first, so that no core waits for the last one."""
+"""Order of the kinds: long cases start first, so that no core idles at the end."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one case: status, checks, time taken, what to say of it, and where a failure begins."""
+    """Result of one case: status, checks, duration, message, and place of a failure."""
 
     case: Case
     status: str
@@ -42,7 +42,7 @@ class Verdict:
     new: Golden | None = field(default=None, repr=False)
     golden: Golden | None = field(default=None, repr=False)
     written: Path | None = None
-    stopped: bool = False  # the simulation did not reach its end
+    stopped: bool = False  # the simulation was aborted
 
     @property
     def failed_checks(self) -> list[Check]:
@@ -51,20 +51,20 @@ class Verdict:
 
     @property
     def worst(self) -> Check | None:
-        """The check nearest to its tolerance, or furthest beyond."""
+        """The check with the largest difference over tolerance."""
         return max((c for c in self.checks if c.allowed > 0 or not c.ok), key=lambda c: c.excess, default=None)
 
 
 def run_suite(
     cases: Sequence[Case], *, jobs: int | None = None, out: Path | None = None, update: bool = False, done: Callable[[], None] | None = None
 ) -> list[Verdict]:
-    """Verdicts in the order of the cases. `out`: a folder in which each failed case leaves its evidence.
+    """Verdicts in the order of the cases. `out`: folder for the evidence of failed cases.
 
-    `update` compares with what a golden result was before its case changed, and runs cases that have none.
+    `update` also accepts golden results of an earlier version of a case, and cases without one.
     """
     if not update:
         for case in cases:
-            read_golden(case)  # what is wrong with the suite is said before an hour of runs, not after
+            read_golden(case)  # report errors of the suite before running it
     order = sorted(cases, key=lambda case: HEAVY[case.kind])
     found: dict[str, Verdict] = {}
     for verdict in _verdicts(order, min(jobs or os.cpu_count() or 1, len(order)), out, update):
@@ -75,11 +75,11 @@ def run_suite(
 
 
 def _verdicts(order: Sequence[Case], count: int, out: Path | None, update: bool) -> Iterator[Verdict]:
-    """Verdicts as they come, `count` cases at a time."""
+    """Verdicts in order of completion, `count` cases at a time."""
     if count <= 1:
         yield from (judge(case, out, update) for case in order)
         return
-    # fresh processes: no state of this one, and the compiled loops come from the cache on disk
+    # fresh processes, without the state of this one; compiled functions come from the cache on disk
     with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
         try:
             with _deaf_children():
@@ -89,7 +89,7 @@ def _verdicts(order: Sequence[Case], count: int, out: Path | None, update: bool)
                     yield future.result()
                 except BrokenProcessPool:
                     yield Verdict(running[future], BROKEN, text="not run: a process of the suite was killed (out of memory?); try --jobs 1")
-        except BaseException:  # stopped by the user: what waits is not begun, what runs is ended
+        except BaseException:  # stopped by the user: cancel waiting cases and end running ones
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
@@ -98,7 +98,7 @@ def _verdicts(order: Sequence[Case], count: int, out: Path | None, update: bool)
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes begun in here leave Ctrl-C to this one, which ends them."""
+    """Child processes started here ignore Ctrl-C; this process ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -110,7 +110,7 @@ def _deaf_children() -> Iterator[None]:
 
 
 def judge(case: Case, out: Path | None, update: bool) -> Verdict:
-    """Run one case and compare it; whatever goes wrong in it is its verdict, and the others still run."""
+    """Run and compare one case; an error in it becomes its verdict and does not stop the others."""
     began = time.perf_counter()
     try:
         golden = read_golden(case, of_this_case=not update)
@@ -119,7 +119,7 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
             raise
         golden = None
     try:
-        verdict = _judged(case, golden, out if not update else None)
+        verdict = compared(case, golden, out if not update else None)
     except Skip as reason:
         verdict = Verdict(case, SKIPPED, text=str(reason))
     except TwinError as error:
@@ -131,18 +131,15 @@ def judge(case: Case, out: Path | None, update: bool) -> Verdict:
     return replace(verdict, seconds=time.perf_counter() - began)
 
 
-def _judged(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
+def compared(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
+    """Run one case and compare it with a golden result (None: there is none yet); evidence of a failure goes below `out`."""
     outcome = run_case(case)
     new, stopped = golden_of(outcome, case), bool(outcome.failed)
     if golden is None:
-        text = f"the simulation stops: {outcome.failed}" if stopped else "no golden result so far"
+        text = f"simulation aborted: {outcome.failed}" if stopped else "no golden result so far"
         return Verdict(case, BROKEN if stopped else PASSED, text=text, new=new, stopped=stopped)
     checks, new_names = tuple(compare(case, golden, outcome)), uncompared(golden, new)
-    shift = (
-        f"{case.name}: {len(new_names)} without golden value, e.g. {new_names[0]}; to compare them from now on: --update"
-        if new_names
-        else ""
-    )
+    shift = f"{case.name}: {len(new_names)} numbers without golden value, e.g. {new_names[0]}; add them with --update" if new_names else ""
     note = "; ".join(filter(None, (version_note(golden), shift)))
     if all(check.ok for check in checks):
         return Verdict(case, PASSED, checks=checks, note=note, new=new, golden=golden)
@@ -160,23 +157,23 @@ def _judged(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
 
 
 def place_of_numbers(checks: Sequence[Check]) -> Place:
-    """Where a case without traces failed: the axis and block of its worst number."""
+    """Place of a failure without traces: axis and block of the worst number."""
     worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
     return Place(worst.axis, None, worst.block)
 
 
 def version_note(golden: Golden) -> str:
-    """What is of another version than the golden result; '' where nothing is."""
+    """Note on versions that differ from the golden result; '' if none does."""
     now = versions()
     other = [f"{name} {golden.versions.get(name, '?')} -> {now[name]}" for name in now if golden.versions.get(name) != now[name]]
-    return f"golden result of another version: {', '.join(other)}; where the change is wanted: --update --reason '...'" if other else ""
+    return f"golden result of another version: {', '.join(other)}; to accept the change: --update --reason '...'" if other else ""
 
 
 def sentence(case: Case, checks: Sequence[Check], place: Place, failed: str) -> str:
-    """Which axis, from when, which block first, and by how much."""
+    """A failure in words: axis, time, first block and worst difference."""
     worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
     subject = f"axis {place.axis}" if place.axis else case.name
     since = f" from {place.since_s:.3f} s on" if place.since_s is not None else ""
-    first = f"; first in its chain: {place.block}" if place.block and place.axis else f"; in: {place.block}" if place.block else ""
-    stopped = f" (the simulation stops: {failed})" if failed else ""
+    first = f"; first changed block: {place.block}" if place.block and place.axis else f"; in: {place.block}" if place.block else ""
+    stopped = f" (simulation aborted: {failed})" if failed else ""
     return f"{subject} differs{since}{first}; worst: {worst.text}{stopped}"

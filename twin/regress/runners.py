@@ -1,4 +1,4 @@
-"""How each kind of case is run, and which numbers it gives."""
+"""Runs each kind of case and collects its numbers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from twin.regress.suite import Case
 
 
 class Skip(Exception):
-    """A case that cannot run here: its campaign is absent."""
+    """A case that cannot run because its campaign is absent."""
 
 
 def run_case(case: Case) -> Outcome:
-    """Run one case. Raises Skip, InputError; a simulation that stops is an outcome, with what was recorded up to there."""
+    """Run one case. Raises Skip or InputError; an aborted simulation is an outcome with the trace up to that time."""
     outcome = _RUNNERS[case.kind](case, machine_of(case))
-    # 'nan' and 'inf' are kept as words, which can stay the same
+    # 'nan' and 'inf' are stored as words, so that they can be compared
     words = {
         n: replace(f, value=str(f.value))
         for n, f in outcome.features.items()
@@ -36,7 +36,7 @@ def run_case(case: Case) -> Outcome:
 
 
 def machine_of(case: Case) -> Machine:
-    """The machine of a case: its file (default the Mikron), changed values, driven axes, effects, feedforward."""
+    """The machine of a case: file (default: the Mikron), changed values, driven axes, effects, feedforward."""
     machine = load_machine(case.path("machine") if "machine" in case.table else None)
     if "values" in case.table:
         machine = machine.with_values(case.table["values"])
@@ -90,7 +90,7 @@ def _run(case: Case, machine: Machine) -> Outcome:
 
 
 def _unit_of(name: str, table: dict[str, Any]) -> str:
-    """Unit of a number of an axis' summary: all errors have that of the following error; '' for counts and shares."""
+    """Unit of a number in an axis' summary: errors have the unit of the following error; '' for counts and shares."""
     what, _, last = name.rpartition("_")
     if name == "reversal_peak" or what == "error_without_delay":
         what = "following_error"
@@ -98,10 +98,10 @@ def _unit_of(name: str, table: dict[str, Any]) -> str:
 
 
 def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
-    """Every compared signal is some axis' own, and what each axis commands is compared unless the case says what is."""
+    """Some axis must have every compared signal; without `compare`, the command of each axis must be among the compared signals."""
     for signal in case.compared:
         if "compare" in case.table and not any(trace.has(name, signal) for name in machine.axis_names):
-            raise InputError(f"{case.where}: compare: no axis of {machine.name} has '{signal}'; leave it out")
+            raise InputError(f"{case.where}: compare: no axis of {machine.name} has the signal '{signal}'; leave it out")
     for axis in machine.axes:
         if "compare" not in case.table and axis.effort not in case.compared:
             signals = ", ".join(f'"{s}"' for s in (*case.compared[:-1], axis.effort))
@@ -123,7 +123,7 @@ def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -
 
 
 _JUMPING = ("mark.u_mm", "mark.v_mm")
-"""Where the deepest point lies jumps along a mark of even depth with the last digit: no number to hold on to."""
+"""Not compared: along a mark of even depth, rounding decides the position of the deepest point."""
 
 
 def _cut(case: Case, machine: Machine) -> Outcome:
@@ -197,13 +197,10 @@ def _diagnose(case: Case, machine: Machine) -> Outcome:
     return Outcome(features, machine=machine)
 
 
-_STUDY_UNITS = {"um": "um", "arcsec": "arcsec", "a": "A", "w": "W", "s": "s", "ms": "ms", "hz": "Hz"}
-"""Last word of a response's name -> unit; a share has none."""
-
-
 def _study(case: Case, machine: Machine) -> Outcome:
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, fingerprint, threads_here
+    from twin.study.labels import UNITS, is_share
     from twin.study.spec import read_study
     from twin.study.store import Store
 
@@ -224,7 +221,7 @@ def _study(case: Case, machine: Machine) -> Outcome:
         for name, value in responses.items():
             words = name.split("_")
             axis = next((a for a in machine.axis_names if a in words), "")
-            unit = _STUDY_UNITS.get(words[-1], "")
+            unit = "" if is_share(name) else UNITS.get(words[-1], "")
             features[f"variant {number}.{name}"] = Feature(value, unit, axis, "study")
     return Outcome(features, machine=machine)
 

@@ -1,7 +1,7 @@
-"""A suite: TOML files, each one case or several, checked when read; files named in a case lie relative to the suite file.
+"""A suite: TOML files with one or several cases each, checked when read. Paths in a case are relative to the suite file.
 
-A file holds the keys that its cases share, and one `[[case]]` table for each case (none: the file is one case of its own
-name). A case's own key replaces the shared one; tolerances are joined by quantity.
+A file holds the shared keys of its cases and one `[[case]]` table per case (without any, the file is one case named after it).
+A case's own key replaces the shared one; tolerances are merged by quantity.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from twin.tables import is_number, known_keys
 KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")
 COMMON_KEYS = ("kind", "name", "why", "machine", "tolerance")
 CHANGED = ("axes", "values", "effects")
-"""What a case may change in its machine: driven axes, numbers by path, effects."""
+"""Keys that change the machine of a case: driven axes, numbers by path, effects."""
 OWN_KEYS: dict[str, tuple[str, ...]] = {
     "run": (*CHANGED, "feedforward", "input", "moves", "compare", "keep_every_ms"),
     "cut": (*CHANGED, "feedforward", "input", "part", "zone_um"),
@@ -42,7 +42,7 @@ _TYPES: dict[str, tuple[type, str]] = {
     **dict.fromkeys(("machine", "input", "part", "spec", "campaign"), (str, "a path beside the suite file")),
 }
 NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",), "identify": ("parameters",), "diagnose": ("parameters",)}
-"""What a kind compares besides its signals; every other kind compares `summary`."""
+"""Compared quantities of a kind besides its signals; all other kinds compare `summary`."""
 
 SIGNAL_UNITS = {
     "setpoint": "um, arcsec",
@@ -61,7 +61,7 @@ SIGNAL_UNITS = {
     "torque_gravity": "Nm",
 }
 COMPARED = ("setpoint", "position", "velocity", "current")
-"""Signals that a run compares where the case says nothing else."""
+"""Compared signals of a run by default."""
 
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
 _TOLERANCE_KEYS = {
@@ -75,7 +75,7 @@ _TOLERANCE_KEYS = {
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its name, kind, the suite file it stands in, and its table with the shared keys filled in."""
+    """One case: name, kind, suite file, and its table including the shared keys."""
 
     name: str
     kind: str
@@ -84,7 +84,7 @@ class Case:
 
     @property
     def where(self) -> str:
-        """For messages: file and case."""
+        """File and case, for messages."""
         return f"{self.file}: case '{self.name}'"
 
     @property
@@ -94,15 +94,15 @@ class Case:
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Signals that are compared sample by sample."""
+        """Signals to compare sample by sample."""
         return tuple(self.table.get("compare", COMPARED)) if self.kind == "run" else ()
 
     def path(self, key: str) -> Path:
-        """A file or folder that the case names, relative to its suite file."""
+        """The path of a file or folder of the case."""
         return self.file.parent / str(self.table[key])
 
     def digest(self) -> str:
-        """Of all that decides the result (not tolerances and words), to notice a golden result of another case."""
+        """Hash of all keys that influence the result, to detect a golden result of another case."""
         deciding = {k: v for k, v in self.table.items() if k not in ("tolerance", "why", "name", "compare")}
         return hashlib.sha256(json.dumps(deciding, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
@@ -122,7 +122,7 @@ def read_suite(path: str | Path) -> tuple[Case, ...]:
     seen: dict[str, Path] = {}
     for case in cases:
         if case.name in seen:
-            raise InputError(f"{case.where} stands also in {seen[case.name]}; rename one of them")
+            raise InputError(f"{case.where} also exists in {seen[case.name]}; rename one of them")
         seen[case.name] = case.file
     return tuple(cases)
 
@@ -132,14 +132,14 @@ def _read_file(file: Path) -> list[Case]:
     shared = {k: v for k, v in document.items() if k != "case"}
     tables = document.get("case", [{"name": document.get("name", file.stem)}])
     if not isinstance(tables, list) or not tables or not all(isinstance(t, dict) for t in tables):
-        raise InputError(f"{file}: 'case' must be a list of tables; write [[case]] and below it name = \"...\"")
+        raise InputError(f"{file}: 'case' must be a list of tables; write [[case]] followed by name = \"...\"")
     return [_case(file, i, {**shared, **t, "tolerance": _joined(file, shared, t)}) for i, t in enumerate(tables)]
 
 
 def _joined(file: Path, shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     parts = [part.get("tolerance", {}) for part in (shared, own)]
     if not all(isinstance(part, dict) for part in parts):
-        raise InputError(f"{file}: 'tolerance' must be tables; write [tolerance.position] and below it rms, max, unit, reason")
+        raise InputError(f"{file}: 'tolerance' must be tables; write [tolerance.position] followed by rms, max, unit, reason")
     return {**parts[0], **parts[1]}
 
 
@@ -171,7 +171,7 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
 
 
 def _check_source(case: Case) -> None:
-    """Exactly one source of what is run, and existing files (a campaign may be absent: then the case is skipped)."""
+    """A case needs exactly one input and existing files; only a campaign may be absent (the case is then skipped)."""
     table = case.table
     one_of = {
         "run": ("input", "moves"),
@@ -195,7 +195,7 @@ def _check_source(case: Case) -> None:
 
 
 def _check_tolerances(case: Case) -> None:
-    """Every compared quantity has a tolerance with a reason, every tolerance is well formed."""
+    """Every compared quantity needs a well-formed tolerance with a reason."""
     needed = (*case.compared, *NEEDED_TOLERANCES.get(case.kind, ("summary",)))
     for quantity in case.compared:
         if not isinstance(quantity, str) or quantity not in SIGNAL_UNITS:
@@ -207,7 +207,7 @@ def _check_tolerances(case: Case) -> None:
     for quantity, table in case.tolerance.items():
         where = f"{case.where}: [tolerance.{quantity}]"
         if not isinstance(table, dict):
-            raise InputError(f"{where}: expected a table, found {table!r}; write [tolerance.{quantity}] and below it its keys")
+            raise InputError(f"{where}: expected a table, found {table!r}; write [tolerance.{quantity}] followed by its keys")
         known = (*SIGNAL_UNITS, *(q for q in _TOLERANCE_KEYS if q != "signal"))
         if quantity not in known:
             raise InputError(f"{where}: no such quantity; {nearest(quantity, known)}")
@@ -219,7 +219,7 @@ def _check_tolerances(case: Case) -> None:
             value = table[key]
             if key == "reason":
                 if not isinstance(value, str) or len(value.strip()) < 5:
-                    raise InputError(f"{where}: reason = {value!r}: say in words why this much may change")
+                    raise InputError(f"{where}: reason = {value!r}: give the reason for this tolerance in words")
             elif key == "unit":
                 if value != SIGNAL_UNITS[quantity]:
                     raise InputError(f"{where}: unit = {value!r}: {quantity} is compared in '{SIGNAL_UNITS[quantity]}'")
@@ -232,7 +232,7 @@ def _keys_of(quantity: str) -> tuple[str, ...]:
 
 
 def chosen(cases: Sequence[Case], only: Sequence[str], suite: str | Path) -> tuple[Case, ...]:
-    """The cases whose names match one of the patterns (`*` and `?`); all without a pattern."""
+    """Cases whose names match one of the patterns (`*` and `?`); all cases without a pattern."""
     import fnmatch
 
     for pattern in only:

@@ -1,21 +1,20 @@
-"""Which block of an axis left its law first: the loop is cut, each block gets its own recorded inputs, in both traces.
+"""Finds the first block of an axis whose behaviour changed. The loop is cut: each block gets its own recorded inputs, in both traces.
 
     set points           the set point itself
-    position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            stated by the machine file, on the position cycles
-                         a drive that closes the loop itself: also what it follows, made of w*, x and their values Td ago
-    speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt    stated; integral of the speed from the motor encoder: exact,
-                         until i* meets its limit (there the integral stops); regressed where the speed is not measured itself
-    current loop         torque        regressed on w*, i* and speed, TAPS samples about each instant
+    position controller  w* = Kv (s(t - d) - x) + a_v ds/dt            law from the machine file, at the position cycles;
+                         for a position loop in the drive also the drive's set point, from w*, x and their values Td ago
+    speed controller     i* = (Kp e + Kp/Tn int e + J a_t d2s/dt2) / Kt    law from the machine file, with the integral of the speed from the
+                         motor encoder, until i* reaches its limit (the integral stops there); regressed if the speed is not measured
+    current loop         torque        regressed on w*, i* and speed, TAPS samples around each instant
     mechanics            torque        regressed on a of all axes, sign v, v, position
     transmission         motor position - scale      regressed on torque, a, position, motor angle
 
-A residual is taken in the golden and in the new trace by the same law. Where a block does what it did, both residuals are
-alike, whatever its inputs now are; where it does not, their difference is the block's own doing. Its share is RMS of the
-difference of the residuals over RMS of the difference of the outputs; a regressed law may move as far as the golden record
-leaves it open. A block that changed also changes the inputs of the others, but not their laws: the first in the chain with a
-large share is named.
-The idea is that of `twin.diagnose.blocks`, which has measured traces and must live with noise; a twin's record has more
-signals and none, so that a millionth shows.
+The residual of each law is computed in the golden and in the new trace. If the block is unchanged, both residuals agree for any
+inputs; otherwise their difference comes from the block itself. The block's share is the RMS difference of the residuals over the RMS
+difference of the outputs. Coefficients of a regressed law that the golden trace does not determine may change. A changed block also
+changes the inputs of the others, but not their laws; the first block of the chain with a large share is named.
+`twin.diagnose.blocks` does the same with noisy measured traces; the twin's own traces have more signals and no noise, so that changes of
+a millionth are visible.
 """
 
 from __future__ import annotations
@@ -35,27 +34,27 @@ from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""What a block makes of its inputs: the output that a stated law gives (sample,), or the rows of a regressed one (sample, column);
-the recorded output (sample,); the samples at which the law holds (sample,)."""
+"""The output of a law from the machine file (sample,) or the rows of a regressed law (sample, column); the recorded output (sample,);
+the samples at which the law holds (sample,)."""
 
 SHARE = 0.35
-"""Share of the change of its output that a block must have made itself to be named: of blocks that were changed the current loop shows
-least, 0.37 for its gain; of blocks before the changed one it shows most, 0.24 for friction and 0.41 for the measuring system."""
+"""Least share of the change of its output that a named block must have caused. The smallest share of a changed block is 0.37 (gain of the
+current loop); the largest shares of the current loop before a changed block are 0.24 (friction) and 0.41 (measuring system)."""
 SEEN = 1e-4
-"""A regressed law is left open in directions in which its inputs move by less than this share of the strongest."""
+"""Relative singular value below which the inputs do not determine a regressed law."""
 TAPS = 5
-"""Samples of set points and speed from which the current loop's torque follows: it settles within one or two of them."""
+"""Samples of set points and speed that determine the current loop's torque; it settles within one or two."""
 AT_LIMIT = 0.998
-"""A current set point counts as limited from this share of the peak current on."""
+"""Share of the peak current above which a current set point counts as limited."""
 FOLLOWED = "drive_velocity_setpoint"
-"""What a drive follows that closes the position loop itself."""
+"""Speed set point inside a drive that closes the position loop itself."""
 SLIDING = 1e-3
-"""Friction is looked at where the axis moves faster than this share of its highest speed."""
+"""Share of the highest speed above which the friction law is compared."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a case left its golden result: axis, time, block ('': unknown), and what share of the change of its output each block made."""
+    """Place of a deviation: axis, time, block ('': unknown), and the share of each block in the change of its output."""
 
     axis: str
     since_s: float | None
@@ -64,7 +63,7 @@ class Place:
 
 
 def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check]) -> Place | None:
-    """The first place: the axis that is most beyond its tolerance, its first block, the time from which it shows."""
+    """Axis with the largest difference over tolerance, its first changed block, and the time of the first excess."""
     failed = [c for c in checks if not c.ok]
     if not failed:
         return None
@@ -88,7 +87,7 @@ def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check
 
 
 def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Iterator[tuple[str, float]]:
-    """(block, share) of one axis in the order of the chain; both traces on the same samples."""
+    """(block, share) of one axis in the order of the chain; both traces have the same samples."""
     actual = apply_effects(machine).machine
     inertia = float(commissioned_inertia(machine)[machine.axis_names.index(axis.name)])
     axis, cycle = actual.axis(axis.name), actual.position_cycle
@@ -98,7 +97,7 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
     if on_cycles:
         blocks.append(("position controller", lambda trace: _position_controller(actual, axis, trace)))
-    if each_cycle:  # on samples further apart the faster loops cannot be separated
+    if each_cycle:  # coarser samples do not separate the faster loops
         if measured_speed:
             blocks.append(("speed controller", lambda trace: _speed_controller(actual, axis, inertia, trace)))
         else:
@@ -120,9 +119,9 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
 
 
 def _own_change(rows: np.ndarray, output: np.ndarray, new_rows: np.ndarray, new_output: np.ndarray) -> np.ndarray:
-    """Residual of the nearest law to the golden one that would explain the change of the output, and what it costs on the golden record.
+    """Residual of the law that best explains the change of the output, combined with its residual on the golden trace.
 
-    The golden record leaves some coefficients open (inputs that move alike), and these are free; others are held by it.
+    Coefficients that the golden trace does not determine (proportional inputs) are free; it constrains the others.
     """
     law, *_ = np.linalg.lstsq(rows, output, rcond=SEEN)
     change = new_output - output - (new_rows - rows) @ law
@@ -134,19 +133,19 @@ def _own_change(rows: np.ndarray, output: np.ndarray, new_rows: np.ndarray, new_
 
 
 def _share(own: np.ndarray, output: np.ndarray) -> float:
-    """RMS of what a block changed itself over RMS of the change of its output; 0 where nothing changed."""
+    """RMS of a block's own change over the RMS change of its output; 0 if nothing changed."""
     changed = float(np.sqrt(np.mean(output**2))) if output.size else 0.0
     return float(np.sqrt(np.mean(own**2))) / changed if changed > 1e-12 else 0.0
 
 
 def _scaled(rows: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Rows by the RMS of the reference's columns; a column that stands still there carries no information."""
+    """Rows divided by the RMS of the reference's columns; columns that are zero there become zero."""
     size = np.sqrt(np.mean(reference**2, axis=0))
     return np.where(size > 1e-12, rows / np.maximum(size, 1e-12), 0.0)
 
 
 def _delayed(machine: Machine, axis: Axis, trace: Trace, delay: float) -> np.ndarray:
-    """Set point that long before each sample (sample,), between the control's cycles as this control reads it."""
+    """Delayed set point at each sample (sample,), with the interpolation of this control."""
     curve = CubicSpline(trace.time, trace.get(axis.name, "setpoint"))
     parts = delay_weights(delay, machine.position_cycle, machine.setpoint_interpolation == "linear")
     delayed = [weight * curve(np.clip(trace.time - d, trace.time[0], trace.time[-1])) for d, weight in parts]
@@ -154,7 +153,7 @@ def _delayed(machine: Machine, axis: Axis, trace: Trace, delay: float) -> np.nda
 
 
 def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
-    """Speed set point [axis units/s] of the position controller on the kept position cycles, and below it what a drive makes of it."""
+    """Speed set point [axis units/s] of the position controller at the stored position cycles, followed by that inside the drive, if any."""
     loops, cycle = axis.loops, machine.position_cycle
     wanted, output = (
         loops.position_gain_per_s * _delayed(machine, axis, trace, loops.position_delay_s),
@@ -170,15 +169,15 @@ def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
 
 
 def _followed(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
-    """Speed set point that the drive follows (sample, speed cycle): as recorded at each sample, by the drive's law between them."""
+    """Speed set point inside the drive (sample, speed cycle): recorded at each sample, from the drive's law between samples."""
     made = speed_set_point(trace, axis, machine.speed_cycle)
     return made + (trace.get(axis.name, FOLLOWED)[:, None] - made[:, :1]) if trace.has(axis.name, FOLLOWED) else made
 
 
 def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """What the speed controller commands [A, V, Nm], and the samples before it meets its limit.
+    """Command of the speed controller [A, V, Nm], and the samples before it reaches its limit.
 
-    With an integral it is taken relative to the first sample: what the integral holds there, such as a weight, is not an output of this law.
+    With an integral it is relative to the first sample, because the initial content of the integral (a weight, for example) is unknown.
     """
     command = trace.get(axis.name, "current_setpoint" if axis.effort == "current" else axis.effort)
     limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
@@ -186,13 +185,13 @@ def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _speed_integral(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
-    """Integral of the speed's error [motor rad]: a sum of w* less the way of the motor."""
+    """Integral of the speed error [motor rad]: sum of w* minus the travel of the motor."""
     wanted, way = _followed(machine, axis, trace).mean(axis=1), trace.get(axis.name, "motor_position")
     return (np.concatenate([[0.0], np.cumsum(wanted[:-1]) * machine.position_cycle]) - (way - way[0])) / axis.ratio
 
 
 def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace) -> Law:
-    """Command [A, V, Nm] of a speed controller that measures the speed."""
+    """Law of a speed controller that measures the speed [A, V, Nm]."""
     loops, r, cycle = axis.loops, axis.ratio, machine.position_cycle
     error = (_followed(machine, axis, trace)[:, 0] - trace.get(axis.name, "velocity")) / r
     d = loops.feedforward_delay_s
@@ -206,14 +205,14 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
 
 
 def _speed_controller_of_samples(machine: Machine, axis: Axis, trace: Trace) -> Law:
-    """The same where the speed is differentiated or filtered: its samples about each instant, feedforward and integral."""
+    """Regressed law for a differentiated or filtered speed: samples around each instant, feedforward and integral."""
     rows = [*_about(_followed(machine, axis, trace)[:, 0]), *_samples(axis, trace, "velocity"), np.ones(len(trace.time))]
     rows += [trace.get(axis.name, "torque_feedforward"), _speed_integral(machine, axis, trace)]
     return np.column_stack(rows), *_command(axis, trace)
 
 
 def _samples(axis: Axis, trace: Trace, signal: str) -> list[np.ndarray]:
-    """TAPS columns: a signal from two samples before to two after each instant."""
+    """TAPS columns: a signal from two samples before to two samples after each instant."""
     return _about(trace.get(axis.name, signal))
 
 
@@ -228,7 +227,7 @@ def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
 
 def _current_loop(machine: Machine, axis: Axis, trace: Trace) -> Law:
     columns = [np.ones(len(trace.time)), *_about(_followed(machine, axis, trace)[:, 0])]
-    for signal in ("current_setpoint", "velocity"):  # i* between the samples follows from w* and w
+    for signal in ("current_setpoint", "velocity"):  # i* between samples depends on w* and w
         columns += _samples(axis, trace, signal)
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 

@@ -1,4 +1,4 @@
-"""Verdicts for people and programs: a table, JUnit XML, JSON."""
+"""Writes verdicts as a table, JUnit XML and JSON."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> str:
-    """One line a case, then a sentence for each that did not pass."""
+    """One line per case, then a sentence for each that did not pass."""
     rows = []
     for v in verdicts:
         worst = v.worst
         nearest = f"{worst.quantity} {min(worst.excess, 1e6):.2g}" if worst else "-"
         rows.append([v.case.name, v.case.kind, v.status, f"{v.seconds:.1f} s", str(len(v.checks)), nearest])
-    lines = [table(["case", "kind", "verdict", "time", "checks", "nearest to its tolerance (1 = just allowed)"], rows, left=3)]
+    lines = [table(["case", "kind", "verdict", "time", "checks", "largest difference over tolerance (1 = limit)"], rows, left=3)]
     for v in verdicts:
         if v.status != "passed":
             lines.append(f"{v.status}: {v.case.name}: {v.text}" + (f" [{v.written}]" if v.written else ""))
@@ -39,7 +39,7 @@ def verdict_table(verdicts: Sequence[Verdict]) -> str:
 
 
 def lead(verdicts: Sequence[Verdict]) -> tuple[str, str, int, int]:
-    """Axis and block that most failed cases name first, and how many of them name each: where to look first."""
+    """Axis and block that most failed cases name, and the number of cases for each."""
     places = [v.place for v in verdicts if v.place]
     axis, of_axis = next(iter(Counter(p.axis for p in places if p.axis).most_common(1)), ("", 0))
     block, of_block = next(iter(Counter(p.block for p in places if p.block).most_common(1)), ("", 0))
@@ -47,11 +47,11 @@ def lead(verdicts: Sequence[Verdict]) -> tuple[str, str, int, int]:
 
 
 def lead_sentence(verdicts: Sequence[Verdict]) -> str:
-    """The same in words; '' where no case failed."""
+    """`lead` in words; '' if no case failed."""
     axis, block, of_axis, of_block = lead(verdicts)
     failed = sum(v.place is not None for v in verdicts)
     named = [f"axis {axis} in {of_axis}"] * bool(axis) + [f"{block} in {of_block}"] * bool(block)
-    return f"named first, of {failed} failed: {', '.join(named)}" if named else ""
+    return f"most named in {failed} failed cases: {', '.join(named)}" if named else ""
 
 
 def counts(verdicts: Sequence[Verdict]) -> str:
@@ -61,7 +61,7 @@ def counts(verdicts: Sequence[Verdict]) -> str:
 
 
 def document(verdicts: Sequence[Verdict], seconds: float) -> dict[str, Any]:
-    """All as plain data."""
+    """The content of regress.json."""
     return {
         "verdict": "failed" if any(v.status in (FAILED, BROKEN) for v in verdicts) else "passed",
         "versions": versions(),
@@ -86,7 +86,7 @@ def document(verdicts: Sequence[Verdict], seconds: float) -> dict[str, Any]:
 
 
 def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
-    """`<testsuites><testsuite><testcase>` as the CI servers read it."""
+    """`<testsuites><testsuite><testcase>` for CI servers."""
     number = Counter(v.status for v in verdicts)
     totals = {
         "tests": str(len(verdicts)),
@@ -117,7 +117,7 @@ def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
 
 
 def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path, json_file: Path) -> None:
-    """Write both files."""
+    """Write the JUnit XML and the JSON file."""
     for path, text in (
         (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
         (json_file, json.dumps(stamped(document(verdicts, seconds), "regress"), indent=1, allow_nan=False) + "\n"),
@@ -126,5 +126,5 @@ def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path,
 
 
 def _plain(text: str) -> str:
-    """Without the characters that XML cannot hold."""
+    """Replace characters that XML does not allow."""
     return _NOT_XML.sub("?", text)

@@ -1,20 +1,20 @@
-"""Catalogues: named motors, screws and gears, whose numbers change together on an axis.
+"""Catalogues: named motors, screws and gears with their numbers.
 
-    [[motor]]                                    # numbers under the names of [axis.N.motor]
+    [[motor]]                                    # keys as in [axis.N.motor]
     name = "M80"
     torque_constant_nm_per_a = 1.4
     back_emf_v_s_per_rad = 0.81
     resistance_ohm = 0.5
     inductance_h = 6.0e-3
     peak_torque_nm = 64.0                        # or peak_current_a
-    inertia_kg_m2 = 4.2e-3                       # of the rotor alone
-    rated_torque_nm = 20.0                       # optional, as rated_speed_rev_per_min, max_speed_rev_per_min, thermal_time_constant_s
+    inertia_kg_m2 = 4.2e-3                       # rotor alone
+    rated_torque_nm = 20.0                       # optional, like rated_speed_rev_per_min, max_speed_rev_per_min, thermal_time_constant_s
 
-    [[screw]]                                    # screw_lead_m_per_rev, inertia_kg_m2; optional: the friction of [axis.N]
-    [[gear]]                                     # gear_ratio, inertia_kg_m2; optional: the friction of [axis.N]
+    [[screw]]                                    # screw_lead_m_per_rev, inertia_kg_m2; optional: friction keys of [axis.N]
+    [[gear]]                                     # gear_ratio, inertia_kg_m2; optional: friction keys of [axis.N]
 
-A machine file knows the inertia of rotor and screw, or rotor and gear, as one number. A factor therefore names what is `installed`: its
-inertia goes and that of the other comes, whatever else turns with it stays.
+A machine file holds the inertia of rotor and screw (or gear) as one number. A factor therefore names the `installed` entry; choosing
+another one adds the difference of their inertias.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ KINDS = ("motor", "screw", "gear")
 INERTIA = "inertia_kg_m2"
 
 RATINGS = ("rated_torque_nm", "rated_speed_rev_per_min", "max_speed_rev_per_min", "thermal_time_constant_s")
-"""What a motor may bear for ever; a machine file may leave it out."""
+"""Ratings of a motor; optional in a machine file."""
 _FRICTION = ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
 _REQUIRED = {
     "motor": ("torque_constant_nm_per_a", "back_emf_v_s_per_rad", "resistance_ohm", "inductance_h", INERTIA),
@@ -50,7 +50,7 @@ _OPTIONAL = {
 
 @dataclass(frozen=True)
 class Choice:
-    """One entry of a catalogue on the axes of a factor: numbers by path, and the inertia that it adds to what is installed [kg m2]."""
+    """A catalogue entry on the axes of a factor: numbers by path, and its inertia minus that of the installed entry [kg m2]."""
 
     name: str
     values: tuple[tuple[str, float], ...]
@@ -58,7 +58,7 @@ class Choice:
 
 
 def choices_of(path: Path, axes: Sequence[Axis], installed: str, names: Sequence[str], where: str) -> tuple[Choice, ...]:
-    """The entries of a catalogue (those with these names, else all of the installed one's kind) for some axes of a machine."""
+    """Entries of a catalogue for some axes: those with these names, or all of the installed entry's kind."""
     entries = _entries(path, where)
     kind = next((kind for kind, known in entries.items() if installed in known), None)
     if kind is None:
@@ -84,7 +84,7 @@ def _check_axis(kind: str, axis: Axis, installed: Mapping[str, Any], where: str)
     if installed[INERTIA] > axis.rotor_inertia_kg_m2:
         raise InputError(
             f"{where}: the installed {kind} has {installed[INERTIA]:g} kg m2, more than the {axis.rotor_inertia_kg_m2:g} kg m2 "
-            f"that turn with the motor of {axis.name}; correct the catalogue or the machine file"
+            f"of rotor and screw or gear of {axis.name}; correct the catalogue or the machine file"
         )
 
 
@@ -103,7 +103,7 @@ def _choice(kind: str, name: str, entry: Mapping[str, Any], installed: Mapping[s
 
 
 def _entries(path: Path, where: str) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """Kind -> name -> numbers of all entries of a catalogue."""
+    """Kind -> name -> numbers of the entries of a catalogue."""
     try:
         document = read_toml(path)
     except InputError as error:
@@ -140,7 +140,7 @@ def _checked(kind: str, table: Any, where: str) -> Mapping[str, Any]:
 
 
 def with_choices(choices: Sequence[Choice], machine: Machine) -> dict[str, float]:
-    """Numbers by path of a machine on whose axes these entries are put, one of each factor; inertias of several add up."""
+    """Numbers by path of a machine with these entries, one per factor; their inertia differences add up."""
     values: dict[str, float] = {}
     for choice in choices:
         values |= dict(choice.values)

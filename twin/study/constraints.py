@@ -1,7 +1,7 @@
-"""What a design must keep: bounds on responses, given by name or pattern. A variant that breaks one has its reason.
+"""Constraints of a design: bounds on responses, by name or pattern. A variant that breaks one records the reason.
 
-Two stand without being asked for: each loop keeps a phase margin, and no axis is at its current or voltage limit for longer
-than a small share of a run (half a millisecond of clipped voltage at a corner is no reason against a design).
+Two constraints always apply: a least phase margin of every loop, and a largest share of a run for which an axis may be at its
+current or voltage limit (half a millisecond of clipped voltage at a corner is acceptable).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import fnmatch
 from twin.study.labels import label_of, valued
 
 LEAST_PHASE_MARGIN_DEG = 30.0
-"""Phase margin of every loop where the study file names none [deg]: below it a loop rings, whatever else it does."""
+"""Default of the least phase margin of every loop [deg]; a loop with less rings."""
 
 MOST_TIME_AT_LIMIT = 0.001
-"""Share of a run for which an axis may be at its current or voltage limit where the study file names none [1]."""
+"""Default of the largest share of a run at the current or voltage limit [1]."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Constraint:
     least: float | None = None
     most: float | None = None
     standing: bool = False
-    """Every study has it, also one whose machine has no such response."""
+    """Applies to every study, even if its machine has no such response."""
 
 
 def standing(least_phase_margin_deg: float, most_time_at_limit: float) -> tuple[Constraint, ...]:
@@ -51,11 +51,11 @@ def in_words(constraint: Constraint) -> str:
 
 
 def broken_by(constraints: Sequence[Constraint], responses: Mapping[str, float]) -> Iterator[str]:
-    """A sentence for each response that breaks a constraint; of several runs the joined number speaks for all."""
+    """A sentence for each response that breaks a constraint; with several runs the joined value is checked."""
     for constraint in constraints:
         for name in fnmatch.filter(responses, constraint.pattern):
             value = responses[name]
             if constraint.least is not None and value < constraint.least:
-                yield f"{label_of(name)} is {valued(name, value)}, at least {valued(name, constraint.least)} is asked for"
+                yield f"{label_of(name)} is {valued(name, value)}, below the least of {valued(name, constraint.least)}"
             if constraint.most is not None and value > constraint.most:
-                yield f"{label_of(name)} is {valued(name, value)}, at most {valued(name, constraint.most)} is allowed"
+                yield f"{label_of(name)} is {valued(name, value)}, above the limit of {valued(name, constraint.most)}"

@@ -1,4 +1,4 @@
-"""From factors to variants: a table (variant, factor) of values, the same for a seed on every machine; and a row to its machine."""
+"""From factors to a table (variant, factor) of values, reproducible by seed, and from a row to its machine."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from twin.study.paths import number_at, with_numbers
 from twin.study.spec import Study
 
 MOST = 1_000_000
-"""More variants than this are a typing error, or a job for a latin_hypercube."""
+"""More variants than this are refused."""
 
 
 def variants_of(study: Study) -> np.ndarray:
-    """Values (variant, factor) of the study's design; the nominal machine is no variant unless the design holds it."""
+    """Values (variant, factor) of the study's design; the nominal machine is a variant only if the design contains it."""
     design, factors = study.design, study.factors
     levels = factors if design.kind in ("grid", "one_at_a_time") else ()
     counts = [len(f.values) if f.values else design.levels for f in levels]
@@ -60,7 +60,7 @@ def variants_of(study: Study) -> np.ndarray:
 
 
 def _from_unit(factors: tuple[Factor, ...], unit: np.ndarray) -> np.ndarray:
-    """Samples (variant, factor) in 0 .. 1 spread over each factor's range, or over its values in equal parts."""
+    """Samples (variant, factor) in 0 .. 1 mapped to each factor's range, or to its values in equal parts."""
     columns = []
     for factor, u in zip(factors, unit.T):
         if factor.values:
@@ -71,13 +71,13 @@ def _from_unit(factors: tuple[Factor, ...], unit: np.ndarray) -> np.ndarray:
 
 
 def problem_of(study: Study) -> dict[str, Any]:
-    """The study's factors in the words of SALib, in the unit cube."""
+    """The study's factors as a SALib problem in the unit cube."""
     names = [f.name for f in study.factors]
     return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
 
 
 def nominal_of(study: Study) -> np.ndarray:
-    """Each factor's value (factor,) on the machine as it is; 1 for relative ones; for an effect that it lacks the lower end."""
+    """Each factor's value (factor,) on the present machine: 1 if relative, the lower end for an effect that the machine lacks."""
     values = [_nominal(f, study.machine) for f in study.factors]
     return np.array([f.low if value is None else value for f, value in zip(study.factors, values)])
 
@@ -90,7 +90,7 @@ def _nominal(factor: Factor, machine: Machine) -> float | None:
 
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:
-    """The machine of one variant; raises InputError where its values are impossible."""
+    """The machine of one variant; raises InputError for impossible values."""
     nominal = study.machine if study.recommission else with_commissioned_values(study.machine)
     values: dict[str, float] = {}
     ratio: dict[str, float] = {}
@@ -105,7 +105,7 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
         ratio[factor.name] = value if factor.relative else value / base if base else 1.0
         change[factor.name] = values[factor.paths[0]] - base
 
-    # what follows a factor first, then what follows the inertia that all this makes
+    # ties to factors first, then ties to the resulting inertia
     by_inertia = [tied for tied in study.tied if tied.to.startswith(INERTIA)]
     for tied in (t for t in study.tied if t not in by_inertia):
         for path in tied.paths:
@@ -124,10 +124,10 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
 
 
 def retuned(machine: Machine, like: Machine) -> Machine:
-    """The machine with gains that give its loops the margins of another one, `like`: otherwise a comparison of designs is one of tunings.
+    """The machine with gains that give its loops the margins of the machine `like`, so that designs are compared, not tunings.
 
-    Speed gain in proportion to the inertia at the motor; current gain to the inductance, current integral time to L / R. The position
-    gain stays: it acts on closed speed loops that are then alike. A gain that a factor sets is taken as that of `like`'s inertia.
+    The speed gain is scaled with the inertia at the motor, the current gain with the inductance, the current integral time with L / R.
+    The position gain stays, because the speed loops then behave alike. A gain set by a factor refers to the inertia of `like`.
     """
     values: dict[str, float] = {}
     grown = home_inertia_at_motor(machine) / home_inertia_at_motor(like)
@@ -143,7 +143,7 @@ def retuned(machine: Machine, like: Machine) -> Machine:
 
 
 def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine:
-    """The machine with a control commissioned with its torque constants and inertias: those that its file leaves open, or all `anew`."""
+    """The machine with its torque constants and inertias as commissioned values: where its file has none, or all if `anew`."""
     values: dict[str, Any] = {}
     inertias = home_inertia_at_motor(machine) if anew else commissioned_inertia(machine)
     for axis, inertia in zip(machine.axes, inertias.tolist()):

@@ -1,4 +1,4 @@
-"""The duty cycles of a design: its runs once more, for what a table of numbers cannot show, as motor curves and replays."""
+"""Duty cycles of a design: its runs simulated again for motor curves and replays."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from twin.study.evaluate import Work, motion_of
 
 COLOURS = (BLUE, SOFT, RED)
 MOST_POINTS = 4000
-"""Points of a duty cycle that are drawn for each design."""
+"""Most points drawn per run and design."""
 ROOM = 1.15
-"""The speed axis reaches so far beyond the fastest point."""
+"""Upper end of the speed axis over the fastest point."""
 
 
 @dataclass(frozen=True)
 class Duty:
-    """One design and what each run of the study, by name, took from it."""
+    """One design and its simulated runs by name."""
 
     label: str
     machine: Machine
@@ -33,7 +33,7 @@ class Duty:
 
 
 def duty_of(work: Work, machine: Machine, label: str) -> Duty | None:
-    """Simulate the runs of a study on a design; None where it cannot do them."""
+    """Simulate the runs of a study on a design; None if it cannot run them."""
     try:
         runs = {}
         for source in work.sources:
@@ -58,7 +58,7 @@ def _units(axis: Axis) -> tuple[str, float, str]:
 
 
 def torque_speed_figure(duties: list[Duty]) -> Any:
-    """Torque against speed at each motor: the points of the duty cycle, the largest of every tick, the motor's curve and its rated line."""
+    """Torque against speed of each motor: duty cycle, largest torque of all ticks, torque curve and rated torque."""
     names = driven_axes(duties)
     columns = min(3, len(names))
     figure, axes = new_figure(-(-len(names) // columns), columns, width=min(1.4 + 3.7 * columns, 12.5), height=3.4)
@@ -109,7 +109,7 @@ def _rms_torque(duty: Duty, name: str) -> tuple[float, float]:
 
 
 def torque_table(duties: list[Duty]) -> Table:
-    """Largest and RMS torque of each axis and design, and their shares of curve limit and rating."""
+    """Largest and RMS torque of each axis and design, and their shares of peak and rated torque."""
     lines = []
     for name in driven_axes(duties):
         for duty in duties:

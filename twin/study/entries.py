@@ -1,4 +1,4 @@
-"""Entries of a catalogue in a polynomial: their numbers have no order, so each but the first is a column of its own, 1 where it is chosen."""
+"""Catalogue entries in a polynomial: they have no order, so each entry but the first gets an indicator column."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Columns:
-    """(factor, entry) of each column: the factor's values where entry is None, else whether that entry is chosen; `first` is left out."""
+    """(factor, entry) of each column: the factor's values if entry is None, otherwise 1 where that entry is chosen. `first` has no column."""
 
     of: tuple[tuple[int, float | None], ...]
     first: dict[int, float]
@@ -26,7 +26,7 @@ class Columns:
 
 
 def columns_of(table: np.ndarray, listed: Collection[int] = ()) -> Columns:
-    """The columns for factors (row, factor), of which the `listed` ones are numbers of entries."""
+    """Columns for factors (row, factor); the `listed` factors hold numbers of entries."""
     of: list[tuple[int, float | None]] = []
     first = {}
     for i in range(table.shape[1]):

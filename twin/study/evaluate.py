@@ -1,4 +1,4 @@
-"""One variant: simulate its runs and answer. Nothing here knows of other variants, threads or clusters."""
+"""Evaluates one variant: simulates its runs and computes the responses, independently of other variants."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from twin.surface.machining import check_rays
 from twin.surface.part import Part, read_part
 
 GEOMETRY = ("geometry", "frame", "tool")
-"""Tables of the machine file that say where the tool is for given axes."""
+"""Tables of the machine file that determine the tool position for given axis positions."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What one run moves along: set points, or a program's file where its interpolation differs from variant to variant.
+    """Motion of one run: set points, or a program file if its interpolation depends on the variant.
 
-    `part` is what is cut. `commanded` is the tool path of the set points at the record's times, None where it differs from variant to variant; `programmed`
-    is what a mark is measured against.
+    `part` is the part to cut. `commanded` is the tool path of the set points at the times of the trace, None if it depends on the variant.
+    `programmed` is the reference path of a mark.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Work:
-    """What all variants of a study share; `files` (name, content) are those that a worker lacks which has none of this machine's."""
+    """Data shared by all variants of a study; `files` (name, content) are for workers on other computers."""
 
     study: Study
     sources: tuple[Source, ...]
@@ -61,13 +61,13 @@ class Work:
     version: str = twin.__version__
 
     def packed(self) -> Work:
-        """The same without need of this machine's files."""
+        """The same with the content of all needed files."""
         files = {f"machine/{name}": path for name, path in _model_files(self.study.machine).items()}
         files |= _part_files(source.part for source in self.sources)
         return replace(self, files=tuple((name, path.read_bytes()) for name, path in files.items()))
 
     def here(self) -> Work:
-        """The same with its files in a place that this process can read."""
+        """The same with its files unpacked in a folder of this process."""
         if not self.files:
             return self
         with _KEEPING:
@@ -80,30 +80,30 @@ class Work:
 
 
 def files_of_study(study: Study) -> list[Path]:
-    """All files that the results depend on but the machine file and the study file, whose numbers count and not their text."""
+    """All files that the results depend on, except machine file and study file, whose numbers are compared instead."""
     parts = [run.part for run in study.runs if run.part]
     meshes = _part_files(read_part(part) for part in parts)
     return [*_model_files(study.machine).values(), *(run.input for run in study.runs), *parts, *meshes.values()]
 
 
 def _model_files(machine: Machine) -> dict[str, Path]:
-    """The MJCF of a machine and all files that it names, by their names beside it."""
+    """The MJCF of a machine and all files that it refers to, by relative name."""
     model = machine.model_path
     return {str(name): model.parent / name for name in (Path(model.name), *files_of(model))}
 
 
 def _part_files(parts: Iterable[Part | None]) -> dict[str, Path]:
-    """The meshes of the parts of all runs by the names under which a worker keeps them."""
+    """The meshes of the parts of all runs, by their names on a worker."""
     return {f"part/{run}/{i}/{path.name}": path for run, part in enumerate(parts) for i, path in enumerate(part.files if part else ())}
 
 
 _KEEPING = threading.Lock()
-"""One thread of a worker makes the folder, the others wait for it."""
+"""Held by the thread of a worker that unpacks the files."""
 
 
 @functools.lru_cache(maxsize=8)
 def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[str]:
-    """A folder of this process with these files, the same for all variants of a study."""
+    """Folder of this process with these files, shared by all variants of a study."""
     folder = tempfile.TemporaryDirectory(prefix="twin-study-")
     for name, content in files:
         path = Path(folder.name) / name
@@ -114,7 +114,7 @@ def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[s
 
 @dataclass(frozen=True)
 class Answer:
-    """Responses by name; why the variant could not be run, or which limit it broke (None: it is fine)."""
+    """Responses by name, and the reason why the variant could not be run or which constraint it breaks (None: neither)."""
 
     responses: dict[str, float] = field(default_factory=dict)
     reason: str | None = None
@@ -122,7 +122,7 @@ class Answer:
 
 @one_blas_thread()
 def work_of(study: Study) -> Work:
-    """Read the runs and the part of a study; programs are interpolated once where no factor changes how."""
+    """Read the runs and parts of a study; a program is interpolated here if the result is the same for all variants."""
     parts = [read_part(run.part) if run.part else None for run in study.runs]
     for part in filter(None, parts):
         check_rays(part)
@@ -131,7 +131,7 @@ def work_of(study: Study) -> Work:
 
 @one_blas_thread()
 def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
-    """Answer one variant. One that diverges or is impossible is a result, not the end of the study."""
+    """Evaluate one variant. An impossible or unstable variant gets a reason and does not end the study."""
     if work.version != twin.__version__:
         raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
@@ -140,7 +140,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
     except TwinError as error:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
-        # a variant that nobody thought of must not end a study of thousands; its row says that this is a fault of the twin
+        # an unforeseen error must not end a study of thousands of variants
         return Answer(reason=f"fault in the twin, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
@@ -175,14 +175,14 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
     if run.input.suffix.lower() not in PROGRAM_ENDINGS:
         trace = read_trace(run.input, axes=machine.kinds, need=("setpoint",))
         setpoints = setpoints_of(trace, machine)
-        # where the geometry varies, the same axis positions are another path on each variant
+        # with varying geometry the same axis positions give another tool path on each variant
         commanded = None if varies(study, GEOMETRY) else _commanded(setpoints, machine)
         return Source(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
     from twin.program import read_program
 
     feedforward = run.feedforward or read_program(run.input, machine).feedforward
     source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix), part=part)
-    # what the interpolator reads of a machine: limits, travels, cycles, frames and tools, and how fast an exact stop settles
+    # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
     setpoints, programmed = motion_of(source, machine)
@@ -197,7 +197,7 @@ def varies(study: Study, tables: Sequence[str]) -> bool:
 def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
     """Tool path of the set points at the times of the record."""
     if machine.axis_names != ("X", "Y", "Z", "A", "C"):
-        return None  # each variant looks for itself
+        return None  # each variant computes its own
     period = max(1, round(machine.sample_period / machine.base_tick)) * machine.base_tick
     time = np.arange(math.floor(setpoints.duration / period + 1e-9) + 1) * period
     try:
@@ -207,10 +207,10 @@ def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
 
 
 def motion_of(source: Source, machine: Machine) -> tuple[Setpoints, ToolPath | None]:
-    """Set points of a run on a machine, and the programmed path where there is a part to cut."""
+    """Set points of a run on a machine, and the programmed path if there is a part to cut."""
     if source.setpoints is not None:
         return source.setpoints, source.programmed
-    # one thread plans, the others wait for it: planning is not compiled, and most variants have a plan in common
+    # one thread plans while the others wait: planning is not compiled, and most variants share a plan
     key = (source.program, source.part is not None, _planning_key(machine))
     with _PLANNING:
         if key not in _PLANS:
@@ -223,11 +223,11 @@ def motion_of(source: Source, machine: Machine) -> tuple[Setpoints, ToolPath | N
 _PLANNING = threading.Lock()
 _PLANS: dict[object, tuple[Setpoints, ToolPath | None]] = {}
 MOST_PLANS = 16
-"""Interpolated programs that a worker keeps, the oldest goes."""
+"""Interpolated programs that a worker keeps; the oldest is dropped."""
 
 
 def _planning_key(machine: Machine) -> tuple[object, ...]:
-    """All that reading and interpolating a program asks of a machine: everything but drives, masses, effects and noise, and of the loops how fast they settle."""
+    """The part of a machine that the interpolation of a program depends on: all but drives, masses, effects and noise, plus the lowest position gain."""
     tables = {k: v for k, v in machine.document.items() if k not in ("axis", "body", "effect", "measurement")}
     axes = tuple((a.name, a.kind, a.travel, a.max_velocity, a.max_acceleration, a.max_jerk) for a in machine.axes)
     settling = min(a.loops.position_gain_per_s for a in machine.axes)
@@ -235,7 +235,7 @@ def _planning_key(machine: Machine) -> tuple[object, ...]:
 
 
 def _planned(source: Source, machine: Machine, programmed: bool) -> tuple[Setpoints, ToolPath | None]:
-    """Interpolate a program on a machine; its programmed path where that is asked for."""
+    """Interpolate a program on a machine, and optionally compute its programmed path."""
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 

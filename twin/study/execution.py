@@ -1,4 +1,4 @@
-"""Carry a study out: variants to an executor, results to the store. Threads here, or the futures of a Dask cluster."""
+"""Executes a study: variants go to an executor (threads or a Dask cluster), results to the store."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from twin.study.spec import Study
 from twin.study.store import Store
 
 AHEAD = 4
-"""Variants in flight for each worker: enough to keep it busy, few enough to bound the memory."""
+"""Submitted variants per worker: enough to keep it busy with bounded memory."""
 SECONDS_TO_ANSWER = 10
-"""A scheduler that does not answer within this time, or has no worker by then, is not there."""
+"""Time for a scheduler to answer and to have a worker."""
 SECONDS_WITHOUT_WORKER = 30
-"""A cluster that has lost all workers has this time to get new ones."""
+"""Time for a cluster without workers to get new ones."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Where variants run: an executor, how many run at once now, and how what all of them share gets there."""
+    """An executor, its present number of parallel tasks, and a function that sends it the shared data."""
 
     executor: Executor
     count: Callable[[], int]
@@ -43,7 +43,7 @@ class Workers:
 
 
 def fingerprint(study: Study, variants: np.ndarray) -> str:
-    """What a folder of results is the result of; what is only answered from them (`answer`, constraints) is no part of it."""
+    """Hash of everything that the results depend on; `answer` and constraints are evaluated later and do not count."""
     parts: list[Any] = [
         twin.__version__,
         study.machine.document,
@@ -58,10 +58,10 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
 
 
 def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers, progress: Callable[[None], None]) -> None:
-    """Evaluate every variant that the store lacks; each is committed as it arrives, in whatever order.
+    """Evaluate every variant that the store lacks, and commit each as it arrives, in any order.
 
     Raises:
-        InputError: no worker is left, or the study file asks for a response that the first variant shows not to exist.
+        InputError: no worker is left, or the study file names a response that the first variant does not have.
     """
     left = iter(sorted(set(range(len(variants))) - store.done()))
     shared: Any = None
@@ -75,7 +75,7 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
             return
         arrived = wait(pending, timeout=SECONDS_WITHOUT_WORKER, return_when=FIRST_COMPLETED).done
         if not arrived and workers.count() == 0:
-            raise InputError(f"{store.path}: no worker is left; what is done is kept: start some and go on with --resume")
+            raise InputError(f"{store.path}: no worker is left; start new ones and continue with --resume (finished variants are kept)")
         for future in arrived:
             number = pending.pop(future)
             try:
@@ -86,7 +86,7 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
                 message = " ".join(str(error).split())[:200]
                 raise InputError(
                     f"{store.path}: variant {number} was lost ({type(error).__name__}: {message}); "
-                    "what is done is kept: see to the workers and go on with --resume"
+                    "check the workers and continue with --resume (finished variants are kept)"
                 ) from None
             store.put(number, variants[number].tolist(), answer)
             if not checked and answer.responses:
@@ -97,7 +97,7 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
 
 @contextlib.contextmanager
 def threads_here(count: int | None = None) -> Iterator[Workers]:
-    """Threads of this process, one for each core by default: the compiled loop leaves the interpreter free."""
+    """Threads of this process, by default one per core; the compiled loop releases the interpreter lock."""
     count = count or len(os.sched_getaffinity(0))
     with one_blas_thread(), ThreadPoolExecutor(count) as pool:
         try:
@@ -115,7 +115,7 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'twin[cluster]'") from None
     for name in ("distributed", "distributed.client", "distributed.core", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is reported in one line below
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are reported in one line below
     _check_address(scheduler)
     try:
         client = Client(scheduler, timeout=SECONDS_TO_ANSWER, set_as_default=False)
@@ -129,30 +129,30 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
         except TimeoutError:
             raise InputError(f"--scheduler {scheduler}: has no worker; start some with 'dask worker {scheduler}'") from None
 
-        client.register_worker_callbacks(stay_on_one_blas_thread)  # also workers that come later
+        client.register_worker_callbacks(stay_on_one_blas_thread)  # also on workers that join later
         if effect_files := loaded_files():
             client.register_worker_callbacks(functools.partial(share_files, effect_files))
 
         def share(work: Work) -> Any:
-            # a task of its own: sent once, and made again by the scheduler where the worker that held it is lost
+            # a task of its own: sent once, and recomputed by the scheduler if its worker is lost
             return client.submit(_same, work.packed(), pure=False)
 
         executor = client.get_executor(pure=False)
         try:
             yield Workers(executor, lambda: sum(client.nthreads().values()), share)
         finally:
-            executor.shutdown(wait=False)  # what runs on after an error is not waited for
+            executor.shutdown(wait=False)  # after an error, do not wait for running variants
 
 
 def _check_address(scheduler: str) -> None:
-    """Refuse what is no address at once: a client that was given one would still try to close its connection at the end."""
+    """Refuse an invalid address before a client is created, because its later clean-up would fail as well."""
     try:
         parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
         complete = bool(parts.hostname and parts.port)
     except ValueError:
         complete = False
     if not complete:
-        raise InputError(f"--scheduler {scheduler}: is no address; give host and port of the scheduler, e.g. tcp://192.168.0.10:8786")
+        raise InputError(f"--scheduler {scheduler}: not an address; give host and port of the scheduler, e.g. tcp://192.168.0.10:8786")
 
 
 def _same(work: Work) -> Work:

@@ -1,4 +1,4 @@
-"""What a study varies: factors, numbers of the machine or entries of a catalogue, and what is tied to them; read from tables and checked."""
+"""Factors of a study (numbers of the machine or catalogue entries) and the numbers tied to them, read from tables and checked."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ INERTIA = "inertia."
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that is varied: paths into the machine that take the same value (or factor, when `relative`).
+    """One varied quantity: paths into the machine that take the same value (or the same multiplier, if `relative`).
 
-    With `choices`, entries of a catalogue, a value is the number of an entry, from 0 on, and `paths` are all that any of them changes.
+    With `choices` (catalogue entries) a value is the index of an entry, and `paths` are all numbers that any entry changes.
     """
 
     name: str
@@ -41,23 +41,23 @@ class Factor:
         return self.range[1] if self.range else max(self.values)
 
     def shown(self, value: float) -> str:
-        """A value as people read it: the name of a choice, else the number."""
+        """A value as text: the name of a choice, otherwise the number."""
         return self.choices[round(value)].name if self.choices else f"{value:.4g}"
 
     @property
     def unit(self) -> str:
-        """Unit of its values: 'kg', 'times nominal'; '' for the entries of a catalogue and for numbers without one."""
+        """Unit of its values: 'kg', 'times nominal'; '' for catalogue entries and numbers without a unit."""
         if self.choices:
             return ""
         return "times nominal" if self.relative else unit_at(self.paths[0])
 
     @property
     def titled(self) -> str:
-        """Name and unit, as a table or a plot has them."""
+        """Name and unit for tables and plots."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def said(self, value: float) -> str:
-        """A value with its unit: '850 kg', '0.7 times nominal', or the entry of a catalogue."""
+        """A value with its unit: '850 kg', '0.7 times nominal', or the name of a catalogue entry."""
         return f"{self.shown(value)} {self.unit}".rstrip()
 
 
@@ -72,14 +72,14 @@ class Tied:
 
 
 def known_table(table: object, keys: Sequence[str], where: str) -> None:
-    """Raise InputError unless this is a table with no other keys."""
+    """Raise InputError unless this is a table with these keys only."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: must be a table; see docs/study.md for the form")
     known_keys(table, keys, where)
 
 
 def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    """A switch of a table, off where it is left out."""
+    """A Boolean of a table; false by default."""
     value = table.get(key, False)
     if not isinstance(value, bool):
         raise InputError(f"{where}: {key} = {value!r}; write true or false")
@@ -94,7 +94,7 @@ def numbers(values: Any, what: str, where: str) -> tuple[float, ...]:
 
 
 def factor_of(table: Any, listed: Sequence[Any] | None, machine: Machine, where: str) -> Factor:
-    """A number of the machine file that is varied; `listed` are its values in the rows of a list, None with another design."""
+    """A factor for a number of the machine file; `listed` are its values in a design of kind list, otherwise None."""
     known_table(table, ("name", "path", "paths", "relative", "values", "range"), where)
     asked = table.get("paths", [table["path"]] if "path" in table else [])
     if not isinstance(asked, list) or not asked or not all(isinstance(one, str) for one in asked):
@@ -116,23 +116,23 @@ def factor_of(table: Any, listed: Sequence[Any] | None, machine: Machine, where:
     if not values and not limits:
         raise InputError(f"{where}: has neither values nor a range; give values = [..] or range = [low, high]")
     if not limits and len(set(values)) < 2:
-        raise InputError(f"{where}: has one value only; give two or more, or put it under [fixed]")
+        raise InputError(f"{where}: has only one value; give two or more, or put it under [fixed]")
     return Factor(name, paths, relative, values, (limits[0], limits[1]) if limits else None)
 
 
 def catalogue_factor_of(table: Mapping[str, Any], machine: Machine, path: Path, where: str) -> Factor:
-    """Entries of a catalogue, beside the study file `path`, that are put on axes."""
+    """A factor that chooses between entries of a catalogue beside the study file `path`, for some axes."""
     known_table(table, ("name", "catalogue", "axis", "axes", "installed", "values"), where)
     names = table.get("axes", [table["axis"]] if "axis" in table else [])
     if not isinstance(names, list) or not names:
-        raise InputError(f"{where}: 'axis' is missing; name the axis whose drive is chosen, e.g. axis = \"X\"")
+        raise InputError(f"{where}: 'axis' is missing; name the axis, e.g. axis = \"X\"")
     if wrong := next((name for name in names if name not in machine.axis_names), None):
         raise InputError(f"{where}: no axis {wrong!r}; {nearest(str(wrong), machine.axis_names)}")
     values, installed = table.get("values", []), table.get("installed")
     if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise InputError(f"{where}: values = {values!r}; give names of the catalogue, or leave it out for all")
+        raise InputError(f"{where}: values = {values!r}; give names from the catalogue, or omit the key for all entries")
     if not isinstance(installed, str):
-        raise InputError(f"{where}: 'installed' is missing; name the entry of the catalogue that the machine has now")
+        raise InputError(f"{where}: 'installed' is missing; name the catalogue entry that the machine has now")
     choices = choices_of(
         outer_file(table["catalogue"], path.parent, f"{where}: catalogue"), [machine.axis(name) for name in names], installed, values, where
     )
@@ -142,7 +142,7 @@ def catalogue_factor_of(table: Mapping[str, Any], machine: Machine, path: Path, 
 
 
 def check_apart(factors: Sequence[Factor], path: Path) -> None:
-    """What a catalogue sets no other factor may set; inertias of a motor and a screw add up."""
+    """Refuse two factors that set the same number; only the inertias of a motor and a screw add up."""
     for factor in factors:
         own = {p for choice in factor.choices for p, _ in choice.values}
         for other in factors:
@@ -152,7 +152,7 @@ def check_apart(factors: Sequence[Factor], path: Path) -> None:
 
 
 def tied_of(table: Any, factors: Sequence[Factor], machine: Machine, where: str) -> Tied:
-    """Numbers that follow a factor or the inertia at a motor."""
+    """Numbers tied to a factor or to the inertia at a motor."""
     known_table(table, ("path", "to", "exponent", "slope"), where)
     names = [f.name for f in factors]
     to = str(table.get("to"))
@@ -163,16 +163,16 @@ def tied_of(table: Any, factors: Sequence[Factor], machine: Machine, where: str)
         raise InputError(f"{where}: 'path' is missing; name a number of the machine file")
     paths = tuple(matching_paths(str(table["path"]), machine, where))
     if "slope" in table and ("exponent" in table or to in inertias):
-        raise InputError(f"{where}: slope goes with a factor and without exponent; give one of them")
+        raise InputError(f"{where}: slope needs a factor and excludes exponent; give one of them")
     exponent, *slope = numbers([table.get("exponent", 1.0), *([table["slope"]] if "slope" in table else [])], "exponent, slope", where)
     factor = next((f for f in factors if f.name == to), None)
     if factor and factor.choices:
         raise InputError(
-            f"{where}: to = {to!r} is a choice of a catalogue, which has no ratio; tie it to {INERTIA}AXIS, or give the number under [fixed]"
+            f"{where}: to = {to!r} is a catalogue choice, which has no ratio; tie it to {INERTIA}AXIS, or give the number under [fixed]"
         )
     if factor and not factor.relative and not slope and number_at(machine, factor.paths[0]) == 0.0:
-        raise InputError(f"{where}: {factor.paths[0]} is 0 on the machine as it is, so there is no ratio; give a slope")
+        raise InputError(f"{where}: {factor.paths[0]} is 0 on the present machine, so it has no ratio; give a slope")
     lacking = [p for p in (*paths, *(factor.paths if factor and not factor.relative else ())) if number_at(machine, p) is None]
     if lacking:
-        raise InputError(f"{where}: the machine lacks {lacking[0]}, so there is no nominal to scale; give it under [fixed]")
+        raise InputError(f"{where}: the machine lacks {lacking[0]}, so it has no nominal value to scale; give it under [fixed]")
     return Tied(paths, to, exponent, slope[0] if slope else None)

@@ -1,4 +1,4 @@
-"""What the drives need to stand still, pose by pose: the current at rest against the angle of each rotary axis."""
+"""Holding current of each axis against the angle of each rotary axis."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def held_axes(machine: Machine) -> list[str]:
 
 
 def span_over(machine: Machine, axis: str, rotary: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles (angle,) [deg] of a rotary axis, and the least and largest holding current of an axis [A] over all angles of the others."""
+    """Angles (angle,) [deg] of a rotary axis, and least and largest holding current of an axis [A] over all angles of the other rotary axes."""
     holding, effort = holding_of(machine), holding_effort(machine, machine.axis(axis))
     own = holding.angles[:, holding.rotary.index(rotary)]
     angles = np.unique(own)
@@ -35,7 +35,7 @@ def span_over(machine: Machine, axis: str, rotary: str) -> tuple[np.ndarray, np.
 
 
 def holding_figure(designs: dict[str, Machine]) -> Any | None:
-    """A panel for each axis that gravity loads differently and each rotary axis: bands from least to largest; None where none does."""
+    """Bands from least to largest holding current, one panel per axis with pose-dependent load and rotary axis; None if there is none."""
     first = next(iter(designs.values()))
     rotary = holding_of(first).rotary
     panels = [(axis, angle) for axis in held_axes(first) for angle in rotary]

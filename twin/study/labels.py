@@ -1,4 +1,4 @@
-"""Responses in words and with their units, for reports and plots: `control_deviation_max_X_um` -> largest control deviation of X [um]."""
+"""Labels of responses for reports and plots: `control_deviation_max_X_um` -> largest control deviation of X [um]."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ UNITS = {
     "db": "dB",
     "share": "1",
 }
-"""Last word of a response's name -> unit as people write it."""
-
+"""Last word of a response's name -> unit for reports."""
 
 PHRASES = {
     "current_limit_used": "share of the current limit used by {}",
@@ -38,13 +37,13 @@ PHRASES = {
     "settling_time": "settling time of {}",
     "first_mode": "first mode of {}",
 }
-"""Responses of an axis whose words do not make a phrase by themselves."""
+"""Phrases for responses whose names do not read as one."""
 
 _LOOP = re.compile(r"(?P<what>phase_margin|gain_margin|crossover|bandwidth)_(?P<loop>current|speed|position)_loop")
 
 
 def label_of(name: str) -> str:
-    """A response in words, without its unit; a name of another form keeps its words."""
+    """A response in words, without its unit."""
     run, _, name = name.rpartition(".")
     words = name.split("_")
     if words[-1] in UNITS:
@@ -68,22 +67,22 @@ def label_of(name: str) -> str:
 
 
 def is_share(name: str) -> bool:
-    """Is this response a share, which people read in percent?"""
+    """Is this response a share, to be shown in percent?"""
     return name.endswith("_share") or "_used_" in name
 
 
 def unit_of(name: str) -> str:
-    """Unit in which people read a response: percent for a share, '1' for a ratio."""
+    """Unit of a response in reports: percent for a share, '1' for a ratio."""
     return "%" if is_share(name) else UNITS.get(name.rsplit("_", 1)[-1], "1")
 
 
 def scale_of(name: str) -> float:
-    """What a response is multiplied by to be in that unit."""
+    """Factor from the stored value to that unit."""
     return 100.0 if is_share(name) else 1.0
 
 
 def titled(name: str) -> str:
-    """Label and unit, as a plot has it."""
+    """Label and unit for plots."""
     unit = unit_of(name)
     return label_of(name) if unit == "1" else f"{label_of(name)} [{unit}]"
 
@@ -97,5 +96,5 @@ def valued(name: str, value: float) -> str:
 
 
 def changed(name: str, value: float) -> str:
-    """A difference of two values with its unit; of two shares in points of percent."""
-    return f"{100.0 * value:.3g} points of %" if is_share(name) else valued(name, value)
+    """A difference of two values with its unit; percentage points for shares."""
+    return f"{100.0 * value:.3g} percentage points" if is_share(name) else valued(name, value)

@@ -1,7 +1,7 @@
-"""One BLAS thread for each variant: more give other last bits (a dot product of 10 000 samples is split among them) and wait for each other.
+"""Limits BLAS to one thread per variant. More threads change the last bits (they split long dot products) and wait for each other.
 
-A matrix exponential of four states takes 0.03 ms on one thread and 8 ms on two, and variants run on all cores anyway. BLAS threads that come back
-spin for a while: a study holds the limit as long as it runs, a worker of a cluster for good.
+A matrix exponential of four states takes 0.03 ms on one thread and 8 ms on two, and variants run on all cores anyway. BLAS threads
+spin after their work, so a study holds the limit for its whole duration and a cluster worker for its lifetime.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import functools
 import threading
 from typing import Any
 
-import numpy as np  # noqa: F401  BLAS libraries must be loaded before they are looked for
+import numpy as np  # noqa: F401  threadpoolctl finds only BLAS libraries that are already loaded
 import scipy.linalg  # noqa: F401
 from threadpoolctl import ThreadpoolController
 
 _COUNTING = threading.Lock()
 _INSIDE: list[Any] = []
-"""The limit that holds, once for each thread that is inside."""
+"""The active limit, once per thread inside `one_blas_thread`."""
 
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """BLAS of this process on one thread until the last of all threads that are inside leaves."""
+    """Limit BLAS of this process to one thread, until the last of several concurrent callers leaves."""
     _enter()
     try:
         yield
@@ -36,7 +36,7 @@ def one_blas_thread() -> Iterator[None]:
 
 @functools.cache
 def stay_on_one_blas_thread() -> None:
-    """BLAS of this process on one thread from now on."""
+    """Limit BLAS of this process to one thread from now on."""
     _enter()
 
 

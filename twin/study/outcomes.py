@@ -1,8 +1,9 @@
-"""What a table of variants answers: main effects and interactions, sensitivity indices, the Pareto front, a surrogate.
+"""Analysis of a table of variants: main effects and interactions, sensitivity indices, the Pareto front, a surrogate.
 
 Main effects and interactions are coefficients of a quadratic in factors scaled to -1 .. 1, with 95 % intervals from the
-residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j; an entry of a catalogue is a column of its own (entries.py). Sobol indices need the sobol design (Saltelli sampling, SALib). The
-surrogate is that quadratic or a thin-plate spline, whichever predicts left-out variants better; its error is that of the variants left out.
+residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j. Catalogue entries have columns of their own (entries.py). Sobol indices need the
+sobol design (Saltelli sampling, SALib). The surrogate is that quadratic or a thin-plate spline, whichever predicts left-out variants
+better; its error is that on the left-out variants.
 """
 
 from __future__ import annotations
@@ -20,25 +21,25 @@ from scipy.stats import t as student
 from twin.study.entries import columns_of
 
 FOLDS = 5
-"""Parts into which the variants are divided; each is left out once."""
+"""Folds of the cross-validation."""
 LEAST_ROWS = 6
-"""Fewer variants carry no surrogate."""
+"""Least number of variants for a surrogate."""
 GLOBAL_SPLINE = 600
-"""Variants up to which a spline goes through all of them at once; beyond, each point sees its nearest NEIGHBOURS."""
+"""Most variants for a global spline; above, each point uses its nearest NEIGHBOURS."""
 NEIGHBOURS = 60
 NO_EFFECT = 1e-9
-"""A response that changes by less than this (relative) over all variants does not depend on any factor."""
+"""Relative change over all variants below which a response does not depend on any factor."""
 ROUNDING = 1e-9
-"""A response whose numbers all stay below this, in its own unit (um, A, W, s), is zero."""
+"""Largest value, in the response's own unit (um, A, W, s), that counts as zero."""
 FITS = 0.5
-"""A surrogate that misses left-out variants by more than this share of their spread (R2 below 0.75) is shown and not believed."""
+"""Largest accepted error of a surrogate over the spread of the response (R2 of 0.75)."""
 SURE = 1e-3
-"""Chance of error at which a factor is said to move some response, where no two variants differ in it alone."""
+"""Significance level for the influence of a factor if no two variants differ in it alone."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Half the change of a response from the low to the high end of a factor (or of two together), with its 95 % interval (NaN: no residual)."""
+    """Half the change of a response from the low to the high end of a factor (or of two together), with its 95 % interval (NaN: no residuals)."""
 
     factors: tuple[str, ...]
     value: float
@@ -48,7 +49,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Surrogate:
-    """A function of factors (point, factor) fitted to the table: `error` is the RMS over left-out variants, in the response's unit."""
+    """A function of factors (point, factor) fitted to the table; `error` is the RMS over left-out variants, in the response's unit."""
 
     kind: str
     error: float
@@ -57,13 +58,13 @@ class Surrogate:
 
     @property
     def fits(self) -> bool:
-        """Does it predict variants left out well enough to speak for the response?"""
+        """Does it predict left-out variants well enough?"""
         return self.error <= FITS * self.spread
 
 
 @dataclass(frozen=True)
 class Swing:
-    """How far a response moves along one factor with the others at their median, and where it is least and largest."""
+    """Range of a response along one factor with the others at their median, and the positions of its least and largest value."""
 
     factor: str
     swing: float
@@ -87,7 +88,7 @@ def _unit(low: np.ndarray, high: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _terms(table: np.ndarray, factors: Sequence[int]) -> list[tuple[int, ...]]:
-    """Terms of the quadratic that the rows can carry: the constant, columns, pairs of different factors, squares of columns with three levels."""
+    """Terms of the quadratic, as far as the rows suffice: constant, columns, pairs of different factors, squares of columns with three levels."""
     levels = [len(np.unique(column)) for column in table.T]
     varying = [i for i, count in enumerate(levels) if count > 1]
     terms: list[tuple[int, ...]] = [(), *((i,) for i in varying)]
@@ -103,7 +104,7 @@ def _columns(x: np.ndarray, terms: list[tuple[int, ...]]) -> np.ndarray:
 
 
 def _fit(table: np.ndarray, y: np.ndarray, factors: Sequence[int]) -> _Fit:
-    """The quadratic of y in columns (row, column), which belong to these factors."""
+    """Fit the quadratic of y in columns (row, column) that belong to these factors."""
     terms = _terms(table, factors)
     columns = _columns(_unit(table.min(axis=0), table.max(axis=0), table), terms)
     value, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
@@ -117,9 +118,8 @@ def effects_of(
 ) -> list[Effect]:
     """Main effects and interactions of one response (variant,), largest first.
 
-    `listed` are the names of the entries of those factors that stand for a catalogue: an effect of each against the first one.
-    None changes the response by more than the variants themselves did: what does so comes from factors that the design did not vary
-    apart, and is left out.
+    `listed` are the entry names of catalogue factors; their effects are relative to the first entry. Effects larger than the change over
+    all variants are dropped: they come from factors that the design did not vary independently.
     """
     columns = columns_of(table, listed)
     said = [
@@ -143,12 +143,10 @@ def depends(y: np.ndarray) -> bool:
 
 
 def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, np.ndarray]], listed: Collection[int] = ()) -> list[str]:
-    """Factors that move none of the responses, each given as its factors (variant, factor) and values (variant,).
+    """Factors that change none of the responses, each response given as factors (variant, factor) and values (variant,).
 
-    `listed` factors stand for entries of a catalogue.
-
-    Where variants differ in one factor alone, what they answer decides; else the terms of the quadratic that hold it must
-    stand out of the residuals. Of a factor that has one value in all variants that ran nothing is said.
+    If variants differ in one factor alone, their responses decide; otherwise a term of the quadratic with that factor must be
+    significant. A factor with a single value in all variants is not judged. `listed` are the catalogue factors.
     """
     felt = {i for i in range(len(names)) if not any(np.ptp(table[:, i]) > 0 for table, _ in responses)}
     for table, y in responses:
@@ -176,7 +174,7 @@ def without_effect(names: Sequence[str], responses: Sequence[tuple[np.ndarray, n
                 if any(own & {*t} and abs(b) > max(least, bound * d) for t, b, d in zip(fit.terms, fit.value, fit.deviation)):
                     felt.add(i)
             else:
-                felt.add(i)  # nothing can be said
+                felt.add(i)  # cannot be judged
     return [name for i, name in enumerate(names) if i not in felt]
 
 
@@ -189,22 +187,22 @@ def sobol_of(problem: Mapping[str, Any], y: np.ndarray) -> dict[str, list[float]
 
 
 def pareto_front(values: np.ndarray) -> np.ndarray:
-    """True for the rows (variant, response) that no other row beats in everything; all are to be small."""
+    """True for the rows (variant, response) on the Pareto front; all responses are minimised."""
     left = np.lexsort(values.T[::-1])
     front = np.zeros(len(values), bool)
     while len(left):
         first = values[left[0]]
         front[left[0]] = True
-        # equal rows stay; what the first one beats goes
+        # drop dominated rows; equal rows stay
         rest = values[left[1:]]
         left = left[1:][np.any(rest < first, axis=1) | np.all(rest == first, axis=1)]
     return front
 
 
 def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = ()) -> Surrogate | None:
-    """The better of quadratic and thin-plate spline by variants (variant, factor) left out; None with too few of them.
+    """The better of quadratic and thin-plate spline by cross-validation over variants (variant, factor); None for too few variants.
 
-    `listed` factors stand for entries of a catalogue.
+    `listed` are the catalogue factors.
     """
     if len(y) < LEAST_ROWS:
         return None
@@ -241,13 +239,13 @@ def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = (
 
 
 def middle_of(table: np.ndarray, listed: Collection[int] = ()) -> np.ndarray:
-    """The median of each factor (factor,); of `listed` ones, between whose values nothing lies, one of the values."""
+    """The median of each factor (factor,); for `listed` (catalogue) factors one of their values."""
     low = np.sort(table, axis=0)[(len(table) - 1) // 2]
     return np.where(np.isin(np.arange(table.shape[1]), list(listed)), low, np.median(table, axis=0))
 
 
 def swings_of(names: Sequence[str], table: np.ndarray, y: np.ndarray, surrogate: Surrogate, listed: Collection[int] = ()) -> list[Swing]:
-    """Swing of each factor on a surrogate of y that fits, largest first: it also sees an optimum inside, which a main effect does not."""
+    """Swing of each factor on a surrogate of y that fits, largest first; unlike a main effect it includes an optimum inside the range."""
     out: list[Swing] = []
     if not surrogate.fits:
         return out
@@ -256,7 +254,7 @@ def swings_of(names: Sequence[str], table: np.ndarray, y: np.ndarray, surrogate:
         values = np.unique(table[:, i]) if i in listed else np.linspace(table[:, i].min(), table[:, i].max(), 201)
         points = np.tile(middle_of(table, listed), (len(values), 1))
         points[:, i] = values
-        # no factor moves a response further than the variants themselves went
+        # keep the prediction within the simulated range
         along = np.clip(surrogate.predict(points), *reached)
         out.append(Swing(name, float(np.ptp(along)), float(points[np.argmin(along), i]), float(points[np.argmax(along), i])))
     return sorted(out, key=lambda s: -s.swing)

@@ -1,4 +1,4 @@
-"""What a study writes: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal."""
+"""Output files of a study: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BEST_MACHINE = "best_machine.toml"
 
 
 def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) -> list[str]:
-    """Write everything into the folder; returns the names of the files."""
+    """Write all output files to the folder; returns their names."""
     rows = table_of(study, answers.rows)
     written = [TABLE, "table.csv", "study.json", "report.html"]
     try:
@@ -46,13 +46,13 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
                 written += write_replays(duties, "best", out)
     except OSError as error:
         raise InputError(
-            f"{out}: cannot be written ({error.strerror}); give another --out with --resume in a copy of this folder"
+            f"{out}: cannot be written ({error.strerror}); copy this folder and give the copy as --out with --resume"
         ) from None
     return written
 
 
 def duties_of(study: Study, answers: Answers) -> list[Duty]:
-    """The runs of the best variant and of the machine as it is; less where there is no best one or a run cannot be done."""
+    """Runs of the best variant and of the present machine, as far as they exist and can be simulated."""
     if answers.best is None:
         return []
     work = work_of(study)
@@ -62,13 +62,13 @@ def duties_of(study: Study, answers: Answers) -> list[Duty]:
 
 
 def rated(study: Study) -> Machine:
-    """The machine as it is, with the ratings that a catalogue gives for what is installed."""
+    """The present machine with the catalogue's ratings of the installed entries."""
     installed = [choice for factor in study.factors for choice in factor.choices if choice.name == factor.installed]
     return study.machine.with_values({path: value for choice in installed for path, value in choice.values if path.endswith(RATINGS)})
 
 
 def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
-    """A recording of each run: the first design, with the others drawn over it and their differences."""
+    """A recording of each run: the first design, overlaid with the others and their differences."""
     from twin.replay import write_recording
 
     written = []
@@ -80,7 +80,7 @@ def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
 
 
 def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
-    """Factors and answers of some variants beside each other, as a table of plain text."""
+    """Factors and responses of some variants side by side, as a text table."""
     rows = [answers.row(n) for n in numbers]
     lines = [[factor.name, *(factor.said(factors[i]) for _, factors, _, _ in rows)] for i, factor in enumerate(answers.definitions)]
     for name in answers.looked:
@@ -89,12 +89,12 @@ def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
 
 
 def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out: Path) -> list[str]:
-    """Two variants by number: their runs side by side in one recording each, and torque against speed of both."""
+    """Compare two variants: one recording of both per run, and a plot of torque against speed."""
     from twin.replay import write_side_by_side
 
     known = {row[0]: row for row in answers.rows}
     if wrong := next((n for n in numbers if n not in known or not known[n][2]), None):
-        raise InputError(f"--compare {wrong}: no variant of this number could be run; the numbers stand in {out / 'table.csv'}")
+        raise InputError(f"--compare {wrong}: no variant with this number could be run; see the numbers in {out / 'table.csv'}")
     work = work_of(study)
     duties = [duty_of(work, machine_of(study, np.array(known[n][1])), f"variant {n}") for n in numbers]
     found = [duty for duty in duties if duty]

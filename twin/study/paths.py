@@ -1,13 +1,13 @@
-"""Numbers of a machine by path: read, changed, and found by a pattern.
+"""Numbers of a machine by path: read, change, and find by pattern.
 
 axis.X.moving_mass_kg                    a number of the machine file, in the file's unit
-body.workpiece.centre_of_mass_m.0        one of several in a list
-axis.*.loops.position_gain_per_s         * stands for any one part
-effect.backlash.X.clearance              parameter of an effect, in SI; the machine gets the effect where it lacks it
-added_mass.X                             kg added to what X moves, and to what every linear axis that carries X moves
-added_mass.workpiece                     kg added to a body of the file where its centre of mass is, of the same shape: its inertia grows alike,
-                                         and so does what every linear axis moves that carries it
-inertia.X                                kg m2 at the motor of X in the home pose, load and rotor: what is saved is taken from rotor and screw (or gear)
+body.workpiece.centre_of_mass_m.0        an element of a list
+axis.*.loops.position_gain_per_s         * matches any one part
+effect.backlash.X.clearance              parameter of an effect, in SI; added to a machine without the effect
+added_mass.X                             kg added to the moving mass of X and of every linear axis that carries X
+added_mass.workpiece                     kg added to a body of the file; its inertia is scaled alike, and the moving mass of every linear axis
+                                         that carries it increases
+inertia.X                                total inertia at the motor of X in the home pose [kg m2]; set by changing rotor and screw (or gear)
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INERTIA = "inertia."
 
 
 def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
-    """Paths of all numbers that a pattern names; an InputError with the nearest one where there is none."""
+    """Paths of all numbers that match a pattern; an InputError with the nearest one if there is none."""
     if pattern.startswith("effect."):
         return [_effect_path(pattern, machine, where)]
     if pattern.startswith(ADDED_MASS):
@@ -52,7 +52,7 @@ def _matches(path: str, pattern: str) -> bool:
 
 
 def _axis_of(path: str, machine: Machine, where: str) -> Axis:
-    """The axis of `inertia.AXIS`, which has a rotor of its own."""
+    """The axis of `inertia.AXIS`, which must have a rotor inertia."""
     name = path.removeprefix(INERTIA)
     if name not in machine.axis_names:
         raise InputError(f"{where}: '{path}': no axis {name}; {nearest(name, machine.axis_names)}")
@@ -62,18 +62,18 @@ def _axis_of(path: str, machine: Machine, where: str) -> Axis:
 
 
 def inertia_at_motor(machine: Machine, axis: Axis) -> float:
-    """Load and rotor at the motor of an axis in the home pose [kg m2]."""
+    """Inertia of load and rotor at the motor of an axis in the home pose [kg m2]."""
     return total_inertia(machine, axis) * axis.ratio**2
 
 
 def carrying_axes(path: str, machine: Machine, where: str) -> list[str]:
-    """Linear axes that move a mass added to an axis or a body: those that carry it, and the axis itself."""
+    """Linear axes that move a mass added to an axis or a body."""
     name = path.removeprefix(ADDED_MASS)
     movers = [axis.name for axis in machine.axes if axis.kind == "linear"]
     known = [*movers, *(body.name for body in machine.bodies)]
     if name not in known:
         raise InputError(f"{where}: '{path}': no linear axis and no body {name}; {nearest(name, known)}")
-    spec = load_spec(machine.model_path)  # its elements live as long as it does
+    spec = load_spec(machine.model_path)  # keep a reference: its elements are freed with it
     bodies = {joint.name: joint.parent for joint in spec.joints}
     carriers, body = set(), bodies[name] if name in movers else spec.body(name)
     while body is not None:
@@ -92,9 +92,9 @@ def _effect_path(path: str, machine: Machine, where: str) -> str:
     if axis not in machine.axis_names:
         raise InputError(f"{where}: '{path}': no axis {axis}; {nearest(axis, machine.axis_names)}")
     if not effect.can_have(machine, machine.axis(axis)):
-        raise InputError(f"{where}: '{path}': axis {axis} cannot have it: it is for {effect.which_axes}")
+        raise InputError(f"{where}: '{path}': axis {axis} cannot have this effect; it is for {effect.which_axes}")
     if effect.from_axis and _effect_table(machine, name, axis) is None:
-        raise InputError(f"{where}: '{path}': it acts from another axis; put it into the machine file with its from_axis first")
+        raise InputError(f"{where}: '{path}': this effect needs a source axis; put it into the machine file with its from_axis first")
     return path
 
 
@@ -121,7 +121,7 @@ def _is_number(value: object) -> bool:
 
 
 def unit_at(path: str) -> str:
-    """Unit of the number at a path, from the end of its key: 'm/rev', 'Nm s/rad'; 'SI' for an effect's, '' where the key has none."""
+    """Unit of the number at a path, from the end of its key: 'm/rev', 'Nm s/rad'; 'SI' for an effect's parameter, '' if there is none."""
     if path.startswith("effect."):
         return "SI"
     if path.startswith(ADDED_MASS):
@@ -148,7 +148,7 @@ def number_at(machine: Machine, path: str) -> float | None:
 
 
 def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
-    """The machine with other numbers, by path; raises InputError where one is impossible."""
+    """The machine with other numbers, by path; raises InputError for impossible ones."""
     changed: dict[str, Any] = {}
     added: dict[str, float] = {}
     effects = {(table["name"], table["axis"]): dict(table) for table in machine.effects}
@@ -190,14 +190,14 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
 
 
 def _rotors(machine: Machine, inertias: Mapping[str, float]) -> dict[str, float]:
-    """Numbers by path that give axes these inertias at the motor, load and all: those of rotor and screw or gear."""
+    """Rotor inertias (with screw or gear), by path, that give axes these total inertias at the motor."""
     out = {}
     for name, wanted in inertias.items():
         axis = machine.axis(name)
         load = inertia_at_motor(machine, axis) - axis.rotor_inertia_kg_m2
         if wanted <= load:
             raise InputError(
-                f"study: inertia.{name} = {wanted:.4g} kg m2: its load alone has {load:.4g} at the motor; save masses too, or ask for more"
+                f"study: inertia.{name} = {wanted:.4g} kg m2: its load alone has {load:.4g} at the motor; reduce masses too, or give a larger value"
             )
         out[f"axis.{name}.{key_of('rotor_inertia_kg_m2', axis.kind)}"] = wanted - load
     return out

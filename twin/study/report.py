@@ -1,8 +1,8 @@
-"""The report of a study: findings in words, a section for each response, the trade-off, what could not be run."""
+"""The report of a study: findings, a section per response, trade-offs, variants without result."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,43 +21,41 @@ from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
 
 MOST_LINES = 50
-"""Rows of a table in the report; all of them are in table.csv."""
+"""Most rows of a table in the report; table.csv holds all."""
 MOST_BARS = 12
 MANY_POINTS = 200
 ENTRIES = (BLUE, AMBER, GREEN, RED, "#7a4f9a", "#3f8f9b")
-"""Colours of the entries of a catalogue."""
+"""Colours of catalogue entries."""
 COLUMNS = 3
 """Panels side by side."""
-
-
 ROUNDING = 1e-9
-"""Share of a response below which a change of it is the rounding of a surrogate."""
+"""Relative change of a response below which it is rounding of the surrogate."""
 
 
 def sentences(answers: Answers) -> list[str]:
-    """The findings in words: which factor moves each response how far."""
+    """The findings in words: the range of each response and the factor with the largest influence."""
     said = []
     for r in answers.responses:
         text = f"{label_of(r.name)}: {valued(r.name, float(r.y.min()))} to {valued(r.name, float(r.y.max()))}"
         if r.swings:
             s = r.swings[0]
-            text += f"; {s.factor} moves it most, by {changed(r.name, s.swing)}: "
+            text += f"; largest influence: {s.factor}, {changed(r.name, s.swing)}, "
             text += f"least at {answers.said_of(s.factor, s.least_at)}, largest at {answers.said_of(s.factor, s.largest_at)}"
         elif r.surrogate:
-            text += "; the variants are too few, or it is too uneven, to say which factor moves it most"
+            text += "; too few variants, or too irregular, to rank the factors"
         said.append(text)
     said += [f"{name} has no effect on any response" for name in answers.without_effect]
     for count, ran, what in (
         (answers.failed, False, "could not be run"),
-        (answers.broken, True, "break a constraint: they enter neither effects nor best"),
+        (answers.broken, True, "break a constraint and are left out of effects and best variant"),
     ):
         if count:
-            said.append(f"{count} of {len(answers.rows)} variants {what}; commonest reason: {answers.commonest(ran)}")
+            said.append(f"{count} of {len(answers.rows)} variants {what}; most common reason: {answers.commonest(ran)}")
     return said
 
 
 def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
-    """A line for each factor: how far it moves the response, and where that is least and largest."""
+    """A row per factor: the change of the response, and where it is least and largest."""
     lines = []
     for s in r.swings:
         moves = s.swing > ROUNDING * float(np.abs(r.y).max())
@@ -67,7 +65,7 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
 
 
 def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
-    """A line for each factor: by how much the response changes for a step that people think in: 100 kg, 10 %, a tenth of the range."""
+    """A row per factor: the change of the response per 100 kg, 10 %, or a tenth of the range."""
     lines = []
     change = {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
     for i, factor in enumerate(study.factors):
@@ -86,12 +84,12 @@ def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
 
 
 def _rounded(effect: Effect) -> float:
-    """The change of an effect; 0 where rounding alone makes it, far inside its interval."""
+    """The change of an effect; 0 if it is only rounding, far inside its interval."""
     return 0.0 if abs(effect.value) < 1e-6 * (effect.high - effect.low) else effect.value
 
 
 def effect_rows(r: Response) -> list[list[str]]:
-    """A line for each effect: factors, change from the low to the high end, its 95 % interval."""
+    """A row per effect: factors, change from the low to the high end, 95 % interval."""
     twice = 2.0 * scale_of(r.name)
     return [
         [
@@ -104,7 +102,7 @@ def effect_rows(r: Response) -> list[list[str]]:
 
 
 def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) -> list[str]:
-    """Write report.html and the same plots as files; returns the names of the plots."""
+    """Write report.html and its plots as files; returns the names of the plots."""
     written: list[str] = []
 
     def shown(figure: Any, name: str, caption: str) -> Figure:
@@ -113,60 +111,13 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         return Figure(figure_svg(figure), caption)
 
     sections = [Section("Findings", items=sentences(answers))]
-    for r in answers.responses:
-        figures = [
-            shown(
-                factors_figure(study, r),
-                r.name,
-                f"{titled(r.name)} of every variant that keeps the constraints, and the surrogate (line) with the other factors at their median",
-            ),
-        ]
-        if r.swings:
-            caption = "How far each factor moves it over its range with the others at their median; red: the surrogate's error"
-            figures.append(shown(_swings_figure(r), f"{r.name}_effects", caption))
-        words = []
-        if r.surrogate:
-            share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
-            words.append(f"Surrogate: {r.surrogate.kind}; it misses left-out variants by {changed(r.name, r.surrogate.error)} RMS{share}.")
-            if not r.surrogate.fits:
-                words.append("That is too much to believe: it is not drawn, and no effect is given.")
-        tables = (
-            []
-            if not r.effects
-            else [
-                Table(
-                    ["factors", _with_unit("change, low to high end", r.name), "95 % interval"],
-                    effect_rows(r),
-                    caption="Main effects and interactions",
-                )
-            ]
-        )
-        if sensitivities := sensitivity_rows(study, r):
-            tables.insert(
-                0, Table(["factor", "changes it by", "95 % interval"], sensitivities, caption="Sensitivities: straight line over the range")
-            )
-        if r.sobol:
-            columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
-            lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
-            tables.append(Table(["factor", "first order", "+-", "total", "+-"], lines, caption="Sobol indices: shares of the variance"))
-        sections.append(Section(titled(r.name), words, figures, tables))
+    sections += [_response_section(study, answers, r, shown) for r in answers.responses]
     for i, (pair, front) in enumerate(answers.fronts.items()):
         if front and _varies(answers, pair):
-            figure = shown(
-                _pareto_figure(answers, pair, front), "pareto" if i == 0 else f"pareto_{i + 1}", "Every variant, and those on the front"
-            )
+            name = "pareto" if i == 0 else f"pareto_{i + 1}"
+            figure = shown(_pareto_figure(answers, pair, front), name, "All variants, and those on the Pareto front")
             sections.append(_trade_off(answers, pair, front, figure))
-    if duties and driven_axes(duties):
-        caption = (
-            "Torque of each motor against its speed: points of the duty cycle, the largest while driving, curve and rating of the motor"
-        )
-        sections.append(
-            Section("Motors", figures=[shown(torque_speed_figure(duties), "torque_speed", caption)], tables=[torque_table(duties)])
-        )
-    held = holding_figure({duty.label: duty.machine for duty in duties}) if duties else None
-    if held is not None:
-        caption = "Current that holds each axis against gravity, from the least to the largest over the angles of the other rotary axes"
-        sections.append(Section("Holding by pose", figures=[shown(held, "holding", caption)]))
+    sections += _drive_sections(duties, shown)
     for title, rows in (
         ("Variants that could not be run", [r for r in answers.rows if not r[2]]),
         ("Variants that break a constraint", [r for r in answers.rows if r[2] and r[3]]),
@@ -174,10 +125,53 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         if rows:
             lines = [[str(n), *answers.shown(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
             sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.headings, "reason"], lines)]))
-    write_page(
-        out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections, made_line(inputs=study.path.name, seed=study.seed)
-    )
+    made = made_line(inputs=study.path.name, seed=study.seed)
+    write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections, made)
     return written
+
+
+Shown = Callable[[Any, str, str], Figure]
+"""Saves a plot under a name and returns it with its caption."""
+
+
+def _response_section(study: Study, answers: Answers, r: Response, shown: Shown) -> Section:
+    """Plots, surrogate, effects, sensitivities and Sobol indices of one response."""
+    caption = f"{titled(r.name)} of every variant that keeps the constraints; line: surrogate with the other factors at their median"
+    figures = [shown(factors_figure(study, r), r.name, caption)]
+    if r.swings:
+        caption = "Change over the range of each factor with the others at their median; red: error of the surrogate"
+        figures.append(shown(_swings_figure(r), f"{r.name}_effects", caption))
+    words, tables = [], []
+    if r.surrogate:
+        share = f", {100 * r.surrogate.error / r.surrogate.spread:.2g} % of their spread" if r.surrogate.spread else ""
+        words.append(f"Surrogate: {r.surrogate.kind}; RMS error on left-out variants {changed(r.name, r.surrogate.error)}{share}.")
+        if not r.surrogate.fits:
+            words.append("This error is too large: the surrogate is not drawn, and no effects are given.")
+    if sensitivities := sensitivity_rows(study, r):
+        heading = ["factor", "sensitivity", "95 % interval"]
+        tables.append(Table(heading, sensitivities, caption="Sensitivities: straight line over the range"))
+    if r.effects:
+        heading = ["factors", _with_unit("change, low to high end", r.name), "95 % interval"]
+        tables.append(Table(heading, effect_rows(r), caption="Main effects and interactions"))
+    if r.sobol:
+        columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
+        lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
+        tables.append(Table(["factor", "first order", "+-", "total", "+-"], lines, caption="Sobol indices: shares of the variance"))
+    return Section(titled(r.name), words, figures, tables)
+
+
+def _drive_sections(duties: list[Duty], shown: Shown) -> list[Section]:
+    """Torque over speed of the motors, and holding currents by pose, where there are any."""
+    sections = []
+    if duties and driven_axes(duties):
+        caption = "Torque of each motor over its speed: duty cycle, largest torque, torque curve and rating"
+        figure = shown(torque_speed_figure(duties), "torque_speed", caption)
+        sections.append(Section("Motors", figures=[figure], tables=[torque_table(duties)]))
+    held = holding_figure({duty.label: duty.machine for duty in duties}) if duties else None
+    if held is not None:
+        caption = "Holding current of each axis against gravity, from least to largest over the angles of the other rotary axes"
+        sections.append(Section("Holding by pose", figures=[shown(held, "holding", caption)]))
+    return sections
 
 
 def _lead(study: Study, answers: Answers) -> str:
@@ -199,7 +193,7 @@ def _with_unit(text: str, name: str) -> str:
 
 
 def _varies(answers: Answers, pair: Sequence[str]) -> bool:
-    """Do both responses of a pair vary over the variants that have them?"""
+    """Do both responses of a pair vary over the variants?"""
     return all(depends(y) for y in (values_of(answers.rows, name)[1] for name in pair) if len(y))
 
 
@@ -209,12 +203,12 @@ def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], fi
         [str(n), *answers.shown(factors), *(f"{scale_of(k) * found[k]:.4g}" for k in pair)] for n, factors, found, _ in rows[:MOST_LINES]
     ]
     said = " and ".join(map(label_of, pair))
-    words = [f"{len(rows)} variants are beaten by no other one in both {said}; each is to be small.", *_of(rows)]
+    words = [f"{len(rows)} variants are on the Pareto front of {said}; both are minimised.", *_of(rows)]
     return Section(f"Trade-off: {said}", words, [figure], [Table(["variant", *answers.headings, *map(titled, pair)], lines)])
 
 
 def factors_figure(study: Study, r: Response) -> Any:
-    """The response against each factor, with the surrogate along it; where a factor is a catalogue, in a colour for each of its entries."""
+    """The response against each factor, with the surrogate; one colour per entry if a factor is a catalogue."""
     count = len(study.factors)
     columns = min(count, COLUMNS)
     figure, axes = new_figure(-(-count // columns), columns, width=min(1.2 + 3.6 * columns, 12.0), height=3.0, sharey=True)
@@ -263,7 +257,7 @@ def _swings_figure(r: Response) -> Any:
         panel.barh(i, swing, color=BLUE, height=0.6)
         panel.plot([max(swing - error, 0.0), swing + error], [i, i], color=RED, linewidth=1.6)
     panel.set_yticks(range(len(swings)), [s.factor for s in reversed(swings)])
-    panel.set_xlabel(f"moved by: {titled(r.name)}")
+    panel.set_xlabel(f"change of {titled(r.name)}")
     return figure
 
 

@@ -1,18 +1,18 @@
-"""The responses of a variant: numbers of one run by name, with their units in the name.
+"""The responses of a variant: numbers by name, with the unit in the name.
 
 following error      set point minus position at the same time
-control deviation    the same with the set point as the position controller gets it, delayed: what the drive leaves
+control deviation    the same with the delayed set point of the position controller
 contour error        distance of the followed from the commanded tool path
-settling time        from the last change of the set point until the error stays inside SETTLED
-current              at every tick of the control, largest and RMS; smooth: its means over position cycles; ripple: what is left of it
-copper loss          Kt / Ke R i_rms^2: R i_rms^2 of the one-phase equivalent, as many times as makes Ke i w the mechanical power Kt i w
-energies             of a run: work of the motors, what of it came back while braking, what the windings took (Kt / Ke u i)
-limits used          largest speed and current over their limits; largest torque over the motor's curve at its speed
-torque RMS used      over the rated torque, where the machine file has one; winding heat with its thermal time constant, the run being repeated
-holding current      largest current that gravity takes at rest, over all angles of the rotary axes
-first mode           sqrt(stiffness / load) / 2 pi of the axis' transmission; none where it is rigid
+settling time        from the last change of the set point until the error stays within SETTLED
+current              largest and RMS over all ticks; smooth: means over position cycles; ripple: the rest
+copper loss          Kt / Ke R i_rms^2: R i_rms^2 of the one-phase equivalent, times the phases that make Ke i w equal to Kt i w
+energies             of a run: work of the motors, work returned while braking, electrical energy of the windings (Kt / Ke u i)
+limits used          largest speed and current over their limits; largest torque over the motor's torque curve
+torque RMS used      RMS torque over rated torque, if the machine file has one; winding heat with its thermal time constant, for the repeated run
+holding current      largest current against gravity at rest, over all angles of the rotary axes
+first mode           sqrt(stiffness / load) / 2 pi of the axis' transmission, unless it is rigid
 phase, gain margin   of the current, speed and position loop of an axis in the home pose (`twin.machine.loops`)
-mark depth           deepest place of the followed cut below the programmed one (a trace: below the commanded one)
+mark depth           largest depth of the followed cut below the programmed one (for a trace: below the commanded one)
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from twin.surface.part import Part
 from twin.units import AXIS_UNITS
 
 SETTLED = {"linear": 1e-6, "rotary": math.radians(1.0 / 3600.0)}
-"""Error inside which an axis counts as settled [m, rad]."""
+"""Error below which an axis counts as settled [m, rad]."""
 
 MARGIN_GRID = 300
-"""Frequencies on which the crossings of a loop are looked for; they are refined afterwards."""
+"""Number of frequencies for the search of a loop's crossings, which are refined afterwards."""
 
 HELD = 1e-9
-"""An axis that needs less than this share of its limit to stand still carries nothing."""
+"""Holding current over the limit below which an axis counts as not loaded by gravity."""
 
 Add = Callable[[str, float], None]
 
 
 def joined(name: str, values: list[float], durations: list[float]) -> float:
-    """One number for all runs: sums of times and energies, RMS and mean values over the time [s] of all runs, else the largest."""
+    """One value for all runs: sum of times and energies, RMS and mean over the time [s] of all runs, otherwise the largest."""
     if name == "cycle_time_s" or name.endswith("_j"):
         return float(np.sum(values))
     if "_rms" in name:
@@ -63,13 +63,13 @@ def joined(name: str, values: list[float], durations: list[float]) -> float:
 
 
 def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -> None:
-    """Errors, drives and limits of every axis that moves; energies of all."""
+    """Errors, drive loads and limits of every moving axis; energies of all axes."""
     time = run.trace.time
     delayed = {d: setpoints.at(time - d) for d in {axis.loops.set_point_delay_s for axis in machine.axes}}
     for a, axis in enumerate(machine.axes):
         setpoint, position = (run.trace.get(axis.name, s) for s in ("setpoint", "position"))
         if np.ptp(setpoint) < 1e-9:
-            continue  # an axis that stands
+            continue  # the axis does not move
         unit, factor = AXIS_UNITS[axis.kind].error
         error = setpoint - position
         for name, e in (("following_error", error), ("control_deviation", delayed[axis.loops.set_point_delay_s][:, a] - position)):
@@ -81,7 +81,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         add(f"time_at_{axis.effort}_limit_{axis.name}_share", run.current_limited_s[axis.name] / setpoints.duration)
         if axis.has_current_loop:
             add(f"time_at_voltage_limit_{axis.name}_share", run.voltage_limited_s[axis.name] / setpoints.duration)
-        # settled: the last sample outside lies before the end of the record
+        # settled: the last sample outside the band is not the last one
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
         outside = np.flatnonzero(np.abs(error[last:]) > SETTLED[axis.kind])
         if not len(outside):
@@ -94,7 +94,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
 
 
 def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
-    """What a run took from one drive, counted at every tick, against its limits and ratings."""
+    """Load of one drive over all ticks, against its limits and ratings."""
     motor, name, per = axis.motor, axis.name, axis.effort_unit.lower()
     for part, value in (
         ("max", load.effort_max),
@@ -117,7 +117,7 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
     if motor.max_speed:
         add(f"motor_speed_used_{name}", load.speed_max / axis.ratio / motor.max_speed)
     if axis.has_current_loop:
-        # of the classes of speed that were reached, the one that is nearest to the motor's curve; a class counts at its lower end
+        # largest ratio of torque to the motor's curve over the speed bins; the curve is taken at the lower end of each bin
         reached = load.torque > 0.0
         at = np.concatenate([[0.0], load.speed[:-1]])[reached]
         curve = motor.torque_at(at)
@@ -126,30 +126,31 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
 
 
 def winding_heat(axis: Axis, run: Run) -> float:
-    """Largest heat of a winding when the run is repeated for ever, over that of its rated torque [1].
+    """Largest heat of a winding over that of its rated torque [1], if the run is repeated for ever.
 
-    Heat follows the square of the current through the motor's thermal time constant: T dh/dt = i^2 - h. The way of the square is the
-    record's, its mean that of every tick.
+    The heat h follows T dh/dt = i^2 - h with the motor's thermal time constant T. i^2 is taken from the trace and scaled to the mean
+    of all ticks.
     """
     motor = axis.motor
     square = run.trace.get(axis.name, axis.effort)[:-1] ** 2
     square *= run.load[axis.name].effort_rms ** 2 / float(square.mean())
     kept = math.exp(-run.trace.period / (motor.thermal_time_constant_s or math.inf))
     from_cold = lfilter([1.0 - kept], [1.0, -kept], square)
-    # what the runs before have left: h(start) = h(end)
+    # periodic solution: h(start) = h(end)
     before = from_cold[-1] / -math.expm1(len(square) * math.log(kept))
     heat = from_cold + before * kept ** np.arange(1, len(square) + 1)
     return float(heat.max()) * (motor.torque_constant_nm_per_a / (motor.rated_torque_nm or math.inf)) ** 2
 
 
 def contour_responses(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:
+    """Contour and orientation error of the tool path; nothing for a machine without a tool in a part frame."""
     try:
         kinematics = kinematics_of(machine)
         followed = tool_path_of(trace, "position", machine, kinematics=kinematics)
         if commanded is None or not np.array_equal(commanded.time, followed.time):
             commanded = tool_path_of(trace, "setpoint", machine, kinematics=kinematics)
     except TwinError:
-        return  # a machine without a tool in a part frame has no contour
+        return
     found = contour_error(followed, commanded, search_window(machine))
     add("contour_error_max_um", float(found.error.max()) * 1e6)
     add("contour_error_rms_um", math.sqrt(found.error @ found.error / len(found.error)) * 1e6)
@@ -171,12 +172,12 @@ def mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath 
 
 
 def drive_responses(machine: Machine, add: Add) -> None:
-    """Numbers of the drives that need no run: margins, crossover and bandwidth of every loop, inertia ratio, first mode, holding."""
+    """Responses that need no run: margins, crossover and bandwidth of every loop, inertia ratio, first mode, holding current."""
     for axis in machine.axes:
         for loop in loops_of(machine, axis, inertia_at_motor(machine, axis)):
             margins = _margins(loop.name, loop.period, *((m.tobytes(), m.shape) for m in (loop.a, loop.b, loop.c)))
             name = f"{loop.name}_loop_{axis.name}"
-            # an unstable loop has no margin: 0 says so in a table of numbers; one that never reaches a gain of 1 has no least margin
+            # an unstable loop gets a margin of 0; a loop that never reaches a gain of 1 has an infinite one, which is left out
             for key, value in (
                 (f"phase_margin_{name}_deg", margins.phase if margins.stable else 0.0),
                 (f"gain_margin_{name}_db", 20.0 * math.log10(margins.gain) if margins.stable and margins.gain > 0.0 else 0.0),
@@ -196,5 +197,5 @@ def drive_responses(machine: Machine, add: Add) -> None:
 
 @functools.lru_cache(maxsize=4096)
 def _margins(name: str, period: float, *matrices: tuple[bytes, tuple[int, ...]]) -> Margins:
-    """Margins of a loop by its matrices: most variants change the loops of one axis only."""
+    """Margins of a loop by its matrices; cached, because most variants change the loops of one axis only."""
     return margins_of(Loop(name, period, *(np.frombuffer(data).reshape(shape) for data, shape in matrices)), MARGIN_GRID)

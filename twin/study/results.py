@@ -1,4 +1,4 @@
-"""The answers of a study: per response effects, indices and a surrogate; Pareto front; best variant; what has no effect."""
+"""The answers of a study: effects, indices and surrogate of each response, Pareto front, best variant, factors without effect."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from twin.study.store import Row, Store
 
 TABLE = "table.parquet"
 SHOWN = 4
-"""Responses that the report looks at where the study file names none."""
+"""Number of responses in the report if the study file names none."""
 PREFERRED = ("mark_depth_um", "contour_error_max_um", "control_deviation_max", "current_rms", "copper_loss", "cycle_time_s")
 
 
 @dataclass(frozen=True)
 class Response:
-    """One response over the variants that have it: factors (variant, factor), values (variant,), what moves it."""
+    """One response over the variants that have it: factors (variant, factor), values (variant,), and its analysis."""
 
     name: str
     table: np.ndarray
@@ -55,7 +55,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Answers:
-    """All answers; effects, `pareto` and `best` (least `minimised`) come from variants that keep the constraints; `best` None: there is none."""
+    """All answers. Effects, `pareto` and `best` (least `minimised`, None if there is none) use only variants that keep the constraints."""
 
     factors: tuple[str, ...]
     rows: Sequence[Row]
@@ -67,10 +67,10 @@ class Answers:
     best: int | None
     definitions: tuple[Factor, ...] = ()
     looked: tuple[str, ...] = ()
-    """Names of the responses that the report is about."""
+    """Names of the reported responses."""
 
     def shown(self, values: Sequence[float]) -> list[str]:
-        """The factors of a variant as people read them, the entries of a catalogue by name."""
+        """The factors of a variant as text, catalogue entries by name."""
         return [factor.shown(value) for factor, value in zip(self.definitions, values)]
 
     def said_of(self, name: str, value: float) -> str:
@@ -78,12 +78,12 @@ class Answers:
         return self.definitions[self.factors.index(name)].said(value)
 
     def design_of(self, number: int) -> str:
-        """The factors of a variant in words: 'screw lead 0.02 m/rev, rotor inertia 0.8 times nominal'."""
+        """The factors of a variant with names and units: 'screw lead 0.02 m/rev, rotor inertia 0.8 times nominal'."""
         return ", ".join(f"{factor.name} {factor.said(value)}" for factor, value in zip(self.definitions, self.row(number)[1]))
 
     @property
     def headings(self) -> list[str]:
-        """The factors with their units, as a table has them."""
+        """The factors with their units, for tables."""
         return [factor.titled for factor in self.definitions]
 
     def _chosen(self, values: Sequence[float]) -> dict[str, str]:
@@ -100,8 +100,8 @@ class Answers:
         return sum(bool(responses) and reason is not None for _, _, responses, reason in self.rows)
 
     def commonest(self, ran: bool) -> str:
-        """The commonest reason of the variants that ran and broke a constraint, or that could not be run; without its numbers."""
-        # a variant counts for each constraint that it breaks; what follows the first part of an error says what to do
+        """The most common reason, without numbers, of the variants that broke a constraint (`ran`) or could not be run."""
+        # a variant counts once for each constraint that it breaks; the rest of an error message is its remedy
         parts = ((r.split("; ") if ran else [r.split("; ")[0]]) for _, _, responses, r in self.rows if r and bool(responses) == ran)
         reasons = Counter(_without_numbers(part) for several in parts for part in several)
         return reasons.most_common(1)[0][0] if reasons else ""
@@ -137,12 +137,12 @@ class Answers:
 
 
 def _without_numbers(reason: str) -> str:
-    """A reason whose numbers stand as '..', so that the same reason of many variants counts as one."""
+    """A reason with its numbers replaced by '..', so that equal reasons can be counted."""
     return re.sub(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?", "..", reason)
 
 
 def rows_of(study: Study, store: Store) -> list[Row]:
-    """All rows, with the reasons that the study's constraints give now: they may be others than when a variant ran."""
+    """All rows, with reasons from the present constraints, which may have changed since a variant ran."""
     return [
         (n, factors, found, "; ".join(broken_by(study.constraints, found)) or None if found else reason)
         for n, factors, found, reason in store.rows()
@@ -150,12 +150,12 @@ def rows_of(study: Study, store: Store) -> list[Row]:
 
 
 def known_responses(rows: Sequence[Row]) -> list[str]:
-    """Names of all responses, in the order in which the variants have them."""
+    """Names of all responses, in order of appearance."""
     return list(dict.fromkeys(name for _, _, found, _ in rows for name in found))
 
 
 def looked_at(study: Study, rows: Sequence[Row]) -> list[str]:
-    """Responses that the report is about: those of the study file, else the telling ones that vary."""
+    """Responses of the report: those of the study file, otherwise the preferred ones that vary."""
     known = known_responses(rows)
     if known:
         check_names(study, known)
@@ -172,11 +172,11 @@ def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
-    """Answer a study from its rows; raises InputError where `answer` names no response."""
+    """Answer a study from its rows; raises InputError if `answer` names an unknown response."""
     names = tuple(f.name for f in study.factors)
     listed = {i: [choice.name for choice in f.choices] for i, f in enumerate(study.factors) if f.choices}
     looked = looked_at(study, rows)
-    kept = [row for row in rows if row[3] is None]  # what a variant at its limits answers is the limit's doing, not the factor's
+    kept = [row for row in rows if row[3] is None]  # at a limit, the limit determines the response, not the factor
     responses = []
     for name in looked:
         table, y = values_of(kept, name)
@@ -211,7 +211,7 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
 
 
 def _front(rows: Sequence[Row], names: Sequence[str]) -> list[int]:
-    """Numbers of the variants that no other one beats in all these responses."""
+    """Numbers of the variants on the Pareto front of these responses."""
     able = [row for row in rows if all(name in row[2] for name in names)]
     values = np.array([[row[2][name] for name in names] for row in able]).reshape(len(able), len(names))
     return [row[0] for row, front in zip(able, pareto_front(values)) if front] if names else []
@@ -230,9 +230,9 @@ def table_of(study: Study, rows: Sequence[Row]) -> pa.Table:
 
 
 def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, float | str]], tuple[float, float]]:
-    """The surrogate of a finished study: a function of a value, or the name of an entry, for each factor that returns (value, its error).
+    """The surrogate of a finished study: a function from {factor: value or entry name} to (value, error).
 
-    It goes through the variants that keep the constraints, as all answers do.
+    It is fitted to the variants that keep the constraints.
     """
     path = Path(folder) / TABLE
     if not path.is_file():

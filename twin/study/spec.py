@@ -1,39 +1,39 @@
-"""The study file (TOML): what is varied, by which design, on which runs, and what is answered.
+"""The study file (TOML): factors, design, runs and responses.
 
 seed = 1
-machine = "my_machine.toml"          # optional; else --machine or the Mikron
-part = "part.toml"                   # optional: also the depth of the mark on this part, with all runs or with one (part = .. below [[run]])
-answer = ["contour_error_max_um"]    # optional: what the report looks at first; the first one is minimised
-recommission = true                  # optional: the control is commissioned with each variant's own inertia and torque constant
-retune = "same margins"              # optional: speed gains follow the inertia, current gains the winding; else the gains stay
-pareto = [["a_um", "b_s"]]           # optional: trade-offs between pairs of responses; else between all of `answer`
-least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and is never the best
+machine = "my_machine.toml"          # optional; default: --machine or the Mikron
+part = "part.toml"                   # optional: adds the mark depth on this part; for one run: part = .. below [[run]]
+answer = ["contour_error_max_um"]    # optional: reported responses; the first one is minimised
+recommission = true                  # optional: commission the control with each variant's own inertia and torque constant
+retune = "same margins"              # optional: scale speed gains with the inertia and current gains with the winding; default: keep the gains
+pareto = [["a_um", "b_s"]]           # optional: trade-offs between pairs of responses; default: the first two of `answer`
+least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and cannot be the best
 most_time_at_limit = 0.001           # optional: share of a run for which an axis may be at its current or voltage limit
 
-[fixed]                              # optional: numbers that all variants have, by path
+[fixed]                              # optional: numbers of all variants, by path
 "axis.*.loops.torque_feedforward" = 0.0
 
 [[run]]
-input = "corner.mpf"                 # program or trace, beside the study file
+input = "corner.mpf"                 # program or trace beside the study file
 feedforward = "velocity"             # optional: off | velocity | velocity+torque
-name = "corner"                      # optional: the file's name else
+name = "corner"                      # optional; default: the file's name
 
 [[factor]]
 name = "mass"
 paths = ["axis.X.moving_mass_kg", "axis.Y.moving_mass_kg"]   # see paths.py; or path = ".."
-relative = true                      # values are factors on what the machine has
+relative = true                      # values multiply the machine's own numbers
 range = [0.5, 2.0]                   # or values = [0.5, 1.0, 2.0]
 
 [[factor]]
 name = "X motor"
 catalogue = "motors.toml"            # named motors, screws or gears, see catalogue.py
-axis = "X"                           # or axes = [..], which get the same
-installed = "M80"                    # what the machine has now
-values = ["M80", "M100"]             # optional: else all of that kind
+axis = "X"                           # or axes = [..], which get the same entry
+installed = "M80"                    # the entry on the present machine
+values = ["M80", "M100"]             # optional; default: all entries of that kind
 
-[[tied]]                             # follows: its nominal x (ratio of what it follows)^exponent
+[[tied]]                             # nominal x (ratio of the factor or inertia)^exponent
 path = "axis.X.loops.speed_gain_nm_s_per_rad"
-to = "inertia.X"                     # a factor's name, or the inertia at an axis' motor in the home pose
+to = "inertia.X"                     # a factor's name, or the inertia at the motor of an axis in the home pose
 exponent = 1.0                       # or slope = 1.0: nominal + slope x (change of the factor's number)
 
 [design]
@@ -70,7 +70,7 @@ from twin.study.paths import matching_paths, with_numbers
 from twin.tables import is_number
 
 DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
-"""Designs, and the keys that each takes."""
+"""Designs and their keys."""
 
 TOP = (
     "seed",
@@ -90,12 +90,12 @@ TOP = (
     "design",
 )
 SAME_MARGINS = "same margins"
-"""Word of `retune`: gains follow inertia and winding, so that designs are compared and not their tunings."""
+"""Value of `retune`: gains follow inertia and winding, so that designs are compared, not tunings."""
 
 
 @dataclass(frozen=True)
 class StudyRun:
-    """One program or trace that every variant runs, and the part that is cut with it."""
+    """A program or trace that every variant runs, and the part to cut with it."""
 
     name: str
     input: Path
@@ -105,7 +105,7 @@ class StudyRun:
 
 @dataclass(frozen=True)
 class Design:
-    """How the factors are combined; `rows` is empty unless the design is a list."""
+    """Combination of the factors; `rows` is empty unless the design is a list."""
 
     kind: str
     levels: int
@@ -115,7 +115,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Study:
-    """A checked study; `machine` is the one that is varied, with its fixed numbers."""
+    """A checked study; `machine` includes the [fixed] numbers."""
 
     path: Path
     machine: Machine
@@ -137,7 +137,7 @@ class Study:
 
 
 def read_study(path: str | Path, machine_path: str | Path | None = None) -> Study:
-    """Read and check a study file; every fault is an InputError with table, key and remedy."""
+    """Read and check a study file; every error is an InputError with table, key and remedy."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such study file; see docs/study.md for the form")
@@ -181,7 +181,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
 
 
 def _column(design: Design, i: int) -> list[Any] | None:
-    """Values of a factor in the rows of a list; None with another design."""
+    """Values of a factor in the rows of a list design; None for other designs."""
     return [row[i] for row in design.rows if i < len(row)] if design.kind == "list" else None
 
 
@@ -231,7 +231,7 @@ def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
 
 
 def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
-    """Numbers by path; a path that was not quoted has become tables within tables."""
+    """Numbers by path; TOML reads an unquoted path as nested tables."""
     if not isinstance(table, Mapping):
         raise InputError(f'{where}: must be a table; write "axis.X.moving_mass_kg" = 690.0')
     out: dict[str, float] = {}
@@ -249,7 +249,7 @@ def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
 
 
 def _part(table: Mapping[str, Any], path: Path, where: str, otherwise: Path | None) -> Path | None:
-    """The part file of a study or of one of its runs."""
+    """The part file of a study or of a run."""
     part = table.get("part")
     return otherwise if part is None else outer_file(part, path.parent, f"{where}: part")
 
@@ -264,7 +264,7 @@ def _run(table: Any, path: Path, where: str, part: Path | None) -> StudyRun:
         raise InputError(f"{where}: feedforward = {feedforward!r}; use one of {', '.join(FEEDFORWARD)}")
     name = str(table.get("name", source.stem))
     if not re.fullmatch(r"[^/\\\x00-\x1f.][^/\\\x00-\x1f]*", name):
-        raise InputError(f"{where}: name = {name!r}: files are named after it; leave out / and \\, and a dot at its start")
+        raise InputError(f"{where}: name = {name!r} becomes part of file names; leave out / and \\, and a leading dot")
     return StudyRun(name, source, feedforward, _part(table, path, where, part))
 
 
@@ -294,7 +294,7 @@ def _design(table: Any, where: str) -> Design:
 
 
 def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> Design:
-    """Rows of a list in which the names of a catalogue's entries are their numbers."""
+    """The design with the names of catalogue entries in its rows replaced by their indices."""
     rows = []
     for row in design.rows:
         row_numbers: list[float] = []

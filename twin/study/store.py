@@ -1,4 +1,4 @@
-"""Results of a study in SQLite: one row a variant, committed as it arrives, so that a killed study loses nothing that was done."""
+"""Results of a study in SQLite: one row per variant, committed as it arrives, so that a killed study loses no finished variant."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _numbers(kind: type[Any], text: object) -> Any:
 
 
 class Store:
-    """The results in one folder; held by one study at a time."""
+    """The results in one folder; only one study at a time can open it."""
 
     def __init__(self, folder: Path, fingerprint: str, resume: bool) -> None:
         self.path = folder / FILE
@@ -37,7 +37,7 @@ class Store:
             self.connection = sqlite3.connect(self.path, timeout=0.2, isolation_level=None)
         try:
             with self._said():
-                # held until closed: two studies never write one folder
+                # locked until closed, so that two studies never write to one folder
                 self.connection.execute("PRAGMA locking_mode = EXCLUSIVE")
                 self.connection.execute("BEGIN IMMEDIATE")
                 self.connection.execute("CREATE TABLE IF NOT EXISTS study (fingerprint TEXT)")
@@ -53,24 +53,24 @@ class Store:
                     f"{self.path}: holds another study (factors, runs, machine, part, a mesh, design or the version of twin differ); give another --out"
                 )
             if (done := len(self.done())) and not resume:
-                raise InputError(f"{self.path}: {done} variants are done already; add --resume or give another --out")
+                raise InputError(f"{self.path}: already holds {done} variants; add --resume or give another --out")
         except BaseException:
             self.connection.close()
             raise
 
     @contextlib.contextmanager
     def _said(self) -> Iterator[None]:
-        """What SQLite complains of, in one line."""
+        """Turn SQLite errors into one-line messages."""
         try:
             yield
-        except sqlite3.IntegrityError:  # a variant twice: a fault of ours
+        except sqlite3.IntegrityError:  # a duplicate variant is an internal error
             raise
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
-                raise InputError(f"{self.path}: another study writes here; give another --out or wait for it") from None
-            raise InputError(f"{self.path}: cannot be used ({error}); see to the disk or give another --out") from None
-        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the message of a damaged one may be no text
-            raise InputError(f"{self.path}: not a database of a study ({error}); move it away or give another --out") from None
+                raise InputError(f"{self.path}: another study is writing here; give another --out or wait for it") from None
+            raise InputError(f"{self.path}: cannot be used ({error}); check the disk or give another --out") from None
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the message of a damaged file may not be text
+            raise InputError(f"{self.path}: not the database of a study ({error}); move it away or give another --out") from None
 
     def done(self) -> set[int]:
         """Numbers of the variants that have a row."""
@@ -78,7 +78,7 @@ class Store:
             return {row[0] for row in self.connection.execute("SELECT number FROM variant")}
 
     def put(self, number: int, factors: Sequence[float], answer: Answer) -> None:
-        """Commit one variant; a second row for it is refused."""
+        """Commit one variant; a second row for the same variant is refused."""
         row = (number, json.dumps(list(factors)), json.dumps(answer.responses), answer.reason)
         with self._said():
             self.connection.execute("INSERT INTO variant VALUES (?, ?, ?, ?)", row)
@@ -93,5 +93,5 @@ class Store:
             raise InputError(f"{self.path}: a row is damaged; move the file away or give another --out") from None
 
     def close(self) -> None:
-        """Let others write here."""
+        """Close the database and release its lock."""
         self.connection.close()

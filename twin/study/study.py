@@ -14,11 +14,11 @@ from twin.study.store import Store
 
 
 def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Path | None = None, threads: int | None = None) -> Answers:
-    """Carry out the study of a study file on the threads of this computer and answer it.
+    """Run a study on the threads of this computer and return its answers.
 
-    `out` is the folder for results and report (None: nothing is kept); a folder with results of the same study is continued.
-    `machine` is another machine file. The answers hold, per response, the effect of each factor from its low to its high end in the
-    response's unit, the Pareto front and the best variant. Raises InputError for a study file that cannot be used.
+    `out` is the folder for results and report (None: nothing is kept); results of the same study in it are continued. `machine` is
+    another machine file. The answers hold the effect of each factor on each response from its low to its high end in the response's
+    unit, the Pareto front and the best variant. Raises InputError for an invalid study file.
     """
     known = read_study(spec, machine)
     variants = variants_of(known)

@@ -1,4 +1,4 @@
-"""Cut a part with the path of a run, of a trace or of a program, in one call."""
+"""Cuts a part along the path of a run, a trace or a program, in one call."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def cut(
 ) -> Machining:
     """Remove material along the tool path of a run, a trace, or a part program (which is simulated first).
 
-    `part` is a part file (tool, stock, surfaces; see examples/parts). `levels` are the paths to cut: 'programmed' (of a program only),
-    'commanded' (set points), 'followed' (positions). The result holds the heights of every cut surface [m]; `report_of` of
-    twin.surface.machining reads marks and roughness from it. Raises InputError where a path never touches the part.
+    `part` is a part file (tool, stock, surfaces; see examples/parts). `levels` are the paths to cut: 'programmed' (programs only),
+    'commanded' (set points), 'followed' (positions). The result holds the heights of every cut surface [m]; `report_of` in
+    twin.surface.machining evaluates marks and roughness. Raises InputError if a path never touches the part.
     """
     unknown = set(levels) - set(LEVELS)
     if unknown:

@@ -1,7 +1,7 @@
-"""Dexels: parallel rays through a solid, each a list of intervals with material; for parts that height rays cannot describe.
+"""Dexels: parallel rays through a solid, each with a list of material intervals, for parts that height rays cannot describe.
 
-A swept tool covers one interval [t_in, t_out] of a ray per element and step (the lowest entry, and the lowest entry from the other side);
-it is taken from the ray's list, which can split. So undercuts, through holes and volumes come out right. Lengths in m.
+Per element and step a swept tool covers one interval [t_in, t_out] of a ray (the lowest entry from each side). It is subtracted from
+the ray's list, which may split. Undercuts, through holes and volumes are therefore correct. Lengths in m.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from twin.surface.sweep import FRUSTUM
 from twin.surface.tools import Tool
 
 MOST_INTERVALS = 8
-"""Intervals that one ray can hold."""
+"""Most intervals of one ray."""
 
 
 @dataclass(frozen=True)
 class Dexels:
-    """Rays point + t direction: point (ray, 3), direction (3,); intervals (ray, MOST_INTERVALS, 2), of which `count` (ray,) hold.
+    """Rays point + t direction: point (ray, 3), direction (3,); intervals (ray, MOST_INTERVALS, 2), the first `count` (ray,) valid.
 
-    `shape` (rows, columns) of the grid, `spacing` [m] between rays.
+    `shape` (rows, columns) of the grid, `spacing` [m] of the rays.
     """
 
     point: np.ndarray
@@ -40,19 +40,19 @@ class Dexels:
 
     @property
     def volume(self) -> float:
-        """Material [m3]: lengths of all intervals times the area of a ray."""
+        """Volume [m3]: sum of interval lengths times the area per ray."""
         held = np.arange(self.intervals.shape[1]) < self.count[:, None]
         return float((np.where(held, self.intervals[..., 1] - self.intervals[..., 0], 0.0)).sum()) * self.spacing**2
 
     @property
     def top(self) -> np.ndarray:
-        """Highest end of material (row, column) [m]; NaN where nothing is left."""
+        """Upper end of the material (row, column) [m]; NaN for empty rays."""
         top = np.where(self.count > 0, self.intervals[np.arange(len(self.count)), np.maximum(self.count - 1, 0), 1], np.nan)
         return top.reshape(self.shape)
 
 
 def box_dexels(low: np.ndarray, high: np.ndarray, spacing: float, *, direction: int = 2) -> Dexels:
-    """A block between two corners (3,) [m], rays along the axis `direction`, one in the middle of each cell."""
+    """A block between two corners (3,) [m], with rays along the axis `direction` through the cell centres."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     if np.any(high <= low):
         raise InputError("stock: the upper corner must lie above the lower one in every direction; correct the block")
@@ -67,7 +67,7 @@ def box_dexels(low: np.ndarray, high: np.ndarray, spacing: float, *, direction: 
 
 
 def mesh_dexels(mesh: object, spacing: float, *, direction: int = 2) -> Dexels:
-    """A closed mesh (trimesh, in m) as dexels: between odd and even crossings of a ray lies material."""
+    """A closed mesh (trimesh, in m) as dexels; material lies between the odd and even crossings of a ray."""
     low, high = np.asarray(mesh.bounds)  # type: ignore[attr-defined]
     dexels = box_dexels(low, high, spacing, direction=direction)
     origin = dexels.point.copy()
@@ -76,7 +76,7 @@ def mesh_dexels(mesh: object, spacing: float, *, direction: int = 2) -> Dexels:
     intervals, count = np.zeros_like(dexels.intervals), np.zeros_like(dexels.count)
     order = np.lexsort((where[:, direction], ray))
     for i, crossings in zip(*_split(ray[order], where[order, direction])):
-        # a ray along an edge meets both of its triangles
+        # a ray through an edge intersects both of its triangles
         t = crossings[np.concatenate([[True], np.diff(crossings) > 1e-9])]
         pairs = min(len(t) // 2, MOST_INTERVALS)
         intervals[i, :pairs] = t[: 2 * pairs].reshape(pairs, 2)
@@ -85,13 +85,13 @@ def mesh_dexels(mesh: object, spacing: float, *, direction: int = 2) -> Dexels:
 
 
 def _split(key: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Values by equal keys, keys sorted."""
+    """Sorted unique keys, and the values of each."""
     keys, first = np.unique(key, return_index=True)
     return keys, np.split(value, first[1:])
 
 
 def cut_dexels(dexels: Dexels, steps: Steps, tool: Tool, *, threads: int | None = None) -> tuple[Dexels, CutStatistics]:
-    """The dexels after the tool has moved through all steps. Raises InputError where a ray splits into too many intervals."""
+    """The dexels after all steps of the tool. Raises InputError if a ray splits into too many intervals."""
     intervals, count = dexels.intervals.copy(), dexels.count.copy()
     moves = np.ascontiguousarray(np.hstack([steps.tip, steps.way, steps.axis, steps.turn, steps.angle[:, None], steps.rim]))
     tests, full = np.zeros(len(count), np.int64), np.zeros(len(count), np.int64)
@@ -109,7 +109,7 @@ def cut_dexels(dexels: Dexels, steps: Steps, tool: Tool, *, threads: int | None 
 
 @compiled(ieee_division=True, allocates=True)
 def cut_rays(first, last, point, n, intervals, count, moves, elements, tests, full):  # type: ignore[no-untyped-def]
-    """Cut the rays first .. last; fills intervals, count, tests, and `full` where a list overflows."""
+    """Cut the rays first .. last; updates intervals, count and tests, and sets `full` if a list overflows."""
     back = (-n[0], -n[1], -n[2])
     for i in range(first, last):
         p = (point[i, 0], point[i, 1], point[i, 2])
@@ -117,7 +117,7 @@ def cut_rays(first, last, point, n, intervals, count, moves, elements, tests, fu
             m = moves[k]
             for e in range(len(elements)):
                 kind, z0, z1, r, slope = int(elements[e, 0]), elements[e, 1], elements[e, 2], elements[e, 3], elements[e, 4]
-                # distance between the ray and the middle of the element's way against all that it can reach
+                # cull by the distance between the ray and the middle of the element's path
                 h = 0.5 * (z0 + z1)
                 q = (p[0] - m[0] - 0.5 * m[3] - h * m[6], p[1] - m[1] - 0.5 * m[4] - h * m[7], p[2] - m[2] - 0.5 * m[5] - h * m[8])
                 along = q[0] * n[0] + q[1] * n[1] + q[2] * n[2]

@@ -1,33 +1,29 @@
-"""Files of a cut surface: meshes with deviations as vertex colours, height maps, entities for the viewer."""
+"""Files of a cut surface: meshes with deviations as vertex colours, and height maps."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.files import beside
 from twin.surface.height_rays import HeightRays
 
-if TYPE_CHECKING:
-    pass
-
 MOST_VERTICES = 400_000
-"""A mesh for viewers keeps every n-th ray above this."""
+"""Most vertices of a mesh; larger ones are thinned."""
 COLOUR_MAP = "RdBu"
-"""Red where the tool went too deep, blue where material is left."""
+"""Red: cut too deep, blue: material left."""
 
 
 def deviation_colours(height: np.ndarray, end: float) -> np.ndarray:
-    """RGBA (ray, 4) bytes for deviations [m] on a scale from -end to end."""
+    """RGBA bytes (ray, 4) for deviations [m] on a scale from -end to end."""
     import matplotlib
 
     return (matplotlib.colormaps[COLOUR_MAP](np.clip(0.5 + 0.5 * height / end, 0.0, 1.0)) * 255).astype(np.uint8)
 
 
 def triangles(rays: HeightRays) -> np.ndarray:
-    """Triangles (face, 3) over the rays, outwards."""
+    """Triangles (face, 3) over the rays, oriented outwards."""
     if rays.faces is not None:
         return rays.faces
     rows, columns = rays.shape
@@ -39,7 +35,7 @@ def triangles(rays: HeightRays) -> np.ndarray:
 
 
 def thinned(rays: HeightRays, most: int = MOST_VERTICES) -> HeightRays:
-    """Every n-th row and column, so that at most so many rays remain."""
+    """Every n-th row and column, so that at most `most` rays remain."""
     step = int(np.ceil(np.sqrt(len(rays) / most)))
     if step <= 1 or not rays.is_grid:
         return rays
@@ -59,7 +55,7 @@ def thinned(rays: HeightRays, most: int = MOST_VERTICES) -> HeightRays:
 
 
 def write_mesh(rays: HeightRays, path: Path, end: float) -> None:
-    """Write PLY or STL in mm; PLY has the deviations as vertex colours, on a scale from -end to end [m]."""
+    """Write PLY or STL in mm; PLY has the deviations as vertex colours on a scale from -end to end [m]."""
     import trimesh
 
     rays = thinned(rays)

@@ -1,7 +1,7 @@
-"""Height rays: lines along the normals of the nominal surface, each with the height at which material ends (an N-buffer).
+"""Height rays (an N-buffer): rays along the normals of the nominal surface, each with the height at which the material ends.
 
-Ray i stands at point (i, 3) with unit direction (i, 3), outwards. Material fills it from -depth up to `height` (ray,); height 0 is
-the nominal surface, so a cut ray's height *is* the deviation. HeightRays of a surface with two parameters lie on a grid (row, column).
+Ray i starts at point (i, 3) with the outward unit direction (i, 3). Material fills it from -depth to `height` (ray,). Height 0 is the
+nominal surface, so the height of a cut ray is the deviation. Rays of a surface with two parameters form a grid (row, column).
 All lengths in m.
 """
 
@@ -19,11 +19,10 @@ TILE = 16
 
 @dataclass(frozen=True)
 class HeightRays:
-    """Height rays with what is known about them.
+    """Height rays.
 
     `shape` is (rows, columns) of the grid (index = row * columns + column), or (count, 1) for scattered rays; `u` (columns,) and
-    `v` (rows,) are its coordinates [m]. `cutter` (ray,) is the sample of the path that made the surface there, -1 where it is
-    still the stock.
+    `v` (rows,) are its coordinates [m]. `cutter` (ray,) is the path sample that cut the ray, -1 for the uncut stock.
     """
 
     name: str
@@ -42,7 +41,7 @@ class HeightRays:
 
     @property
     def is_grid(self) -> bool:
-        """Do the rays lie on a grid of two parameters?"""
+        """Do the rays form a grid over two parameters?"""
         return self.faces is None
 
     @property
@@ -66,7 +65,7 @@ def grid_rays(
     rows, columns = point.shape[:2]
     count = rows * columns
     if count == 0:
-        raise InputError(f"surface '{name}': no ray lies in the zone; enlarge it or make the spacing finer")
+        raise InputError(f"surface '{name}': no ray lies in the zone; enlarge the zone or reduce the spacing")
     direction = direction.reshape(count, 3)
     return HeightRays(
         name=name,
@@ -82,12 +81,12 @@ def grid_rays(
 
 
 def tiles_of(rays: HeightRays, side: int = TILE) -> tuple[np.ndarray, np.ndarray]:
-    """Order (ray,) in which rays of one tile lie together, and where each tile starts (tile + 1,)."""
+    """Order (ray,) that groups rays by tile, and the start of each tile in it (tile + 1,)."""
     if rays.is_grid:
         row, column = np.divmod(np.arange(len(rays)), rays.shape[1])
         tile = (row // side) * (-(-rays.shape[1] // side)) + column // side
     else:
-        # scattered rays: by cells of a lattice with about side^2 rays each
+        # scattered rays: cells of a lattice with about side^2 rays each
         size = np.ptp(rays.point, axis=0)
         area = max(float(np.sort(size)[1:].prod()), 1e-12)
         cell = max(side * np.sqrt(area / len(rays)), 1e-9)
@@ -110,7 +109,7 @@ def tile_bounds(rays: HeightRays, order: np.ndarray, starts: np.ndarray) -> np.n
     square = np.maximum(np.einsum("ij,ij->i", axis, axis), 1e-30)
     radius = np.zeros(len(count))
     for p in (low[order], high[order]):
-        # distance of both ends of every ray from the capsule's axis: the ray lies within the larger
+        # a ray lies within the larger distance of its two ends from the capsule's axis
         part = np.clip(np.einsum("ij,ij->i", p - ends[0][tile], axis[tile]) / square[tile], 0.0, 1.0)
         gap = np.linalg.norm(p - ends[0][tile] - part[:, None] * axis[tile], axis=1)
         radius = np.maximum(radius, np.maximum.reduceat(gap, starts[:-1]))

@@ -1,7 +1,7 @@
-"""The tool paths that cut: what was programmed, what the interpolator commands (level 1), what the drives follow (levels 1 and 2).
+"""The tool paths to cut: programmed, commanded by the interpolator (level 1), followed by the drives (levels 1 and 2).
 
-Each level is cut by itself, so that a mark can be blamed: programmed minus commanded is the interpolator's, commanded minus followed
-the drives'.
+Each level is cut separately, which shows the cause of a mark: the interpolator (programmed to commanded) or the drives (commanded
+to followed).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from twin.surface.tools import Tool
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
 LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
 AS_FILED = "as filed"
-"""The feedforward of the machine file, where its axes differ and no one word says it."""
+"""Label for the feedforward of the machine file, which may differ from axis to axis."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """One path to cut: `level` of LEVELS, `feedforward` of the run (empty where it plays no part), path, and errors beside it.
+    """One path to cut: `level` of LEVELS, `feedforward` of the run ('' if it has no influence), path and path errors.
 
-    `trace` holds the motion of the axes that made it, None for the programmed path.
+    `trace` is the motion of the axes, None for the programmed path.
     """
 
     level: str
@@ -46,14 +46,14 @@ class Level:
 
 
 def axis_path(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray, reach: float, *, where: str = "tool path") -> ToolPath:
-    """The tool path of axis positions (sample, 5), read more finely where it bends."""
+    """The tool path of axis positions (sample, 5), resampled more finely where it curves."""
     path = path_of_axes(kinematics, axes, time)
     jump = np.linalg.norm(np.diff(path.tip, axis=0), axis=1)
     if len(jump) and jump.max() > GAP_LENGTH:
         i = int(np.argmax(jump))
         raise InputError(
             f"{where}: the tool jumps by {jump[i] * 1e3:.3g} mm between two samples at {time[i]:.6g} s; "
-            "the recording has a gap: cut it there"
+            "the recording has a gap, split it there"
         )
     finer, at = refined_axes(axes, bend_of(path.tip, path.axis, reach), STEP_TOLERANCE)
     if len(finer) == len(axes):
@@ -72,7 +72,7 @@ def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence
     if not set(levels) & set(there):
         raise InputError(
             f"{where}: no {' or '.join(levels)} path, this trace holds the {' and the '.join(there)} one; "
-            f"give --level {there[0]}, or a program or run that has what you ask for"
+            f"give --level {there[0]}, or a program or run with that path"
         )
     paths = {
         name: axis_path(kinematics, axes_of_trace(trace, signals[name], machine), trace.time, tool.reach, where=where) for name in there
@@ -92,9 +92,9 @@ def levels_of_program(
     feedforward: Sequence[str | None],
     progress: Callable[[float], None] | None = None,
 ) -> list[Level]:
-    """Programmed, commanded and followed paths of a program; the run is simulated once for each feedforward word.
+    """Programmed, commanded and followed paths of a program, which is simulated once for each feedforward setting.
 
-    The word None, or AS_FILED, is the feedforward of the machine file.
+    None or AS_FILED is the feedforward of the machine file.
     """
     from twin.program import interpolate, read_program
     from twin.simulation.run import simulate
@@ -127,16 +127,16 @@ def levels_of_program(
 
 
 def programmed_path(program: Any) -> ToolPath:
-    """Poses of the programmed curve, block by block; its time is that of the programmed feed, rapid moves at 1 m/s or 1 rad/s.
+    """Poses of the programmed curve, block by block, timed by the programmed feed (rapid moves: 1 m/s or 1 rad/s).
 
-    A and C go linearly within a move, with points every TURN_STEP; only in straight moves under TRAORI with ORIWKS the tool axis
-    turns on the great circle, which is what lies between two poses.
+    Within a move A and C are linear, with points every TURN_STEP. Straight moves under TRAORI with ORIWKS need no such points: their
+    tool axis turns on the great circle, as between two poses.
     """
     from twin.program import moves as mv
     from twin.program.curve import TURN_STEP, programmed_curve
 
     curve, moves, starts = programmed_curve(program), program.moves, program.starts()
-    # the points of a move divide it evenly; the first point of all is the start
+    # the points of a move are evenly spaced; the very first point is the start
     row = curve.row[1:]
     share = np.concatenate([np.arange(1, n + 1) / n for n in np.unique(row, return_counts=True)[1]])
     angles = starts[row, 3:] + share[:, None] * (moves.target[row] - starts[row])[:, 3:]
@@ -148,7 +148,7 @@ def programmed_path(program: Any) -> ToolPath:
     at = np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), np.arange(len(poses)))
     poses = np.column_stack([np.interp(at, np.arange(len(poses)), column) for column in poses.T])
     row = np.repeat(row, parts)
-    # the feed of a move as programmed, so that fast and slow cutting can be separated; where only A and C move it is theirs
+    # programmed feed, to separate fast and slow cutting; for purely rotary moves that of A and C
     feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[row]
     tip, turn = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (poses[:, :3], poses[:, 3:]))
     way = np.where(moves.rotary[row], turn, tip)
@@ -157,7 +157,7 @@ def programmed_path(program: Any) -> ToolPath:
 
 
 def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dict[str, float]:
-    """Greatest contour and orientation error of a followed path against the commanded one, while it moves."""
+    """Largest contour and orientation error of a followed path against the commanded one."""
     if reference is None:
         return {}
     error = contour_error(path, reference, search_window(machine))
@@ -165,7 +165,7 @@ def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dic
 
 
 def _rotary(trace: Trace) -> dict[str, float]:
-    """Greatest deviation of A and C from their set points [deg]: at the same time, and with the constant delay taken out."""
+    """Largest deviation of A and C from their set points [deg]: at the same time, and without the constant delay."""
     out = {}
     for axis in ("A", "C"):
         if not trace.has(axis, "position") or np.ptp(trace.get(axis, "setpoint")) < 1e-6:

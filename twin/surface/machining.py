@@ -1,7 +1,6 @@
-"""Virtual machining of a part: every surface, coarse all over and fine in its zone, cut by every level of the path.
+"""Virtual machining of a part: cuts every surface (coarse as a whole, fine in its zone) with every level of the path.
 
-The result keeps, per level, the cut rays and what a metrologist reads from them; deviations from the programmed cut take
-the scallops out and leave what interpolator and drives did.
+Deviations from the programmed cut contain no scallops, only the errors of interpolator and drives.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ from twin.surface.shapes import MeshFile
 from twin.surface.steps import steps_of
 
 FAST_MARGIN = 1e-3
-"""A zone found by the feed reaches this far beyond what the fast motion made [m]."""
+"""Margin of an automatic zone around the surface cut by fast motion [m]."""
 
 
 @dataclass(frozen=True)
 class CutSurface:
-    """One surface cut by one level: rays of the whole and of the zone (None without one), feed that made each ray of the finest."""
+    """One surface cut by one level: rays of the whole and of the zone (None without one), and the feed at each of the finest rays."""
 
     level: Level
     surface: Surface
@@ -39,13 +38,13 @@ class CutSurface:
 
     @property
     def finest(self) -> HeightRays:
-        """The rays of the zone where there is one, else of the whole."""
+        """The rays of the zone if there is one, otherwise of the whole surface."""
         return self.whole if self.zone is None else self.zone
 
 
 @dataclass(frozen=True)
 class Machining:
-    """All cut surfaces, in the order of surfaces and levels, and how much work it was."""
+    """All cut surfaces in the order of surfaces and levels, number of tests and duration."""
 
     part: Part
     cuts: tuple[CutSurface, ...]
@@ -60,12 +59,12 @@ class Machining:
         raise InputError(f"no cut of '{surface}' at level {level} {feedforward}")
 
     def reference(self, one: CutSurface) -> CutSurface | None:
-        """The programmed cut of the same surface, None where there is none."""
+        """The programmed cut of the same surface, None if there is none."""
         return next((c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED), None)
 
 
 def check_rays(part: Part, zone_spacing: float | None = None) -> None:
-    """Refuse spacings that make too many rays, before the levels are there that `machine_part` cuts with."""
+    """Refuse spacings with too many rays before the paths are computed."""
     for surface in part.surfaces:
         surface.check_rays(zone_spacing or surface.zone_spacing, FAST_MARGIN)
 
@@ -78,7 +77,7 @@ def machine_part(
     zone_spacing: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Machining:
-    """Cut every surface of the part with every level. Raises InputError where a path never touches the part."""
+    """Cut every surface of the part with every level. Raises InputError if a path never touches a surface."""
     began = time.perf_counter()
     done, total = 0, 2 * len(part.surfaces) * len(levels)
     statistics, cuts = CutStatistics(0, 0), []
@@ -110,7 +109,7 @@ def machine_part(
 
 
 def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
-    """What a metrologist reads from one cut, in um, mm and degrees, as plain numbers."""
+    """Deviations, areal parameters and mark of one cut, in um, mm and degrees."""
     rays = one.finest
     height = rays.height * 1e6
     touched = rays.cutter >= 0
@@ -126,7 +125,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
     if rays.is_grid:
         numbers = asdict(areal(rays.map(), rays.u, rays.v))
         out["areal_um"] = {k: v * (1e6 if k not in ("ssk", "sku") else 1.0) for k, v in numbers.items()}
-        # a section across the passes an eighth of the way along: clear of the border, and of a mark, about whose middle zones are laid
+        # a section across the passes at an eighth of the length, away from the border and from a mark in the middle
         flank = rays.map()[:, rays.shape[1] // 8]
         out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
@@ -142,7 +141,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
             "below_nominal_um": found.below_nominal * 1e6,
         }
         difference = (rays.height - reference.finest.height) * 1e6
-        # fast or slow by the feed at which the place was made
+        # fast or slow by the feed during the cut
         fast = one.feed > one.surface.zone_feed
         for name, rows in (("slow", ~fast & touched), ("fast", fast & touched)):
             if rows.any():
@@ -151,7 +150,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
 
 
 def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
-    """Uncut rays with the height of the stock: its mesh, or the allowance."""
+    """Uncut rays with the height of the stock (mesh or allowance)."""
     if part.stock is None:
         return rays
     from twin.surface.mesh import stock_heights
@@ -160,14 +159,14 @@ def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
 
 
 def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing: float) -> HeightRays:
-    """Fine rays in the zone of the part file, or where motion above the zone's feed made the surface."""
+    """Fine rays in the zone of the part file, or where the surface was cut above the zone's feed."""
     along, across = surface.zone_along, surface.zone_across
     if along is None or across is None:
         feed = np.where(after.cutter >= 0, level.path.feed[np.maximum(after.cutter, 0)], 0.0)
         rows, columns = np.nonzero(after.map(feed) > surface.zone_feed)
         if len(rows) == 0:
             raise InputError(
-                f"surface '{surface.name}': nothing was made above {surface.zone_feed * 60:g} m/min, so there is no zone; "
+                f"surface '{surface.name}': nothing was cut above {surface.zone_feed * 60:g} m/min, so there is no zone; "
                 "give zone_along_mm and zone_across_mm, or lower zone_feed_m_per_min"
             )
         clipped = [
@@ -179,13 +178,13 @@ def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing
 
 
 def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> str:
-    """How far a path passes by a surface that it never touches."""
+    """Message for a path that never touches a surface, with its distance."""
     from scipy.spatial import cKDTree
 
     centre = level.path.tip + part.tool.radius * level.path.axis
     gap, _ = cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
     return (
-        f"surface '{surface.name}': the {level.label} path never touches it: the tool's centre stays "
-        f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm further off than its radius; "
+        f"surface '{surface.name}': the {level.label} path never touches it, the tool stays "
+        f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm away; "
         "check [placement] origin_mm and the tool length of the part file"
     )

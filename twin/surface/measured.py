@@ -1,7 +1,7 @@
 """Measured height maps: read from NPZ, CSV, SUR or X3P, registered to a simulated cut, and compared with it.
 
-A map is a grid of heights over u along and v across, the simulated one's coordinates up to a shift and a tilt. Registered is by the shift with
-the best correlation, within half a map, and by the plane of least squares. Lengths in m; NaN where nothing was measured.
+A map is a grid of heights over u and v, the coordinates of the simulated map up to a shift and a tilt. Registration finds the shift with
+the best correlation, up to half a map, and removes the least-squares plane. Lengths in m; NaN: not measured.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from twin.limits import refuse_above
 from twin.surface.sur_file import read_sur
 
 MOST_BYTES = 500_000_000
-"""Of a height map when it is unpacked."""
+"""Most bytes of an unpacked height map."""
 ENDINGS = (".npz", ".csv", ".sur", ".x3p")
 LEAST_OVERLAP = 0.25
-"""A measured map must cover so much of the simulated one."""
+"""Least covered share of the simulated map."""
 
 
 @dataclass(frozen=True)
 class HeightMap:
-    """Heights (row, column) [m] over `u` (column,) and `v` (row,) [m], both rising and even."""
+    """Heights (row, column) [m] over `u` (column,) and `v` (row,) [m], both increasing and equidistant."""
 
     u: np.ndarray
     v: np.ndarray
@@ -35,20 +35,20 @@ class HeightMap:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A measured map on the simulated grid (row, column) [m], levelled; the shift (u, v) [m] that was taken out; RMS of the difference [m]."""
+    """A levelled measured map on the simulated grid (row, column) [m]; the removed shift (u, v) [m]; RMS of the difference [m]."""
 
     measured: np.ndarray
     shift: tuple[float, float]
     rms: float
 
     def depth(self, simulated: np.ndarray) -> tuple[float, float]:
-        """Depth of the deepest point below the mean of the map [m], simulated and measured, where both are known."""
+        """Depth of the deepest point below the mean [m], simulated and measured, over the points known in both."""
         both = np.isfinite(self.measured)
         return tuple(float(z[both].mean() - z[both].min()) for z in (simulated, self.measured))  # type: ignore[return-value]
 
 
 def read_height_map(path: Path) -> HeightMap:
-    """A height map from a file; every fault is an InputError."""
+    """Read a height map; every error is an InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such height map; give one of {', '.join(ENDINGS)}")
     readers = {".npz": _npz, ".csv": _csv, ".sur": _sur, ".x3p": _x3p}
@@ -68,11 +68,11 @@ def read_height_map(path: Path) -> HeightMap:
 
 
 def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
-    """The measured map on the simulated grid: shifted to the best correlation, levelled by a plane. Raises InputError where they hardly overlap."""
+    """Register the measured map on the simulated grid by shift and plane. Raises InputError if they hardly overlap."""
     from scipy.interpolate import RegularGridInterpolator
 
     mean = float(np.nanmean(measured.height))
-    # without a common origin both maps are laid middle on middle first
+    # there is no common origin: start with coinciding centres
     start = np.array([simulated.v.mean() - measured.v.mean(), simulated.u.mean() - measured.u.mean()])
     read = RegularGridInterpolator((measured.v, measured.u), measured.height - mean, bounds_error=False, fill_value=np.nan)
     grid = np.stack(np.meshgrid(simulated.v, simulated.u, indexing="ij"), axis=-1)
@@ -85,15 +85,13 @@ def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
     if overlap < LEAST_OVERLAP:
         raise InputError(f"measured map: covers {overlap:.0%} of the simulated one; measure the same zone, or check the unit")
     both = np.isfinite(on_grid)
-    plane = np.column_stack([np.ones(both.sum()), grid[both]])
-    weight = np.linalg.lstsq(plane, (on_grid - simulated.height)[both], rcond=None)[0]
-    levelled = on_grid - weight[0] - grid @ weight[1:]
-    difference = (levelled - simulated.height)[both]
-    return Comparison(levelled, (float(shift[1]), float(shift[0])), float(np.sqrt(np.mean(difference**2))))
+    difference = _levelled(on_grid - simulated.height, grid)
+    levelled = np.where(both, simulated.height + difference, np.nan)
+    return Comparison(levelled, (float(shift[1]), float(shift[0])), float(np.sqrt(np.mean(difference[both] ** 2))))
 
 
 def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """The shift with the least RMS near the given one, to a fraction of a sample."""
+    """The shift of least RMS near the given one, to a fraction of a sample."""
     from scipy.optimize import minimize
 
     thin = tuple(slice(None, None, max(1, n // 200)) for n in height.shape)
@@ -109,7 +107,7 @@ def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray,
 
 
 def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Heights less their plane; 0 where nothing is known."""
+    """Heights minus their least-squares plane; 0 at unknown points."""
     known = np.isfinite(height)
     if not known.any():
         return np.zeros_like(height)
@@ -119,7 +117,7 @@ def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Rows and columns by which `moved` must go to lie on `still`, by the greatest correlation."""
+    """Rows and columns by which `moved` must be shifted onto `still`, from the largest correlation."""
     from scipy.signal import correlate
 
     found = correlate(still, moved, mode="same", method="fft")
@@ -133,7 +131,7 @@ def _npz(path: Path) -> HeightMap:
     with np.load(path) as stored:
         for name in ("u", "v", "height"):
             if name not in stored:
-                raise InputError(f"{path}: no '{name}' in it; write u, v [m] and height (row, column) [m] as twin cut does")
+                raise InputError(f"{path}: has no '{name}'; store u, v [m] and height (row, column) [m] as twin cut does")
         return HeightMap(np.asarray(stored["u"], float), np.asarray(stored["v"], float), np.asarray(stored["height"], float))
 
 
@@ -144,7 +142,7 @@ def _csv(path: Path) -> HeightMap:
     needed = ("u [mm]", "v [mm]", "deviation [um]")
     for name in needed:
         if name not in table.column_names:
-            raise InputError(f"{path}: no column '{name}'; write {', '.join(needed)}, one point a line")
+            raise InputError(f"{path}: no column '{name}'; write {', '.join(needed)}, one point per line")
     u, v, z = (table.column(name).to_numpy() for name in needed)
     columns, rows = np.unique(np.round(u, 6)), np.unique(np.round(v, 6))
     height = np.full((len(rows), len(columns)), np.nan)
@@ -159,7 +157,7 @@ def _sur(path: Path) -> HeightMap:
 
 
 def _x3p(path: Path) -> HeightMap:
-    """ISO 25178-72: main.xml with axes and sizes, the points as binary matrix, z fastest along x."""
+    """ISO 25178-72: main.xml with axes and sizes, heights as a binary matrix in rows along x."""
     from defusedxml import ElementTree
 
     with zipfile.ZipFile(path) as archive:
@@ -177,7 +175,7 @@ def _x3p(path: Path) -> HeightMap:
 
 
 def _check_unpacked(archive: zipfile.ZipFile, path: Path) -> None:
-    """Refuse an archive that is small on the disk and fills the memory."""
+    """Refuse an archive whose content would fill the memory."""
     refuse_above(sum(file.file_size for file in archive.infolist()), MOST_BYTES, "bytes unpacked", str(path), "measure a smaller area")
 
 

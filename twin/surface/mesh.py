@@ -1,7 +1,7 @@
-"""Meshes as nominal part or stock: read, checked, brought to metres, and turned into rays.
+"""Meshes as nominal part or stock: read, checked, converted to metres, and turned into rays.
 
-STL, OBJ and PLY carry no unit. It is guessed from the size (a part between 5 mm and 2 m) and said; `unit` in the part file
-decides. A mesh with holes has no inside: it is refused as stock, and as a nominal surface it is taken with a warning.
+STL, OBJ and PLY have no unit: it is guessed from the size (a part between 5 mm and 2 m) and reported; `unit` in the part file takes
+precedence. A mesh with holes is refused as stock and accepted with a note as a nominal surface.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     from twin.surface.shapes import MeshFile
 
 Placed = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Brings points and directions (n, 3) of a part into the machine's part frame."""
+"""Transforms points and directions (n, 3) of a part into the machine's part frame."""
 
 ENDINGS = (".stl", ".obj", ".ply")
 SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
-"""A part is taken to be between these in its longest side [m]."""
+"""Plausible range of a part's longest side [m]."""
 SHARP_EDGE = np.radians(20.0)
-"""Faces that meet at more than this have an edge between them, not a curve [rad]."""
+"""Angle between faces above which their common edge is sharp [rad]."""
 MOST_MESH_RAYS = 2_000_000
-"""Vertices to which a mesh is divided."""
+"""Most rays of a subdivided mesh."""
 GUESSES = ("mm", "m", "um")
 
 
 def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
-    """A mesh in metres, and one line that says in which unit it was read."""
+    """A mesh in metres, and a note on its unit."""
     mesh: Any = load_mesh(path, process=True, endings=ENDINGS)
     size = float(np.ptp(mesh.vertices, axis=0).max())
     if unit is None:
         fits = [u for u in GUESSES if SMALLEST_PART <= size * UNITS[u][1] <= LARGEST_PART]
         if not fits:
             raise InputError(
-                f'{path}: longest side {size:g} is no plausible part in {", ".join(GUESSES)}; say unit = "mm" in the part file'
+                f'{path}: longest side {size:g} is not plausible in any of {", ".join(GUESSES)}; give unit = "mm" in the part file'
             )
         unit = fits[0]
-        said = f'{path.name}: unit guessed as {unit} (longest side {size * UNITS[unit][1] * 1e3:g} mm); say unit = "{unit}" to be sure'
+        said = f'{path.name}: unit guessed as {unit} (longest side {size * UNITS[unit][1] * 1e3:g} mm); give unit = "{unit}" to confirm'
     elif unit not in UNITS or UNITS[unit][0] != "length":
-        raise InputError(f"{path}: unit '{unit}' is no length; use mm, m or um")
+        raise InputError(f"{path}: unit '{unit}' is not a length; use mm, m or um")
     else:
         said = f"{path.name}: longest side {size * UNITS[unit][1] * 1e3:g} mm"
     mesh.apply_scale(UNITS[unit][1])
@@ -56,15 +56,13 @@ def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
         edges = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)[1]
         holes = int((edges == 1).sum())
         if closed:
-            raise InputError(
-                f"{path}: the mesh is not watertight ({holes} open edges), so it has no inside; close it, or give allowance_mm instead"
-            )
+            raise InputError(f"{path}: the mesh is not watertight ({holes} open edges); close it, or give allowance_mm instead")
         said += f"; not watertight ({holes} open edges)"
     return mesh, said
 
 
 def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowance: float, depth: float) -> HeightRays:
-    """Rays at the vertices of a mesh, divided until no edge is longer than the spacing; lengths in m."""
+    """Rays at the vertices of a mesh, subdivided until no edge is longer than the spacing; lengths in m."""
     import trimesh
 
     mesh, said = read_mesh(file.path, file.unit, closed=False)
@@ -74,7 +72,7 @@ def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowan
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
     _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
     fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)
-    # at sharp edges each side keeps its own rays: a mean normal would read too much
+    # at sharp edges each side keeps its own rays, because a mean normal would overestimate the deviation
     fine = trimesh.graph.smooth_shade(fine, angle=SHARP_EDGE)
     vertices, faces = fine.vertices, fine.faces
     direction = fine.vertex_normals / np.maximum(np.linalg.norm(fine.vertex_normals, axis=1, keepdims=True), 1e-12)
@@ -87,16 +85,16 @@ def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowan
 
 
 def stock_heights(rays: HeightRays, stock: MeshFile, placed: Placed) -> np.ndarray:
-    """Height (ray,) at which each ray leaves the stock mesh, seen from the nominal surface; -depth where it never is inside.
+    """Height (ray,) at which each ray leaves the stock mesh, seen from the nominal surface; -depth if it is never inside.
 
-    Material beyond the first air above the nominal surface (the opposite wall of a pocket) belongs to no ray.
+    Material beyond the first gap above the nominal surface (the opposite wall of a pocket) is ignored.
     """
     mesh, said = read_mesh(stock.path, stock.unit, closed=True)
     print(f"note: {said}", file=sys.stderr)
     vertices, _ = placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
     mesh.vertices = vertices
     if not mesh.is_volume:
-        mesh.fix_normals()  # exported inside out
+        mesh.fix_normals()  # inverted normals
     origin = rays.point - rays.depth * rays.direction
     where, ray, triangle = mesh.ray.intersects_location(origin, rays.direction, multiple_hits=True)
     height = np.einsum("ij,ij->i", where - origin[ray], rays.direction[ray]) - rays.depth
@@ -108,5 +106,5 @@ def stock_heights(rays: HeightRays, stock: MeshFile, placed: Placed) -> np.ndarr
         (below, np.maximum, (height <= 0.0) & outwards),
     ):
         choose.at(out, ray[rows], height[rows])
-    # inside at the nominal surface: the first way out above it; in the air there: the last one below it
+    # nominal surface inside the stock: first exit above it; outside: last exit below it
     return np.where(first_out < first_in, first_out, below)

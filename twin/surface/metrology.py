@@ -1,8 +1,8 @@
-"""What a metrologist reads from a cut surface: deviations, profile sections, the mark, scallops, areal parameters.
+"""Metrology of a cut surface: profile sections, the mark, scallops, areal parameters.
 
-Deviations are heights of rays against the nominal surface [m]: above 0 material is left, below 0 the tool went too deep. The
-areal parameters follow ISO 25178-2 on the primary surface after form removal (F-operator: least-squares polynomial of u
-and v); no S- or L-filter is applied:
+Deviations are heights of rays above the nominal surface [m]: positive where material is left, negative where the cut is too deep. The
+areal parameters follow ISO 25178-2 on the primary surface after form removal (F-operator: least-squares polynomial of u and v),
+without S- or L-filter:
 
     Sa = mean |z|,  Sq = sqrt(mean z^2),  Sp = max z,  Sv = -min z,  Sz = Sp + Sv,  Ssk = mean z^3 / Sq^3,  Sku = mean z^4 / Sq^4
 """
@@ -32,10 +32,10 @@ class Areal:
 
 @dataclass(frozen=True)
 class Mark:
-    """A mark: where the surface lies lowest against what it would be without the mark.
+    """A mark: the lowest place of the surface relative to a reference without the mark.
 
     `depth` [m] below the reference, `width` and `length` [m] at half depth across (v) and along (u), `u`, `v` [m] of the deepest
-    point, `below_nominal` [m] its depth below the nominal surface, `height` [m] what stands above the reference most.
+    point, `below_nominal` [m] its depth below the nominal surface, `height` [m] of the highest point above the reference.
     """
 
     depth: float
@@ -48,7 +48,7 @@ class Mark:
 
 
 def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> Areal:
-    """Areal parameters of a height map (row, column) over v (row,) and u (column,), form removed up to the order."""
+    """Areal parameters of a height map (row, column) over v (row,) and u (column,) after removal of form up to the order."""
     z = without_form(height, u, v, order)
     sq = float(np.sqrt(np.mean(z**2)))
     safe = sq if sq > 0.0 else 1.0
@@ -64,12 +64,12 @@ def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> A
 
 
 def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> np.ndarray:
-    """Height map minus its least-squares polynomial: order 0 mean, 1 plane, 2 with squares and the product."""
+    """Height map minus its least-squares polynomial (order 0: mean, 1: plane, 2: quadratic)."""
     if height.size < 6:
         raise InputError(f"areal parameters: a patch of {height.size} points is too small; take at least 6")
     a, b = (x - x.mean() for x in (u, v))
     a, b = (x / max(np.abs(x).max(), 1e-30) for x in (a, b))
-    # terms as products of rows and columns: the normal equations stay small however large the map is
+    # terms are products of a row and a column function, so the normal equations are small for any map
     terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
     rows, columns = b[:, None] ** [j for _, j in terms], a[:, None] ** [i for i, _ in terms]
     matrix = (rows.T @ rows) * (columns.T @ columns)
@@ -79,7 +79,7 @@ def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 
 
 
 def mark(cut: HeightRays, reference: HeightRays) -> Mark:
-    """The mark of a cut against the same rays cut without it (the slow passes alone, or the programmed path)."""
+    """The mark of a cut, relative to the same rays cut without it (by the slow passes alone, or the programmed path)."""
     if cut.shape != reference.shape:
         raise InputError("mark: the two surfaces have different rays; cut the same rays twice")
     below = (reference.height - cut.height).reshape(cut.shape)
@@ -102,7 +102,7 @@ def mark(cut: HeightRays, reference: HeightRays) -> Mark:
 
 
 def scallop_height(profile: np.ndarray) -> float:
-    """Scallop height [m] of a section across the passes: mean peak minus mean valley of its inner scallops."""
+    """Scallop height [m] of a section across the passes: mean peak minus mean valley, without the ends."""
     inner = np.arange(1, len(profile) - 1)
     peaks = inner[(profile[1:-1] > profile[:-2]) & (profile[1:-1] >= profile[2:])]
     valleys = inner[(profile[1:-1] < profile[:-2]) & (profile[1:-1] <= profile[2:])]
@@ -112,7 +112,7 @@ def scallop_height(profile: np.ndarray) -> float:
 
 
 def section(rays: HeightRays, *, u: float | None = None, v: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A profile section: at constant u the heights over v, at constant v the heights over u, [m]; the nearest row or column."""
+    """A profile section [m]: heights over v at constant u, or over u at constant v; the nearest row or column."""
     if not rays.is_grid or (u is None) == (v is None):
         raise InputError("section: give either u or v of a surface whose rays lie on a grid")
     if u is not None:
@@ -121,7 +121,7 @@ def section(rays: HeightRays, *, u: float | None = None, v: float | None = None)
 
 
 def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:
-    """Length over which y stays above the level around index `at`, with crossings interpolated."""
+    """Length of the interval around index `at` in which y exceeds the level, with interpolated ends."""
     if level <= 0.0:
         return 0.0
     ends = []

@@ -1,11 +1,10 @@
-"""The three parts of the paper as programs and part files; what the paper does not print is a parameter here.
+"""The three parts of the paper as programs and part files; dimensions that the paper does not give are parameters.
 
-Printed: d10 ball-end, parallel XZ planes 0.25 mm apart, 0.1 m/min, one pass at 10 m/min, allowance 0.05 mm (part 1); d10 cylinder, 10 mm
-deep slow pass, then the same path 5 mm higher at high feed (part 2); a five-axis path with large rotations (part 3).
-Chosen: radius 20 mm and planes 20 degrees up and down (part 1); an outer corner of 90 degrees around which the
-centre rolls, legs of 60 mm, 10 m/min (part 2); a
-spiral over a dome of radius 40 mm, 200 degrees of C and 40 of A, 4 m/min, ball-end d10 (part 3); corner rounding as named
-in each. Slow passes are programmed around the place of interest only; tips are in the part frame (TRAORI).
+From the paper: d10 ball-end, parallel XZ planes 0.25 mm apart, 0.1 m/min, one pass at 10 m/min, allowance 0.05 mm (part 1); d10 cylinder,
+10 mm deep slow pass, then the same path 5 mm higher at high feed (part 2); a five-axis path with large rotations (part 3).
+Chosen: radius 20 mm and planes at 20 degrees (part 1); an outer corner of 90 degrees with the centre on an arc, legs of 60 mm, 10 m/min
+(part 2); a spiral over a dome of radius 40 mm, 200 degrees of C and 40 of A, 4 m/min, ball-end d10 (part 3); the corner rounding of each.
+Slow passes are programmed only around the place of interest; tip positions are in the part frame (TRAORI).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class TangentPlanes:
     fast: bool = True
 
     def program(self) -> str:
-        """Sinumerik G-code: the passes from the edge to the middle, the fast one in its place."""
+        """Sinumerik G-code: all passes across the part, the middle one fast."""
         slope = math.radians(self.slope_deg)
         half = (self.radius + BALL) * math.sin(slope)
         drop = (self.radius + BALL) * (1.0 - math.cos(slope))
@@ -63,7 +62,7 @@ class TangentPlanes:
         return "\n".join([*lines, "M30", ""])
 
     def part(self, zone_um: float = 10.0) -> str:
-        """The part file: the ball's centre runs at the radius of the tool above the surface."""
+        """The part file; the centre of the ball runs one tool radius above the surface."""
         slope = math.radians(self.slope_deg)
         run, arc = 12.0, 2.0 * slope * self.radius
         x0 = -(self.radius * math.sin(slope) + run * math.cos(slope))
@@ -98,8 +97,8 @@ zone_across_mm = [-1.0, 1.0]
 class VerticalCorner:
     """Part 2: a vertical corner, flank milled deep and slow, then 5 mm higher and fast; mm, mm/min.
 
-    `inner` False: an outer edge, around which the centre rolls on an arc of the tool's radius (what G450 does with a sharp
-    corner): lag cuts into the edge. True: an inner corner, whose centre path is sharp: lag leaves material.
+    `inner` False: an outer edge; the centre moves around it on an arc of the tool's radius (as with G450), and lag cuts into the edge.
+    True: an inner corner with a sharp centre path, where lag leaves material.
     """
 
     turn_deg: float = 90.0
@@ -112,7 +111,7 @@ class VerticalCorner:
     top: float = 160.0
 
     def program(self) -> str:
-        """Sinumerik G-code; the edge, or the sharp corner of the centre path, lies at the origin of X and Y."""
+        """Sinumerik G-code; the edge, or the sharp corner of the centre path, is at X0 Y0."""
         turn = math.radians(self.turn_deg) * (1.0 if self.inner else -1.0)
         c, s = math.cos(turn), math.sin(turn)
         side = 0.0 if self.inner else BALL
@@ -123,7 +122,7 @@ class VerticalCorner:
             HEAD + f"CYCLE832({self.tolerance:g},3)",
         ]
         for leg, feed, z in ((self.slow_leg, self.slow_feed, self.top - 10.0), (self.leg, self.fast_feed, self.top - 5.0)):
-            # left of the way there is air: the tool leaves to that side
+            # the tool retracts to the left of the path, where there is air
             x1, y1 = -side * s + leg * c, side * c + leg * s
             lines += [
                 f"G0 X-{leg:.6f} Y{side:.6f} Z{self.top + 20:.6f} A3=0 B3=0 C3=1",
@@ -137,7 +136,7 @@ class VerticalCorner:
         return "\n".join([*lines, "M30", ""])
 
     def part(self, zone_um: float = 20.0) -> str:
-        """The part file: the walls 5 mm beside the path of the centre; an inner corner has the fillet that the tool leaves."""
+        """The part file: walls 5 mm beside the centre path; an inner corner has the fillet of the tool."""
         run, kind = 6.0, "inner" if self.inner else "outer"
         arc = math.radians(self.turn_deg) * BALL if self.inner else 0.0
         corner = (
@@ -190,12 +189,12 @@ class Dome:
     centre: float = 130.0
 
     def _polar(self, azimuth: float, offset: float) -> float:
-        """Angle from the pole [rad] of the spiral at an azimuth [deg], `offset` [mm] further from the pole."""
+        """Polar angle [rad] of the spiral at an azimuth [deg], `offset` [mm] further from the pole."""
         low, high = self.polar_deg
         return math.radians(low + (high - low) * azimuth / self.azimuth_deg) + offset / self.radius
 
     def _point(self, azimuth: float, offset: float) -> tuple[str, tuple[float, float, float]]:
-        """Words of the pose at an azimuth [deg], `offset` [mm] further from the pole, and the tip [mm]."""
+        """G-code words of the pose at an azimuth [deg], `offset` [mm] further from the pole, and the tip [mm]."""
         polar = self._polar(azimuth, offset)
         phi, lean = math.radians(azimuth), polar - math.radians(self.lean_deg)
         normal = (math.sin(polar) * math.cos(phi), math.sin(polar) * math.sin(phi), math.cos(polar))
@@ -208,17 +207,17 @@ class Dome:
         return words, (tip[0], tip[1], tip[2])
 
     def _approach(self, azimuth: float, offset: float) -> str:
-        """Words of A and C for the pose, on the solution with A < 0: only that side of the cradle tilts far enough.
+        """G-code words of A and C for the pose, with A < 0, because only this side of the cradle tilts far enough.
 
-        In the part frame A < 0 leans the axis along (-sin C, -cos C); here it leans along (cos phi, sin phi), so C = -90 degrees - phi.
+        In the part frame A < 0 tilts the axis along (-sin C, -cos C); here it tilts along (cos phi, sin phi), so C = -90 degrees - phi.
         """
         tilt = math.degrees(self._polar(azimuth, offset)) - self.lean_deg
         return f"A={-tilt:.6f} C={-90.0 - azimuth:.6f}"
 
     def program(self) -> str:
-        """Sinumerik G-code in chords; the passes from the pole outwards, the fast one in its place and over the whole spiral.
+        """Sinumerik G-code in chords; passes from the pole outwards, the middle one fast and over the whole spiral.
 
-        Each pass is approached in rapid motion with A and C named, so that it cuts on the solution that its whole length can be reached with.
+        Each pass is approached in rapid motion with explicit A and C, which selects the solution that reaches the whole pass.
         """
         lines = [
             "; Paper, part 3: a five-axis path with large rotations, ball-end d10.",
@@ -240,7 +239,7 @@ class Dome:
         return "\n".join([*lines, "M30", ""])
 
     def part(self, zone_um: float = 15.0) -> str:
-        """The part file: a band of the dome about the middle of the slow passes."""
+        """The part file: a band of the dome around the middle of the slow passes."""
         mid = sum(self.zone_deg) / 2.0
         polar = self.polar_deg[0] + (self.polar_deg[1] - self.polar_deg[0]) * mid / self.azimuth_deg
         around = self.radius * math.sin(math.radians(polar))
@@ -272,4 +271,4 @@ zone_across_mm = [{math.radians(polar) * self.radius - 1.0:.3f}, {math.radians(p
 
 
 PARTS = {"part1_tangent_planes": TangentPlanes(), "part2_vertical_corner": VerticalCorner(), "part3_dome": Dome()}
-"""File names in examples/parts without ending, and the part as it stands there."""
+"""File name in examples/parts without ending -> part."""

@@ -1,11 +1,11 @@
-"""Part files: the nominal surface, the stock, the tool and where the part lies in the part frame of the machine.
+"""Part files: nominal surfaces, stock, tool, and placement of the part in the part frame of the machine.
 
     [tool]       kind, diameter_mm, ...              (twin.surface.tools)
     [stock]      allowance_mm above the nominal surface, or mesh = "stock.stl"
     [placement]  origin_mm, rotation_deg about z     of the part in the machine's part frame (table centre, table top)
     [[surface]]  kind = "profile" | "plane" | "sphere" | "mesh", its shape, spacing_mm and a zone with finer rays
 
-u runs along the surface as it is first named, v across; the shapes are those of twin.surface.shapes.
+u runs along the surface, v across it; shapes: twin.surface.shapes.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from twin.units import rad_from_deg
 
 COMMON = {"name", "kind", "spacing_mm", "depth_mm", "zone_um", "zone_along_mm", "zone_across_mm", "zone_feed_m_per_min"}
 MOST_RAYS = 4_000_000
-"""A zone with more rays than this is refused: it would not fit into memory in pictures and files."""
+"""Most rays of a surface or zone; pictures and files of more would not fit into memory."""
 
 
 @dataclass(frozen=True)
 class Surface:
     """One nominal surface with its sampling; lengths in m.
 
-    `zone_spacing` 0: no finer zone. `zone_along`, `zone_across`: its range in u and v, or None where it is found by the feed:
-    all that was made by motion faster than `zone_feed` [m/s], and a margin.
+    `zone_spacing` 0: no finer zone. `zone_along`, `zone_across`: its range in u and v; None: the surface cut by motion faster than
+    `zone_feed` [m/s], plus a margin.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Surface:
         along: tuple[float, float] | None = None,
         across: tuple[float, float] | None = None,
     ) -> HeightRays:
-        """Uncut rays of the whole surface or of a range of u and v, in the part frame of the machine."""
+        """Uncut rays of the whole surface, or of a range of u and v, in the part frame of the machine."""
         spacing = spacing or self.spacing
         if isinstance(self.shape, MeshFile):
             from twin.surface.mesh import mesh_rays
@@ -73,9 +73,9 @@ class Surface:
         return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth)
 
     def check_rays(self, zone_spacing: float, zone_least: float) -> None:
-        """Refuse spacings that make too many rays before anything is simulated; a zone found by the feed is at least `zone_least` [m] long and wide."""
+        """Refuse spacings with too many rays before the simulation; an automatic zone has at least `zone_least` [m] of length and width."""
         if isinstance(self.shape, MeshFile):
-            return  # its area is known when it is read
+            return  # checked when the mesh is read
         whole = [high - low for low, high in self.shape.extent]
         self._check_number(self.spacing, whole)
         if self.zone_spacing:
@@ -91,7 +91,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Part:
-    """A checked part file; lengths in m. `stock` is None where it is an allowance on the nominal surface."""
+    """A checked part file; lengths in m. `stock` None: an allowance on the nominal surface."""
 
     name: str
     tool: Tool
@@ -108,12 +108,12 @@ class Part:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The meshes that are read when the part is cut."""
+        """The mesh files of the part."""
         shapes = (*(s.shape for s in self.surfaces), self.stock)
         return tuple(dict.fromkeys(shape.path for shape in shapes if isinstance(shape, MeshFile)))
 
     def with_files(self, places: Mapping[Path, Path]) -> Part:
-        """The same part with its meshes at other places."""
+        """The same part with its meshes at other paths."""
 
         def moved(shape: Any) -> Any:
             return replace(shape, path=places[shape.path]) if isinstance(shape, MeshFile) else shape
@@ -122,7 +122,7 @@ class Part:
 
 
 def read_part(path: str | Path) -> Part:
-    """Read a part file; every fault is an InputError with table, key and remedy."""
+    """Read a part file; every error is an InputError with table, key and remedy."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such part file; give a .toml (see examples/parts)")
@@ -159,7 +159,7 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
 
 
 def _check_tool(part: Part, where: str) -> None:
-    """A tool wider than every surface is long is a slip of units."""
+    """Refuse a tool larger than every surface: the units of one of them are wrong."""
     sizes = [max(b - a for a, b in s.shape.extent) for s in part.surfaces if not isinstance(s.shape, MeshFile)]
     if sizes and 2.0 * part.tool.radius > max(sizes):
         raise InputError(
@@ -186,5 +186,5 @@ def _surface(table: Any, index: int, folder: Path, where: str) -> Surface:
 
 
 def _samples(ends: tuple[float, float], spacing: float) -> np.ndarray:
-    """Values between two ends with about this spacing, both ends included."""
+    """Equidistant values between two ends, both included, with about this spacing."""
     return np.linspace(*ends, max(2, round((ends[1] - ends[0]) / spacing) + 1))

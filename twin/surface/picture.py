@@ -1,4 +1,4 @@
-"""Pictures of a cut surface: a lit relief, the deviation map with scale, and sections through the mark."""
+"""Plots of a cut surface: shaded relief, deviation map, and sections through the mark."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from twin.surface.metrology import mark
 
 INK, QUIET = "#1c2733", "#5c6b7a"
 LIGHT = (-0.42, 0.5, 0.757)
-"""Direction to the lamp in u, v and height, of length 1."""
+"""Unit vector to the light source in u, v and height."""
 MOST_PIXELS = 700
-"""Rows and columns of a drawn relief at most."""
+"""Most rows and columns of a drawn relief."""
 FONT: Any = {"font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK}
+TITLE: Any = {"fontsize": 14, "x": 0.012, "ha": "left", "fontweight": "bold"}
 
 
 def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | None = None) -> None:
-    """Write a PNG of one cut: relief in the light, deviation map with colour bar in um, sections along and across the mark."""
+    """Write a PNG of one cut: shaded relief, deviation map with colour bar in um, sections along and across the mark."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -34,66 +35,68 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
         _draw_scattered(machining, one, path)
         return
     reference = machining.reference(one)
-    against = rays if reference is None or reference is one else reference.finest
-    place = mark(rays, against)
+    against = None if reference is one or reference is None else reference.finest
+    place = mark(rays, against or rays)
     row, column = (int(np.argmin(np.abs(a - b))) for a, b in ((rays.v, place.v), (rays.u, place.u)))
-    if against is rays:
+    if against is None:
         row, column = rays.shape[0] // 2, rays.shape[1] // 2
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     end = end or colour_end(height)
     with matplotlib.rc_context(FONT):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor="white", layout="constrained")
         grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 1.15, 1.0], hspace=0.04)
-        # v is drawn larger than u where the patch is long: the axes say so, and each has its bar
+        # u and v have different scales on a long patch, so each gets its own scale bar
         relief, flat = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
         along, across = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
         _relief(relief, rays, end)
-        drawn = flat.imshow(
-            height,
-            extent=(u[0], u[-1], v[0], v[-1]),
-            origin="lower",
-            cmap=COLOUR_MAP,
-            vmin=-end,
-            vmax=end,
-            aspect="auto",
-            interpolation="antialiased",
-        )
+        drawn = _deviation_map(flat, height, u, v, end)
         flat.axhline(v[row], color=INK, lw=0.8, ls=(0, (6, 4)))
         flat.axvline(u[column], color=INK, lw=0.8, ls=(0, (2, 3)))
         flat.set_xlabel("along the surface, u [mm]")
         flat.set_ylabel("across, v [mm]")
         _scale_bar(flat, u, v)
         _scale_bar(relief, u, v)
-        bar = figure.colorbar(
-            drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend="both" if np.abs(height).max() > end else "neither"
-        )
+        beyond = "both" if np.abs(height).max() > end else "neither"
+        bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
         bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
-        for axes, x, y, ref, text in (
-            (along, u, height[row], against.map()[row] * 1e6, f"section along the mark, v = {v[row]:.3f} mm"),
-            (across, v, height[:, column], against.map()[:, column] * 1e6, f"section across the passes, u = {u[column]:.3f} mm"),
-        ):
-            if against is not rays:
-                axes.plot(x, ref, color=hexadecimal(SETPOINT_COLOUR), lw=1.2, label="programmed")
-            axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=one.level.label)
-            axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
-            axes.set_title(text, fontsize=10, color=QUIET, loc="left")
-            axes.set_ylabel("deviation [um]")
-            axes.set_xlabel("[mm]")
-            axes.grid(color="#e6eaee", lw=0.7)
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.margins(x=0)
+        programmed = None if against is None else against.map() * 1e6
+        _section(along, u, height[row], None if programmed is None else programmed[row], one.level.label)
+        along.set_title(f"section along the mark, v = {v[row]:.3f} mm", fontsize=10, color=QUIET, loc="left")
+        _section(across, v, height[:, column], None if programmed is None else programmed[:, column], one.level.label)
+        across.set_title(f"section across the passes, u = {u[column]:.3f} mm", fontsize=10, color=QUIET, loc="left")
         along.legend(frameon=False, fontsize=9, loc="best")
         subtitle = f"{machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
-        if against is not rays:
+        if against is not None:
             subtitle += f"; mark {place.depth * 1e6:.2f} um deep against the programmed cut, "
             subtitle += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
-        figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", fontsize=14, x=0.012, ha="left", fontweight="bold")
+        figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", **TITLE)
         relief.set_title(subtitle, fontsize=10, color=QUIET, loc="left")
         _save(figure, path)
 
 
+def _deviation_map(axes: Any, height: np.ndarray, u: np.ndarray, v: np.ndarray, end: float) -> Any:
+    """Draw heights (row, column) [um] over u and v [mm] on the colour scale from -end to end."""
+    extent = (float(u[0]), float(u[-1]), float(v[0]), float(v[-1]))
+    return axes.imshow(
+        height, extent=extent, origin="lower", cmap=COLOUR_MAP, vmin=-end, vmax=end, aspect="auto", interpolation="antialiased"
+    )
+
+
+def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | None, label: str) -> None:
+    """Draw a section [um] over u or v [mm], with that of the programmed cut if there is one."""
+    if programmed is not None:
+        axes.plot(x, programmed, color=hexadecimal(SETPOINT_COLOUR), lw=1.2, label="programmed")
+    axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=label)
+    axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
+    axes.set_ylabel("deviation [um]")
+    axes.set_xlabel("[mm]")
+    axes.grid(color="#e6eaee", lw=0.7)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.margins(x=0)
+
+
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
-    """Write a PNG with all levels of one surface below each other, each on its own colour scale: which level makes the mark."""
+    """Write a PNG with all levels of one surface, each on its own colour scale, to show which level makes the mark."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -118,18 +121,12 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
             ax.set_ylabel("v [mm]")
             _scale_bar(ax, u, v)
         axes[-1].set_xlabel("along the surface, u [mm]")
-        figure.suptitle(
-            f"{machining.part.name}, {surface}: level by level (red: too deep; each level has its own scale)",
-            fontsize=14,
-            x=0.012,
-            ha="left",
-            fontweight="bold",
-        )
+        figure.suptitle(f"{machining.part.name}, {surface}: level by level (red: too deep; each level has its own scale)", **TITLE)
         _save(figure, path)
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
-    """Write a PNG: simulated and measured [um] on one colour scale, and their difference on its own."""
+    """Write a PNG of the simulated and measured map [um] on one colour scale, and their difference on another."""
     from matplotlib.figure import Figure
 
     difference = found.measured - simulated.height
@@ -143,8 +140,7 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
     figure = Figure(figsize=(12.0, 7.0), dpi=130, facecolor="white", layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
     for ax, (title, height, end) in zip(panels, maps):
-        extent = tuple(float(x) * 1e3 for x in (simulated.u[0], simulated.u[-1], simulated.v[0], simulated.v[-1]))
-        drawn = ax.imshow(height * 1e6, extent=extent, origin="lower", cmap=COLOUR_MAP, vmin=-end, vmax=end, aspect="auto")
+        drawn = _deviation_map(ax, height * 1e6, simulated.u * 1e3, simulated.v * 1e3, end)
         figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
         ax.set_title(title, loc="left")
         ax.set_ylabel("v [mm]")
@@ -153,26 +149,26 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
 
 
 def _save(figure: Any, path: Path) -> None:
-    """Write a figure in the style in which it was drawn; the style of reports would draw its ticks anew."""
+    """Write a figure in its own style; the style of the reports would redraw its ticks."""
     with beside(path) as partial:
         plain_text(figure).savefig(partial)
 
 
 def colour_end(height: np.ndarray) -> float:
-    """A round end of the colour scale [um] that 99.8 % of the deviations keep."""
+    """A round end of the colour scale [um] that includes 99.8 % of the deviations."""
     size = max(float(np.quantile(np.abs(height), 0.998)), 0.05)
     step = 10.0 ** np.floor(np.log10(size))
     return float(step * min((f for f in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if f * step >= size), default=10.0))
 
 
 def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
-    """The surface as seen from above under a low light: colour by deviation, shade by slope."""
+    """The surface from above in a low light: colour by deviation, shading by slope."""
     import matplotlib
 
     step = max(1, -(-max(rays.shape) // (2 * MOST_PIXELS)))
     height = rays.map()[::step, ::step] * 1e6
     u, v = rays.u[::step] * 1e3, rays.v[::step] * 1e3
-    # heights are stretched until the end of the scale over a tenth of a millimetre is a slope of one; flat is neither lit nor dark
+    # scale heights so that the end of the colour scale over 0.1 mm is a slope of 1; flat areas keep their colour
     stretch = 0.1 / end
     dv, du = np.gradient(height * stretch, v, u)
     shade = (LIGHT[2] - LIGHT[0] * du - LIGHT[1] * dv) / np.sqrt(1.0 + du**2 + dv**2) / LIGHT[2]
@@ -183,42 +179,26 @@ def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
 
 
 def _scale_bar(axes: Any, u: np.ndarray, v: np.ndarray) -> None:
-    """A bar of a round length in the lower right corner."""
+    """Scale bars of round lengths in the lower right corner."""
     size = float(u[-1] - u[0]) * 0.15
     step = 10.0 ** np.floor(np.log10(size))
     length = float(step * max(f for f in (1.0, 2.0, 5.0) if f * step <= size))
     x, y = float(u[-1]) - 0.025 * float(np.ptp(u)) - length, float(v[0]) + 0.1 * float(np.ptp(v))
-    axes.plot([x, x + length], [y, y], color="white", lw=5.5, solid_capstyle="butt")
-    axes.plot([x, x + length], [y, y], color=INK, lw=3.0, solid_capstyle="butt")
-    text = f"{length:g} mm" if length >= 1 else f"{length * 1e3:g} um"
     upright = float(np.ptp(v)) * 0.25
     step = 10.0 ** np.floor(np.log10(upright))
     rise = float(step * max(f for f in (1.0, 2.0, 5.0) if f * step <= upright))
     for colour, width in (("white", 5.5), (INK, 3.0)):
+        axes.plot([x, x + length], [y, y], color=colour, lw=width, solid_capstyle="butt")
         axes.plot([x + length] * 2, [y, y + rise], color=colour, lw=width, solid_capstyle="butt")
-    axes.text(
-        x + length + 0.004 * float(np.ptp(u)),
-        y + rise,
-        f"{rise:g}",
-        ha="left",
-        va="top",
-        fontsize=8,
-        rotation=90,
-        bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6},
-    )
-    axes.text(
-        x + length / 2,
-        y + 0.045 * float(np.ptp(v)),
-        text,
-        ha="center",
-        va="bottom",
-        fontsize=9,
-        bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.2},
-    )
+    box = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.2}
+    right = x + length + 0.004 * float(np.ptp(u))
+    axes.text(right, y + rise, f"{rise:g}", ha="left", va="top", fontsize=8, rotation=90, bbox={**box, "pad": 0.6})
+    text = f"{length:g} mm" if length >= 1 else f"{length * 1e3:g} um"
+    axes.text(x + length / 2, y + 0.045 * float(np.ptp(v)), text, ha="center", va="bottom", fontsize=9, bbox=box)
 
 
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
-    """Rays on a mesh: points seen along their mean normal."""
+    """Rays on a mesh, projected along their mean normal."""
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -1,12 +1,11 @@
-"""Removal of material: all steps of a tool against all rays, tile by tile, compiled, on several threads.
+"""Material removal: tests all steps of a tool against all rays, tile by tile, compiled, on several threads.
 
-A tile is a patch of neighbouring rays inside a capsule; a step concerns it if the swept element comes near that capsule. What is
-left are the tests proper, ray against step (`twin.surface.sweep`). A ray keeps the lowest height that any step leaves:
+A tile is a patch of neighbouring rays inside a capsule. A step is tested against the rays of a tile (`twin.surface.sweep`) only if the
+swept element comes near its capsule. A ray keeps the lowest height of all steps and elements:
 
-    height <- min(height, t)          over all steps and elements, with t >= -depth
+    height <- min(height, t)          with t >= -depth
 
-A minimum does not depend on order, tiling or threads. `cutter` is the sample whose
-step reached the final height first.
+A minimum does not depend on order, tiling or threads. `cutter` is the sample whose step first reached the final height.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ from twin.surface.swept_rim import swept_rim
 from twin.surface.tools import Tool
 
 GROUP = 32
-"""Consecutive steps that are put aside together."""
+"""Consecutive steps that are culled together."""
 BOUND_MARGIN = 1e-9
-"""The bound of a ray is taken this much lower than computed [m], beyond its rounding."""
+"""Subtracted from the computed bound of a ray to cover rounding [m]."""
 UNDER = 1e-9
-"""What a rounded element would take less than this [m] below the plane under it is left to the element that has that plane."""
+"""Depth below its lower plane [m] up to which a rounded element is skipped; the element with that plane cuts there."""
 REORDERED = {"contract", "nsz", "arcp"}
-"""How the compiler may change sums in the loop that takes four rays at a time."""
+"""Floating-point changes allowed in the vectorised loop over rays."""
 TILES_AT_ONCE = 64
-"""Tiles that a thread takes at a time: bounds the time between two reports of progress."""
+"""Tiles per task of a thread; limits the time between progress reports."""
 
 
 @dataclass(frozen=True)
 class CutStatistics:
-    """How much work a cut was: all pairs of ray and step there are, and those that were tested after culling."""
+    """Work of a cut: all pairs of ray and step, and those tested after culling."""
 
     pairs: int
     tests: int
@@ -58,9 +57,9 @@ def cut(
     tile: int = TILE,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[HeightRays, CutStatistics]:
-    """The rays after the tool has moved through all steps, and how much work it was.
+    """The rays after all steps of the tool, and the work of the cut.
 
-    `progress` is called with the done fraction. Memory beyond rays and steps is a few numbers per tile.
+    `progress` is called with the completed share. Memory beyond rays and steps is a few numbers per tile.
     """
     height, cutter = rays.height.copy(), rays.cutter.copy()
     pairs = len(rays) * len(steps) * len(tool.elements)
@@ -69,7 +68,7 @@ def cut(
     order, starts = tiles_of(rays, tile)
     bounds = tile_bounds(rays, order, starts)
     groups = group_bounds(steps, tool)
-    # one row per coordinate, tiles contiguous: so the compiler takes several rays at once
+    # one row per coordinate and contiguous tiles, so that the compiler can vectorise over rays
     lines = np.ascontiguousarray(np.hstack([rays.point, rays.direction])[order].T)
     h, c = height[order], cutter[order]
     moves = np.ascontiguousarray(np.hstack([steps.tip, steps.way, steps.axis, steps.turn, steps.angle[:, None], steps.rim]))
@@ -93,7 +92,7 @@ def cut(
 
 
 def group_bounds(steps: Steps, tool: Tool) -> np.ndarray:
-    """Spheres (group, element, 4) around what each element covers during GROUP steps: centre and radius [m]."""
+    """Bounding spheres (group, element, 4) of each element over GROUP steps: centre and radius [m]."""
     starts = np.arange(0, len(steps), GROUP)
     out = np.empty((len(starts), len(tool.elements), 4))
     for e, (kind, z0, z1, r, slope) in enumerate(tool.elements):
@@ -128,7 +127,7 @@ def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-untyped-def]
-    """Lowest t at which ray p + t n lies in an element during the step m (a row of `moves`); nothing is sought above `top`."""
+    """Lowest t at which ray p + t n lies in an element during the step m (a row of `moves`); results above `top` may be inf."""
     tip, way = (m[0], m[1], m[2]), (m[3], m[4], m[5])
     axis, turn = (m[6], m[7], m[8]), (m[9], m[10], m[11])
     if kind == FRUSTUM:
@@ -138,12 +137,12 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if kind == SPHERE:
         return swept_sphere(y, n, d, dd, r * r)[0]
-    # nothing of a rounded element lies outside the sphere around it: most rays end here
+    # a rounded element lies within its bounding sphere; most rays end here
     bound, _ = swept_sphere(y, n, d, dd, (r + slope) * (r + slope))
     if bound >= top:
         return math.inf
     if top < math.inf:
-        # nor below the plane under it: height of the ray's part up to `top` over the circle, a parabola in s
+        # it also lies above its lower plane: height over s of the ray's point at `top` above the circle, a parabola
         x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
         first = x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]
         bend = d[0] * turn[0] + d[1] * turn[1] + d[2] * turn[2]
@@ -162,7 +161,7 @@ def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
     """May an element during step m touch the capsule of a tile?"""
     a, b = (bound[0], bound[1], bound[2]), (bound[3], bound[4], bound[5])
     if kind == FRUSTUM:
-        # the axis at half of the step; every point of it moves by at most half of its way
+        # the axis in the middle of the step; its points move by at most half their path from there
         p = (
             m[0] + 0.5 * m[3] + z0 * (m[6] + 0.5 * m[9]),
             m[1] + 0.5 * m[4] + z0 * (m[7] + 0.5 * m[10]),
@@ -171,7 +170,7 @@ def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
         rise = z1 - z0
         q = (p[0] + rise * (m[6] + 0.5 * m[9]), p[1] + rise * (m[7] + 0.5 * m[10]), p[2] + rise * (m[8] + 0.5 * m[11]))
         extra = 0.5 * (math.sqrt(m[3] * m[3] + m[4] * m[4] + m[5] * m[5]) + max(abs(z0), abs(z1)) * m[12])
-        # beyond the faces of the frustum nothing is near, however close to its axis
+        # capsules beyond the end faces are not near
         low = (a[0] - p[0]) * m[6] + (a[1] - p[1]) * m[7] + (a[2] - p[2]) * m[8]
         high = (b[0] - p[0]) * m[6] + (b[1] - p[1]) * m[7] + (b[2] - p[2]) * m[8]
         wide = bound[6] + extra + m[12] * (radius + bound[6] + max(abs(low), abs(high)))
@@ -186,9 +185,9 @@ def near(bound, m, kind, z0, z1, radius):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True, fastmath=REORDERED)
 def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no-untyped-def]
-    """Lowest t of each ray in the endless way of a sphere: below the one within the step, -inf along the way, NaN where missed.
+    """Lower bound of each ray's t in the infinitely extended path of a sphere: -inf parallel to the path, NaN if missed.
 
-    Written without branches; the same conic as `swept_sphere`, which gives the final number.
+    Without branches; the conic is that of `swept_sphere`, which computes the final value.
     """
     cx, cy, cz = m[0] + z0 * m[6], m[1] + z0 * m[7], m[2] + z0 * m[8]
     dx, dy, dz = m[3] + z0 * m[9], m[4] + z0 * m[10], m[5] + z0 * m[11]
@@ -211,7 +210,7 @@ def sphere_bounds(begin, end, lines, m, z0, square, bounded):  # type: ignore[no
 
 @compiled(ieee_division=True, allocates=True)
 def cut_tiles(first, last, starts, bounds, lines, height, cutter, floor, moves, sample, groups, elements, tests):  # type: ignore[no-untyped-def]
-    """Cut the rays of the tiles first .. last; see the module's text. Fills height, cutter and tests."""
+    """Cut the rays of the tiles first .. last; updates height, cutter and tests."""
     most = 0
     for tile in range(first, last):
         most = max(most, starts[tile + 1] - starts[tile])
@@ -245,7 +244,7 @@ def cut_tiles(first, last, starts, bounds, lines, height, cutter, floor, moves, 
                         if not t < height[i]:
                             continue
                         if t < floor:
-                            # lower than the ray goes: does the tool cover it at all?
+                            # below the lower end of the ray: does the tool cover the ray at all?
                             back = (-n[0], -n[1], -n[2])
                             out = -element_entry(kind, p, back, m, z0, z1, r, slope, math.inf)
                             if out < floor:

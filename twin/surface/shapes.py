@@ -1,12 +1,11 @@
 """Shapes of nominal surfaces: points and outward normals (row, column, 3) over u (column,) along and v (row,) across [m].
 
-    profile    a chain of lines and arcs in a plane, drawn with the material on its right, and extruded along the plane's normal:
-               so planes, cylinders and sharp corners come from one kind
-    plane      origin + u a + v b, the normal is a x b
-    sphere     u along the azimuth at the middle polar angle, v along the polar angle (0 at the pole, +z), from the pole
-    mesh       a file; it has no u and v (twin.surface.mesh)
+    profile    a chain of lines, arcs and sharp corners in a plane, material on the right, extruded along the plane's normal
+    plane      origin + u a + v b, normal a x b
+    sphere     u along the azimuth at the middle polar angle, v along the polar angle (0 at the pole, +z)
+    mesh       a file without u and v (twin.surface.mesh)
 
-Each is checked as it is read from its table, where lengths are in mm and angles in degrees; here they are in m and rad.
+Tables give lengths in mm and angles in degrees; here they are in m and rad.
 """
 
 from __future__ import annotations
@@ -32,17 +31,17 @@ KEYS = {
 }
 KINDS = tuple(KEYS)
 EDGE_WIDTH = 0.5e-3
-"""Beside a sharp edge the rays lean over this width, up to the bisector at the edge [m]; there they read up to 1 / cos(turn / 2) more."""
+"""Width beside a sharp edge over which the rays tilt towards its bisector [m]; deviations there are up to 1 / cos(turn / 2) larger."""
 PLANES = {"xz": (0, 2, 1), "xy": (0, 1, 2), "yz": (1, 2, 0)}
-"""Axes of a profile's plane, and the one across."""
+"""Axes of a profile's plane, and its normal axis."""
 FLATTEST = 1e-6
-"""Sine of the angle below which two directions span no plane."""
+"""Least sine of the angle between two directions that span a plane."""
 
 Limits = tuple[float, float]
 
 
 class Segment(NamedTuple):
-    """A line (curvature 0), an arc (curvature > 0 turns left) or, without length, a sharp corner; `turn` of the heading."""
+    """A line (curvature 0), an arc (curvature > 0: left) or, without length, a sharp corner; `turn` is the change of heading."""
 
     length: float
     curvature: float
@@ -51,7 +50,7 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True)
 class Profile:
-    """Segments in a plane of PLANES from `start` (2,) on, first in direction `heading`; `across` is the range of v."""
+    """Segments in a plane of PLANES from `start` (2,) in direction `heading`; `across` is the range of v."""
 
     plane: str
     start: np.ndarray
@@ -65,7 +64,7 @@ class Profile:
         return (0.0, sum(s.length for s in self.segments)), self.across
 
     def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points and normals; where two segments meet, u belongs to the second one."""
+        """Points and normals; the point between two segments belongs to the second one."""
         pieces, corners = self._pieces()
         starts = np.array([at for at, *_ in pieces])
         index = np.clip(np.searchsorted(starts, u, side="right") - 1, 0, len(starts) - 1)
@@ -75,7 +74,7 @@ class Profile:
             flat[mine] = _along(point, heading, curvature, u[mine] - at)
             angle = heading + curvature * (u[mine] - at)
             for place, turn in corners:
-                # beside an edge the rays lean towards its bisector: along the wall they would leave the part sideways
+                # tilt towards the bisector beside an edge, so that rays do not leave the part sideways
                 near = np.clip(1.0 - np.abs(u[mine] - place) / EDGE_WIDTH, 0.0, 1.0)
                 angle = angle + 0.5 * turn * near * np.where(at < place - 1e-12, 1.0, -1.0)
             normal[mine] = np.column_stack([-np.sin(angle), np.cos(angle)])
@@ -87,7 +86,7 @@ class Profile:
         return points, directions
 
     def _pieces(self) -> tuple[list[tuple[float, float, np.ndarray, float]], list[tuple[float, float]]]:
-        """Start length, curvature, start point and start heading of each line and arc; place and turn of each sharp corner."""
+        """Start length, curvature, start point and heading of each line and arc; position and turn of each sharp corner."""
         at, point, heading = 0.0, self.start, self.heading
         pieces: list[tuple[float, float, np.ndarray, float]] = []
         corners: list[tuple[float, float]] = []
@@ -119,7 +118,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A piece of a sphere between two azimuths and two polar angles."""
+    """A part of a sphere between two azimuths and two polar angles."""
 
     centre: np.ndarray
     radius: float
@@ -128,7 +127,7 @@ class Sphere:
 
     @property
     def _around(self) -> float:
-        """Radius of the circle along which u runs."""
+        """Radius of the circle of u."""
         return self.radius * math.sin(sum(self.polar) / 2.0)
 
     @property
@@ -148,14 +147,14 @@ class Sphere:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh by its file; `unit` None: guessed from its size."""
+    """A mesh file; `unit` None: guessed from the size."""
 
     path: Path
     unit: str | None
 
 
 def shape_of(table: Mapping[str, Any], kind: str, folder: Path, where: str) -> Profile | Plane | Sphere | MeshFile:
-    """The checked shape of a table [[surface]]; files lie below `folder`."""
+    """The checked shape of a table [[surface]]; file paths are relative to `folder`."""
     match kind:
         case "profile":
             return _profile(table, where)
@@ -167,7 +166,7 @@ def shape_of(table: Mapping[str, Any], kind: str, folder: Path, where: str) -> P
 
 
 def mesh_file(table: Mapping[str, Any], key: str, folder: Path, where: str) -> MeshFile:
-    """The mesh that `key` of a table names, and its unit."""
+    """The mesh file under `key` of a table, with its unit."""
     path = outer_file(text(table, key, where), folder, f"{where}: {key}")
     return MeshFile(path, text(table, "unit", where) if "unit" in table else None)
 
@@ -185,12 +184,12 @@ def _profile(table: Mapping[str, Any], where: str) -> Profile:
         across=limits(table, "across_mm", where),
     )
     if profile.extent[0][1] == 0.0:
-        raise InputError(f"{where}: segments = {segments}: none has a length; give lines and arcs, such as [{{ length_mm = 12 }}]")
+        raise InputError(f"{where}: segments = {segments}: none has a length; give lines or arcs, such as [{{ length_mm = 12 }}]")
     return profile
 
 
 def _segment(table: Any, where: str) -> Segment:
-    """A line, an arc, or a sharp corner: a turn without radius."""
+    """A line, an arc, or a sharp corner (a turn without radius)."""
     known(table, ("length_mm", "radius_mm", "turn_deg"), where)
     if ("turn_deg" in table) == ("length_mm" in table) or ("radius_mm" in table and "turn_deg" not in table):
         raise InputError(f"{where}: {dict(table)}; give length_mm for a line, radius_mm and turn_deg for an arc, turn_deg for a corner")
@@ -198,7 +197,7 @@ def _segment(table: Any, where: str) -> Segment:
         return Segment(positive(table, "length_mm", where) * 1e-3, 0.0, 0.0)
     turn, radius = rad_from_deg(number(table, "turn_deg", where)), number(table, "radius_mm", where, 0.0) * 1e-3
     if radius < 0.0:
-        raise InputError(f"{where}: radius_mm = {table['radius_mm']}; give 0 or more, the sign of turn_deg says where the arc turns")
+        raise InputError(f"{where}: radius_mm = {table['radius_mm']}; give 0 or more, the sign of turn_deg sets the direction")
     return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
 
 
@@ -206,7 +205,7 @@ def _plane(table: Mapping[str, Any], where: str) -> Plane:
     a, b = (numbers(table, key, 3, where, default) for key, default in (("u_direction", (1, 0, 0)), ("v_direction", (0, 1, 0))))
     if np.linalg.norm(np.cross(a, b)) <= FLATTEST * np.linalg.norm(a) * np.linalg.norm(b):
         raise InputError(
-            f"{where}: u_direction = {a.tolist()} and v_direction = {b.tolist()} span no plane; give two directions at an angle"
+            f"{where}: u_direction = {a.tolist()} and v_direction = {b.tolist()} span no plane; give two directions that are not parallel"
         )
     a = _unit(a)
     return Plane(
@@ -220,7 +219,7 @@ def _plane(table: Mapping[str, Any], where: str) -> Plane:
 def _sphere(table: Mapping[str, Any], where: str) -> Sphere:
     polar = limits(table, "polar_deg", where, "deg")
     if polar[0] < 0.0 or polar[1] > math.pi:
-        raise InputError(f"{where}: polar_deg = {table['polar_deg']}; give angles between 0, the pole at +z, and 180")
+        raise InputError(f"{where}: polar_deg = {table['polar_deg']}; give angles from 0 (pole at +z) to 180")
     return Sphere(
         centre=numbers(table, "centre_mm", 3, where) * 1e-3,
         radius=positive(table, "radius_mm", where) * 1e-3,

@@ -1,11 +1,11 @@
-"""From a tool path to the steps that cut: finer where the path bends between samples, coarser where it is straight.
+"""From a tool path to cutting steps: finer where the path curves, coarser where it is straight.
 
-Between two samples of the recorded axes lies a piece of curve, not a chord: at 10 m/min on a radius of 25 mm the chord of a
-millisecond is 0.14 um off. The axes are therefore read from a cubic spline at as many times as the bend asks for, and poses that
-the straight motion between their neighbours replaces within the tolerance are left out (slow passes: 50 to one).
+A chord between two samples is not accurate enough: at 10 m/min on a radius of 25 mm the chord of a millisecond is off by 0.14 um. The
+axes are therefore interpolated by a cubic spline as finely as the curvature requires, and poses that linear motion between their
+neighbours reproduces within the tolerance are dropped (slow passes: 50 to one).
 
-Within a step the tip moves on a straight line and the tool axis on the great circle, in sub-steps so small that every point
-of the tool moves straight within 5 nm.
+Within a step the tip moves on a straight line and the tool axis on a great circle. Steps are short enough for every point of the tool
+to deviate from a straight line by less than 5 nm.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ import numpy as np
 from twin.geometry.tool_path import ToolPath
 
 STEP_TOLERANCE = 5e-9
-"""How far any point of the tool may be from its recorded way [m]."""
+"""Largest deviation of any point of the tool from its recorded path [m]."""
 LONGEST_STEP = 1.5e-3
-"""Longer steps are divided, so that culling stays tight [m]."""
+"""Longer steps are divided to keep culling effective [m]."""
 GAP_LENGTH = 0.05
-"""A jump of the tip between two samples above this is a gap in the recording, not a motion [m]."""
+"""Distance of the tip between two samples above which the recording has a gap [m]."""
 LONGEST_PIECE = 512
-"""Poses among which the one furthest off is searched for at most."""
+"""Most poses in one search for the largest deviation."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Straight motions of a tool: tip (step, 3) and its way, axis (step, 3) and its change; `sample` (step,) is where each comes from.
+    """Straight motions of a tool: tip (step, 3) and its displacement `way`, axis (step, 3) and its change `turn`; `sample` (step,) of the path.
 
-    `rim` (step, 12) holds two directions across the axis at the start and the same two, carried along, at the end.
+    `rim` (step, 12) holds two directions perpendicular to the axis at the start, and the same two carried along to the end.
     """
 
     tip: np.ndarray
@@ -46,7 +46,7 @@ class Steps:
 
 
 def steps_of(path: ToolPath, reach: float, *, tolerance: float = STEP_TOLERANCE, merge: bool = True) -> Steps:
-    """Steps of a tool path for a tool whose cutting part reaches `reach` [m] above its tip."""
+    """Steps of a tool path for a tool with a cutting part of height `reach` [m]."""
     keep = np.arange(len(path.tip)) if not merge else kept_poses(path, reach, tolerance)
     return steps_between(path.tip[keep], path.axis[keep], reach, keep, tolerance=tolerance)
 
@@ -54,13 +54,13 @@ def steps_of(path: ToolPath, reach: float, *, tolerance: float = STEP_TOLERANCE,
 def steps_between(
     tip: np.ndarray, axis: np.ndarray, reach: float, sample: np.ndarray | None = None, *, tolerance: float = STEP_TOLERANCE
 ) -> Steps:
-    """Steps between given poses, tip (pose, 3) and unit axis (pose, 3): straight, and on the great circle."""
+    """Steps between poses, tip (pose, 3) and axis (pose, 3): the tip on a straight line, the axis on a great circle."""
     tip, axis = np.asarray(tip, float), np.asarray(axis, float)
     axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     sample = np.arange(len(tip)) if sample is None else np.asarray(sample)
-    # how many sub-steps: a point at height `reach` bulges by reach angle^2 / 8
+    # number of sub-steps: a point at height `reach` deviates by reach angle^2 / 8
     angle = np.arctan2(np.linalg.norm(np.cross(axis[:-1], axis[1:]), axis=1), np.einsum("ij,ij->i", axis[:-1], axis[1:]))
-    # rounding alone is no turn
+    # ignore rotations within rounding
     angle[angle * reach < 1e-12] = 0.0
     finest = np.sqrt(8.0 * tolerance / max(reach, 1e-6))
     parts = np.maximum(np.ceil(angle / finest), np.ceil(np.linalg.norm(np.diff(tip, axis=0), axis=1) / LONGEST_STEP))
@@ -79,9 +79,9 @@ def steps_between(
 
 
 def refined_axes(axes: np.ndarray, bend: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Axis positions (sample, axis) read more finely from a cubic spline: `bend` (sample,) [m] is the sagitta of a recorded step.
+    """Axis positions (sample, axis) resampled by a cubic spline, given the sagitta `bend` (sample,) [m] of the recorded steps.
 
-    Returns the finer positions and where they lie, in samples.
+    Returns the finer positions and their places in samples.
     """
     from scipy.interpolate import CubicSpline
 
@@ -106,7 +106,7 @@ def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
 
 
 def kept_poses(path: ToolPath, reach: float, tolerance: float = STEP_TOLERANCE) -> np.ndarray:
-    """Indices of the poses that hold the motion within a tolerance, of the tip and of the point `reach` above it."""
+    """Indices of the poses that reproduce the motion of the tip, and of the point `reach` above it, within a tolerance."""
     from twin.geometry.polyline import keep_shape
 
     keep = np.zeros(len(path.tip), bool)
@@ -116,7 +116,7 @@ def kept_poses(path: ToolPath, reach: float, tolerance: float = STEP_TOLERANCE) 
 
 
 def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Axes at part s of the great circle from pose `row` to the next one."""
+    """Axes at share s of the great circle from pose `row` to the next one."""
     a, b, turn = axis[row], axis[row + 1], angle[row][:, None]
     sine = np.sin(turn)
     small = turn < 1e-9
@@ -126,7 +126,7 @@ def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) 
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit directions across each axis."""
+    """Two unit directions perpendicular to each axis."""
     other = np.where(np.abs(axis[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     f1 = np.cross(axis, other)
     f1 /= np.linalg.norm(f1, axis=1, keepdims=True)
@@ -134,7 +134,7 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _carried(v: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Directions v turned by the shortest rotation from a to b."""
+    """Directions v rotated by the shortest rotation from a to b."""
     cross = np.cross(a, b)
     cos = np.einsum("ij,ij->i", a, b)[:, None]
     return v * cos + np.cross(cross, v) + cross * (np.einsum("ij,ij->i", cross, v)[:, None] / (1.0 + cos))

@@ -1,10 +1,10 @@
-"""Height maps of Digital Surf (`.sur`, MountainsMap and many profilometers): a head of 512 bytes, then the heights as whole numbers.
+"""Height maps of Digital Surf (`.sur`, MountainsMap and many profilometers): a header of 512 bytes, then the heights as integers.
 
-    height = number * z increment + z offset          in the unit that the head names; row after row along x
-    not measured: the smallest number of the head less 2, where the head says that there are such points
+    height = number * z increment + z offset          in the unit of the header; row after row along x
+    not measured: the header's smallest number minus 2, if the header announces such points
 
-Layout after the open readers of the format, Gwyddion (`modules/file/surffile.c`) and the digitalsurf reader of RosettaSciIO. Little-endian. Packed
-files ("DSCOMPRESSED") and files of several surfaces are refused.
+Layout from the open readers Gwyddion (`modules/file/surffile.c`) and digitalsurf of RosettaSciIO. Little-endian. Packed files
+("DSCOMPRESSED") and files with several surfaces are refused.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ PLACES = {
     "private_bytes": ("<H", 336),
     "z_offset": ("<f", 474),
 }
-"""Where the numbers stand in the head."""
+"""Format and offset of the header's numbers."""
 UNITS_AT = {"x": 180, "y": 196, "z": 212}
-"""Where the units of the increments stand, 16 bytes each."""
+"""Offsets of the units of the increments, 16 bytes each."""
 
 
 class SurMap(NamedTuple):
-    """Increments along x and y [m] and heights (row, column) [m], NaN where nothing was measured."""
+    """Increments along x and y [m] and heights (row, column) [m]; NaN: not measured."""
 
     dx: float
     dy: float
@@ -49,11 +49,11 @@ class SurMap(NamedTuple):
 
 
 def read_sur(path: Path) -> SurMap:
-    """The surface of a `.sur` file; what cannot be read is an InputError."""
+    """The surface of a `.sur` file; raises InputError if it cannot be read."""
     raw = path.read_bytes()
     if raw[:12] != SIGNATURE or len(raw) < HEAD_BYTES:
         packed = raw[:12] == b"DSCOMPRESSED"
-        raise InputError(f"{path}: {'a packed SUR file' if packed else 'no SUR file'}; save it as uncompressed SUR or as X3P")
+        raise InputError(f"{path}: {'a packed SUR file' if packed else 'not a SUR file'}; save it as uncompressed SUR or as X3P")
     head = {name: struct.unpack_from(kind, raw, at)[0] for name, (kind, at) in PLACES.items()}
     if head["objects"] != 1 or head["bits"] not in (16, 32):
         raise InputError(f"{path}: {head['objects']} objects of {head['bits']} bits; save one surface of 16 or 32 bits")
@@ -70,7 +70,7 @@ def read_sur(path: Path) -> SurMap:
 
 
 def write_sur(path: Path, dx: float, dy: float, height: np.ndarray) -> None:
-    """Write heights (row, column) [m] at increments dx, dy [m] as 32 bit numbers of 0.1 nm; NaN is not measured."""
+    """Write heights (row, column) [m] with increments dx, dy [m] as 32-bit integers of 0.1 nm; NaN: not measured."""
     step = 1e-10
     known = np.isfinite(height)
     numbers = np.round(np.where(known, height, 0.0) / step).astype(np.int64)

@@ -1,17 +1,17 @@
-"""Where a ray first meets the volume that a moving tool sweeps: closed forms, compiled.
+"""Lowest intersection of a ray with the volume swept by a moving tool: closed forms, compiled.
 
-A ray is the line x(t) = p + t n. A tool is a union of convex elements about its axis; within a step each point of it moves
+A ray is the line x(t) = p + t n. A tool is a union of convex elements around its axis; within a step each of its points moves
 along a straight line, y(s, t) = x(t) - P(s), s in [0, 1]. The ray is cut at the lowest t of the region that the element covers in
-the plane (s, t). For an element that only translates with velocity w this region is a conic cut by straight lines,
+the plane (s, t). For an element that only translates with velocity w this region is a conic bounded by straight lines,
 
     sphere     |y|^2 <= R^2
     frustum    |y - (y.u) u| <= r0 + k (y.u - a0),   a0 <= y.u <= a1
 
-and its lowest point is known in closed form, also where the ray misses the tool at both ends of the step. A turning axis
-u(s) = u0 + s du is treated by the same forms with w the velocity of the touching point, repeated until that point stays:
-the condition that holds then (surface normal across the velocity) is the exact one. Missed: t = inf.
+and its lowest point has a closed form, even if the ray misses the tool at both ends of the step. A turning axis u(s) = u0 + s du uses
+the same forms with the velocity w of the contact point, iterated until this point converges; the condition that then holds (surface
+normal perpendicular to the velocity) is exact. A miss is t = inf.
 
-All lengths in m; `tests/reference/test_surface_random.py` holds every form against brute force.
+All lengths in m; `tests/reference/test_surface_random.py` compares every form with brute force.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from twin.compiled_functions import compiled
 
 SPHERE, FRUSTUM, ROUNDED = 0, 1, 2
 TINY = 1e-30
-"""Squared length of a step [m2] below which the tool stands."""
+"""Squared length of a step [m2] below which the tool is at rest."""
 PARALLEL = 1e-6
-"""Squared sine between ray and motion below which the ends of the step are looked at too."""
+"""Squared sine between ray and motion below which the ends of the step are also tested."""
 SETTLED = 1e-8
-"""The touching point has settled when t changes by less than this [m]."""
+"""Change of t below which the contact point has converged [m]."""
 SLAB_MARGIN = 2e-8
-"""A ray counts as clear of a turning tool's end faces only beyond this [m], plus what they bend within the step."""
+"""Least distance of a ray from the end faces of a turning tool to count as clear [m], besides their motion within the step."""
 MOST_REPEATS = 12
 STANDING_SAMPLES = 17
 GOLDEN = 0.6180339887498949
@@ -36,13 +36,13 @@ GOLDEN = 0.6180339887498949
 
 @compiled(ieee_division=True, allocates=True)
 def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
-    """Lowest t in a sphere that moves by d (length2 = d.d), and the s where it happens; y = ray point - first centre."""
+    """Lowest t in a sphere that moves by d (length2 = d.d), and its s; y = ray point - first centre."""
     e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
     f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - square
     if length2 > TINY:
         b = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
         g = -(y[0] * d[0] + y[1] * d[1] + y[2] * d[2])
-        # the conic without its ends: lowest point where its derivative in s vanishes
+        # lowest point of the unbounded conic: its derivative in s vanishes
         over = 1.0 / length2
         cc = 1.0 - b * b * over
         ee = e - b * g * over
@@ -79,9 +79,9 @@ def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Interval where a x^2 + 2 b x + c <= 0, for a convex region; (inf, -inf) where there is none.
+    """Interval with a x^2 + 2 b x + c <= 0 for a convex region; (inf, -inf) if it is empty.
 
-    With a < 0 (beyond the tip of a cone) or a = 0 the region is cut by the caller's own bounds: a wide interval stands for no bound.
+    For a < 0 (beyond the tip of a cone) or a = 0 the caller's own bounds limit the region; a wide interval means unbounded.
     """
     far = 1e6
     scale = abs(b) + abs(c)
@@ -101,15 +101,15 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
         x1, x2 = x2, x1
     if a > 0.0:
         return x1, x2
-    # outside the roots: two branches of a double cone; the caller's bounds keep the real one
+    # outside the roots: two branches of a double cone; the caller's bounds select the real one
     return x2, x1
 
 
 @compiled(ieee_division=True, allocates=True)
 def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
-    """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) where there is none.
+    """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) if there is none.
 
-    The region is convex within the bounds, so with aa < 0 one branch of it lies there.
+    The region is convex within the bounds; for aa < 0 they contain one branch.
     """
     if low > high:
         return math.inf, -math.inf
@@ -131,8 +131,8 @@ def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
 def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
     """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = ray point - tip at s = 0.
 
-    Also says whether the ray passes the endless cone at all (2: hit, 1: passes it beyond the ends, 0: misses it). What lies at or
-    above `top` need not be found: inf then stands for it.
+    Also returns a state: 2 hit, 1 the ray meets the infinite cone beyond the ends only, 0 it misses the cone. Results at or above `top`
+    may be inf.
     """
     z0 = y[0] * u[0] + y[1] * u[1] + y[2] * u[2]
     nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
@@ -203,7 +203,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
 
 @compiled(ieee_division=True, allocates=True)
 def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-untyped-def]
-    """Lowest t in the frustum as it stands at the part s of its step."""
+    """Lowest t in the frustum at rest at the share s of its step."""
     u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
     norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     q = (y[0] - s * d[0], y[1] - s * d[1], y[2] - s * d[2])
@@ -212,7 +212,7 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
 
 @compiled(ieee_division=True, allocates=True)
 def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
-    """Does the part of the ray up to `top` surely miss the frustum during the whole step, by its faces or by its cone?"""
+    """Does the ray up to `top` certainly miss the frustum during the whole step, by its faces or by its cone?"""
     x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
     first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
     last = (x[0] - d[0]) * (u0[0] + du[0]) + (x[1] - d[1]) * (u0[1] + du[1]) + (x[2] - d[2]) * (u0[2] + du[2])
@@ -229,7 +229,7 @@ def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-
     steep = rise - turning
     if k <= 0.0 or steep * steep * (1.0 + k * k) <= 1.0:
         return False
-    # steeper than the cone: where it is outside at `top` it is outside all the way below
+    # the ray is steeper than the cone: outside at `top` means outside everywhere below
     u = (u0[0] + 0.5 * du[0], u0[1] + 0.5 * du[1], u0[2] + 0.5 * du[2])
     q = (x[0] - 0.5 * d[0], x[1] - 0.5 * d[1], x[2] - 0.5 * d[2])
     far = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
@@ -241,21 +241,21 @@ def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-
 
 @compiled(ieee_division=True, allocates=True)
 def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
-    """Lowest t in a frustum whose tip moves from `tip` by d and whose axis turns from u0 by du; nothing is sought above `top`."""
+    """Lowest t in a frustum whose tip moves from `tip` by d and whose axis turns from u0 by du; results above `top` may be inf."""
     y = (p[0] - tip[0], p[1] - tip[1], p[2] - tip[2])
     if top < math.inf and _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):
         return math.inf
     if not turning:
         t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
         return t
-    # start: the velocity of the axis beside the ray's own point, at half of the step (never `top`: the result must not hang on it)
+    # start at the ray's own point in the middle of the step (not at `top`, on which the result must not depend)
     s, t = 0.5, 0.0
     last, hit = math.inf, False
     for _ in range(MOST_REPEATS):
         u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
         norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
         u = (u[0] * norm, u[1] * norm, u[2] * norm)
-        # the touching point as seen from the tip at s, split along and across the axis
+        # the contact point relative to the tip at s, split into parts along and perpendicular to the axis
         q = (y[0] - s * d[0] + t * n[0], y[1] - s * d[1] + t * n[1], y[2] - s * d[2] + t * n[2])
         z = q[0] * u[0] + q[1] * u[1] + q[2] * u[2]
         z_held = min(max(z, a0), a1)
@@ -263,7 +263,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
         reach = max(r0, r0 + k * (a1 - a0))
         tilt = min(max(tilt, -reach * turning), reach * turning)
         w = (d[0] + z_held * du[0] - tilt * u[0], d[1] + z_held * du[1] - tilt * u[1], d[2] + z_held * du[2] - tilt * u[2])
-        # tip of the frustum that translates with w and is in place at s
+        # tip of the frustum that translates with w and coincides with the tool at s
         back = (y[0] - s * d[0] + s * w[0], y[1] - s * d[1] + s * w[1], y[2] - s * d[2] + s * w[2])
         found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, 0.0, 1.0, math.inf)
         if state == 2:
@@ -272,7 +272,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
                 return found
             s, t, last = at, found, found
         else:
-            # missed with this velocity: look again from the closest approach of ray and axis
+            # missed with this velocity: continue from the closest approach of ray and axis
             zz = back[0] * u[0] + back[1] * u[1] + back[2] * u[2]
             nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
             wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
@@ -287,7 +287,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
             if abs(at - s) < 1e-9 and abs(found - t) < 1e-9:
                 break
             s, t = at, found
-    # not settled (an edge passes by): the standing tool at some moments, then golden section about the lowest
+    # not converged (the ray meets an edge): sample the tool at rest, then golden section around the lowest
     best, at = math.inf, 0.0
     moments = STANDING_SAMPLES if hit else 2
     for i in range(moments):

@@ -1,6 +1,6 @@
-"""Where a ray first meets a rounded element of a moving tool: the lowest of the spheres of radius r about each point of a circle of radius Rm.
+"""Lowest intersection of a ray with a rounded element of a moving tool: spheres of radius r around the points of a circle of radius Rm.
 
-Each of these spheres is a closed form (`swept_sphere`); the angle of the lowest one is searched. All lengths in m.
+Each sphere has a closed form (`swept_sphere`); the angle of the lowest one is found by search. All lengths in m.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from twin.compiled_functions import compiled
 from twin.surface.sweep import GOLDEN, TINY, swept_sphere
 
 RIM_SAMPLES = 12
-"""Points of the rim of a rounded element from which the search starts."""
+"""Start points of the search on the rim of a rounded element."""
 
 RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
-"""Golden section on the rim ends at these intervals [rad]: once the ray is met, and where it never is."""
+"""Final intervals of the golden section on the rim [rad]: after a hit, and without any hit."""
 
 
 @compiled(ieee_division=True, allocates=True)
 def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
-    """One point of the rim: lowest t in its swept sphere, and the angle at which the found (or nearest) point of the ray lies.
+    """One point of the rim: (lowest t in its swept sphere, angle of the found or nearest point of the ray, squared distance).
 
-    f1, f2 span the circle at the start, g1, g2 at the end; y = ray point - first centre. Returns t, angle, squared distance.
+    f1, f2 span the circle at the start, g1, g2 at the end; y = ray point - first centre.
     """
     c, s = math.cos(phi), math.sin(phi)
     e0 = (c * f1[0] + s * f2[0], c * f1[1] + s * f2[1], c * f1[2] + s * f2[2])
@@ -32,7 +32,7 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     t, at = swept_sphere(v, n, w, ww, square)
     gap = 0.0
     if t == math.inf:
-        # closest approach of the ray and the way of this point
+        # closest approach of the ray and the path of this point
         nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
         vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
         vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
@@ -51,13 +51,13 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
 
 @compiled(ieee_division=True, allocates=True)
 def _turn(angle):  # type: ignore[no-untyped-def]
-    """An angle brought to -pi .. pi."""
+    """An angle wrapped to -pi .. pi."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @compiled(ieee_division=True, allocates=True)
 def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
-    """Lowest t on the rim between two angles: golden section, on the distance until the ray is met, then secants to the end."""
+    """Lowest t on the rim between two angles: golden section (on the distance until there is a hit), then secants."""
     x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
     t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
@@ -79,7 +79,7 @@ def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ig
             t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
     if best == math.inf:
         return best
-    # secants on (angle of the touching point) - (angle of the sphere), which vanishes for the lowest sphere
+    # secants on angle of the contact point minus angle of the sphere, which is zero for the lowest sphere
     before = where
     _, angle, _ = _rim(y, n, where, d, f1, f2, g1, g2, major, square)
     off_before = _turn(angle - before)
@@ -104,9 +104,9 @@ def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ig
 
 @compiled(ieee_division=True, allocates=True)
 def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untyped-def]
-    """Lowest t in a moving torus (spheres of `radius` about a circle of radius `major`); y = ray point - first centre.
+    """Lowest t in a moving torus (spheres of `radius` around a circle of radius `major`); y = ray point - first centre.
 
-    From samples of the rim, about each that is lower (or, where the ray misses it, nearer) than both of its neighbours.
+    The search starts at every sample of the rim that is lower (or, without a hit, nearer) than both neighbours.
     """
     square = radius * radius
     step = 2.0 * math.pi / RIM_SAMPLES

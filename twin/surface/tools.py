@@ -1,11 +1,11 @@
-"""Cutting tools as unions of convex elements about their axis, which points from the tip (z = 0) to the spindle.
+"""Cutting tools as unions of convex elements around their axis, which points from the tip (z = 0) to the spindle.
 
     sphere     centre at height z, radius R
     frustum    from height z0 to z1, radius r0 growing by `slope` per height (0: a cylinder)
-    rounded    a torus: spheres of radius r about a circle of radius Rm at height z
+    rounded    a torus: spheres of radius r around a circle of radius Rm at height z
 
-A ball-end is a sphere and a shaft, a flat end a shaft, a bull nose a torus with the disc inside it and a shaft, and any
-tool of revolution a stack of frustums along its profile. Lengths in m.
+A ball-end is a sphere and a shaft, a flat end a shaft, a bull nose a torus with the disc inside it and a shaft, and any other tool of
+revolution a stack of frustums along its profile. Lengths in m.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.surface.sweep import FRUSTUM, ROUNDED, SPHERE
-from twin.tables import is_number, listed, positive
+from twin.tables import is_number, known, listed, positive
 
 KINDS = ("ball", "flat", "bull", "revolution")
 DEFAULT_CUTTING_LENGTH = 0.04
 ARC_CHORD = 2e-8
-"""Arcs of a profile become chords that lie this close [m]."""
+"""Largest distance between an arc of a profile and its chords [m]."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Tool:
     """A tool of revolution.
 
     `elements` (element, 5): kind, height of the centre or lower end, height of the upper end, radius, slope (frustum) or
-    radius of the rounding (rounded). `profile` (point, 2): radius and height of the outline, for pictures and for the
-    size of the tool. `length` is what the five-axis transformation takes, spindle nose to tip.
+    radius of the rounding (rounded). `profile` (point, 2): radius and height of the outline, for plots and the size of the tool.
+    `length`: spindle nose to tip, for the five-axis transformation.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Tool:
 
     @property
     def reach(self) -> float:
-        """Height of what cuts above the tip [m]."""
+        """Height of the cutting part above the tip [m]."""
         return float(self.profile[:, 1].max())
 
 
@@ -81,7 +81,7 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
     elements = [
         (FRUSTUM, 0.0, 2.0 * corner, major, 0.0),
         (FRUSTUM, corner, cutting_length, r, 0.0),
-        (ROUNDED, corner, corner, major, corner),  # last: most of what it reaches is cut by then
+        (ROUNDED, corner, corner, major, corner),  # last: the other elements have then cut most of its region
     ]
     return _tool(
         f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", elements, np.vstack([[[0.0, 0.0]], arc, [[r, cutting_length]]]), length
@@ -89,14 +89,14 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
 
 
 def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12, where: str = "tool") -> Tool:
-    """Any tool by its outline: points (radius, height) from the tip upwards, heights never falling.
+    """Any tool by its outline: points (radius, height) from the tip upwards, with non-decreasing heights.
 
-    A third number at a point makes the way to it an arc with that radius: positive bulges outwards, negative inwards.
+    A third number makes the segment to this point an arc of that radius: positive outwards, negative inwards.
     """
     points = _with_arcs(profile, where)
     if len(points) < 2 or np.any(points[:, 0] < 0.0) or np.any(np.diff(points[:, 1]) < 0.0) or points[:, 0].max() <= 0.0:
         raise InputError(
-            f"{where}: the profile of '{name}' needs at least two points (radius, height) with radii from 0 and heights that never fall; reorder them"
+            f"{where}: the profile of '{name}' needs at least two points (radius, height) with radii of 0 or more and non-decreasing heights; reorder them"
         )
     points = points - [0.0, points[0, 1]]
     elements = []
@@ -107,15 +107,12 @@ def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revol
 
 
 def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
-    """A tool from the table [tool] of a part file; all lengths there in mm."""
+    """A tool from the table [tool] of a part file, with lengths in mm."""
     kind = table.get("kind") if isinstance(table, Mapping) else None
     if kind not in KINDS:
         raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
-    known = {"kind", "name", "length_mm"} | ({"profile_mm"} if kind == "revolution" else {"diameter_mm", "cutting_length_mm"})
-    known |= {"corner_mm"} if kind == "bull" else set()
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}' of a {kind} tool; {nearest(key, known)}")
+    keys = {"kind", "name", "length_mm"} | ({"profile_mm"} if kind == "revolution" else {"diameter_mm", "cutting_length_mm"})
+    known(table, keys | ({"corner_mm"} if kind == "bull" else set()), where)
     length = positive(table, "length_mm", where, 120.0) * 1e-3
     if kind == "revolution":
         points = listed(table, "profile_mm", where)
@@ -153,7 +150,7 @@ def _with_arcs(profile: Sequence[Sequence[float]], where: str) -> np.ndarray:
                     f"{where}: profile: an arc of radius {abs(radius) * 1e3:g} mm does not reach over {half * 2e3:g} mm; "
                     "give it two different ends, at most twice its radius apart"
                 )
-            # centre on the axis side for a bulge, on the other side for a hollow
+            # centre on the axis side for an outward arc, on the other side for an inward one
             across = np.array([-chord[1], chord[0]]) / (2.0 * half) * math.copysign(math.sqrt(radius**2 - half**2), radius)
             centre = (start + end) / 2.0 + across
             first, last = (math.atan2(*(p - centre)[::-1]) for p in (start, end))

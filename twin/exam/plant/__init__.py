@@ -1,1 +1,1 @@
-"""The second plant: an independent implementation of the control law and richer mechanics. Imports nothing of `twin` outside."""
+"""The second plant: an independent implementation of the control law with richer mechanics. Imports nothing else of `twin`."""

@@ -1,12 +1,11 @@
-"""The decorator of the plant's compiled functions: numba njit, without the GIL, cached on disk.
+"""Decorator of the plant's compiled functions: numba njit, without the GIL, cached on disk.
 
-numba's cache looks only at the file of a function, not at the files of the functions that it calls: after a change to
-control.py a cached loop in plant.py would keep the old law. Here the cache's stamp is a digest of all sources of
-the compiled functions, so that a change to any of them compiles all anew. Where a later numba keeps its stamp elsewhere, or
-no folder is writable, nothing is cached: slower, never stale.
+numba's cache checks only the file of a function, not the files of the functions that it calls: after a change to control.py a
+cached loop in plant.py would keep the old law. Here the stamp of the cache is a digest of all sources, so that any change
+recompiles all functions. If another numba version stores its stamp elsewhere, or no folder is writable, nothing is cached.
 
-`twin.compiled_functions` does the same for the twin. This one stays apart because the plant examines the twin: it imports
-nothing of it, so that no fault can hide by being in both.
+`twin.compiled_functions` does the same for the twin. The plant has its own copy because it must not share code with the twin
+that it examines.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ njit: Any = numba.njit  # its type does not know _nrt
 
 
 def compiled(inline: bool = False, allocates: bool = False) -> Callable:
-    """Decorator; `inline` copies a small law into its callers.
+    """Decorator; `inline` copies a small function into its callers.
 
-    A function that `allocates` no arrays does without numba's runtime (`_nrt`), which counts every use of one.
+    A function that does not `allocate` arrays works without numba's reference counting (`_nrt`).
     """
 
     def wrap(function: Callable) -> Callable:
@@ -35,7 +34,7 @@ def compiled(inline: bool = False, allocates: bool = False) -> Callable:
         dispatcher: Any = plain(function)
         try:
             dispatcher.enable_caching()
-        except (RuntimeError, OSError):  # no folder is writable; the twin has said so
+        except (RuntimeError, OSError):  # no folder is writable; the twin prints a warning
             return plain(function)
         file: Any = getattr(dispatcher._cache, "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
@@ -43,7 +42,7 @@ def compiled(inline: bool = False, allocates: bool = False) -> Callable:
         file._source_stamp = DIGEST
         try:
             file._load_index()
-        except Exception:  # written by an older version whose types are gone: numba would raise at the first call
+        except Exception:  # written by an older version with other types: numba would raise at the first call
             file.flush()
         return dispatcher
 

@@ -1,14 +1,14 @@
-"""The sampled cascade of one axis, written from the control law of docs/theory.md and nothing else.
+"""The sampled cascade of one axis, implemented from the control law of docs/theory.md alone.
 
     every position cycle Tp:  w* = (Kv (s_d - x) + a_v (s_f - s_f1) / Tp) / r
                               T_ff = a_t J_ff (s_f - 2 s_f1 + s_f2) / Tp^2 / r
     every tick Ts:  e = w* - w;   T* = Kp e + I + T_ff;   i* = clip(T* / Kt);    I += Kp Ts / Tn e      unless clipped
                     e_i = i* - i; u = clip(Kpi e_i + I_i);                       I_i += Kpi Ts / Tni e_i unless clipped
-s_d, s_f: set point after the position and the feedforward delay; s_f1, s_f2 one and two cycles earlier; x scale, w motor
-speed, i current as measured at that tick. Lags are exact: y += (s - y)(1 - exp(-T / tau)).
-An axis with `dsc_delay` has its position loop in the drive: a telegram (w*, T_ff) of the control is in force Td after it was made, and
-the drive takes off Kv / r times the way of the scale since then, at every tick. Between two ticks telegram and scale are straight lines.
-Beyond the library (neutral by default): dead band on s_d - x, lag and one-sided clip on w*, notch on T*.
+s_d, s_f: set point after the position and the feedforward delay; s_f1, s_f2 one and two cycles earlier; x scale position, w motor
+speed, i current as measured at that tick. First-order lags are exact: y += (s - y)(1 - exp(-T / tau)).
+An axis with `dsc_delay` closes its position loop in the drive: a telegram (w*, T_ff) of the control takes effect Td after it was
+computed, and at every tick the drive subtracts Kv / r times the motion of the scale since then. Telegram and scale are interpolated
+linearly between ticks. Outside the library (neutral by default): dead band on s_d - x, lag and one-sided clip on w*, notch on T*.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .parameters import Settings
 
 
 class Control(NamedTuple):
-    """Arrays [axis]; gains per tick already multiplied out."""
+    """Arrays [axis]; gains include their cycle times."""
 
     ratio: np.ndarray  # m/rad, rad/rad
     kv: np.ndarray  # 1/s
@@ -79,7 +79,7 @@ def control_of(s: Settings) -> Control:
 
 
 def _notch(hz: float, width: float, tick: float) -> np.ndarray:
-    """(s^2 + w^2) / (s^2 + width w s + w^2) by the bilinear rule with prewarping."""
+    """Biquad of (s^2 + w^2) / (s^2 + width w s + w^2), by the bilinear transform with prewarping."""
     t = math.tan(math.pi * hz * tick)
     a0 = 1.0 + width * t + t * t
     return np.array([1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 - width * t + t * t]) / a0
@@ -92,7 +92,7 @@ CONTROL_STATES = 13
 
 @compiled(inline=True)
 def position_cycle(c: Control, state: np.ndarray, k: int, s_position: float, s_feedforward: float, scale: float) -> None:
-    """Updates what the control sends to axis k: speed set point and torque feedforward."""
+    """Update speed set point and torque feedforward of axis k."""
     state[k, LAG_S] += (s_position - state[k, LAG_S]) * c.set_point_share[k]
     error = state[k, LAG_S] - scale
     band = c.dead_band[k]
@@ -111,7 +111,7 @@ def position_cycle(c: Control, state: np.ndarray, k: int, s_position: float, s_f
 
 @compiled(inline=True)
 def drive_cycle(c: Control, state: np.ndarray, k: int, n: int, scale: float, past: np.ndarray) -> None:
-    """Position loop of axis k in its drive at tick n; past [axis, tick, 3] keeps speed, torque and scale, filled up at tick 0."""
+    """Position loop of axis k in its drive at tick n; past [axis, tick, 3] is a ring of speed, torque and scale."""
     length = past.shape[1]
     for i in range(length if n == 0 else 1):
         slot = (n + i) % length
@@ -127,7 +127,7 @@ def drive_cycle(c: Control, state: np.ndarray, k: int, n: int, scale: float, pas
 
 @compiled(inline=True)
 def current_cycle(c: Control, state: np.ndarray, k: int, speed: float, current: float) -> float:
-    """Speed and current controller of axis k at one tick; returns the voltage that is held until the next."""
+    """Speed and current controller of axis k at one tick; returns the voltage held until the next tick."""
     state[k, LAG_W] += (state[k, W_SET] - state[k, LAG_W]) * c.speed_share[k]
     error = state[k, LAG_W] - speed
     torque = c.kp[k] * error + state[k, I_SPEED] + state[k, T_FF]
@@ -158,13 +158,13 @@ def current_cycle(c: Control, state: np.ndarray, k: int, speed: float, current: 
 
 
 def control_at_rest(c: Control, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """State of a control that holds still with `current` [A] at `voltage` [V]: the integrators carry what the load needs."""
+    """State of a control at rest with `current` [A] and `voltage` [V], which the integrators hold."""
     state = np.zeros((len(set_point), CONTROL_STATES))
     state[:, I_SPEED] = c.kt * current
     state[:, I_CURRENT] = voltage
     state[:, LAG_S] = state[:, S_F1] = state[:, S_F2] = set_point
     state[:, LAG_I] = current
-    # a notch at rest passes constants: its memory holds the constant torque
+    # steady state of the notch filter for the constant torque
     torque = c.kt * current
     state[:, N2] = (c.notch[:, 2] - c.notch[:, 4]) * torque
     state[:, N1] = (c.notch[:, 1] - c.notch[:, 3]) * torque + state[:, N2]

@@ -1,10 +1,10 @@
-"""The library's effects on the second plant: laws and signs of effects.md, written afresh, with the range each is drawn from.
+"""The library's effects on the second plant: laws and signs of effects.md, implemented independently, and their ranges.
 
 An effect is a dict as in a truth.toml: {"name": ..., "axis": ..., **parameters}. `apply_effect` changes settings
-(parameters.settings_of) in place; `draw_effect` draws one. `scale` 1 is the usual range of effects.md, smaller is smaller:
-deviations of factors, amplitudes, times, and compliances (1 / stiffness) are multiplied by it, shapes are not.
-A `wide` draw takes every size and shape from a range three times as wide: of low to high, low^2 / high to high^2 / low.
-Rotary ranges that effects.md gives only in mm are taken at equal motor angle.
+(parameters.settings_of) in place; `draw_effect` draws an effect. `scale` multiplies its size (1 = usual range of effects.md):
+deviations of factors, amplitudes, times, and compliances (1 / stiffness), but not shapes.
+A `wide` draw takes every size and shape from low^2 / high to high^2 / low instead of low to high.
+For ranges that effects.md gives only in mm, rotary axes use the same motor angle.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ import numpy as np
 from .parameters import AXES, LINEAR, Settings, load_of
 
 ARCSEC = math.pi / 180.0 / 3600.0
-SCREW = 0.010 / (2.0 * math.pi)  # m/rad of the screws that the ranges in mm stand for
+SCREW = 0.010 / (2.0 * math.pi)  # screw ratio [m/rad] behind the ranges in mm
 
-LEAST_FACTOR, MOST_FRACTION = 0.3, 0.95  # no wide draw takes more from a gain or a friction: the twin accepts no more
+LEAST_FACTOR, MOST_FRACTION = 0.3, 0.95  # limits of wide draws of gains and friction; the twin accepts no more
 
 
 class DrawContext(NamedTuple):
-    """What sizes are measured against on axis `k`."""
+    """Reference quantities for the sizes of effects on axis `k`."""
 
     rng: np.random.Generator
     k: int
     scale: float
-    s: Settings  # settings with this machine's spread, no effects
-    peak_current: np.ndarray  # A, what the programme asks of each axis
-    peak_speed: np.ndarray  # axis units per s, likewise
+    s: Settings  # settings with this machine's spread, without effects
+    peak_current: np.ndarray  # of each axis in the programme [A]
+    peak_speed: np.ndarray  # of each axis in the programme [axis units per s]
     wide: bool = False  # ranges three times as wide, on a logarithmic scale
 
     def within(self, low: float, high: float) -> float:
@@ -49,7 +49,7 @@ class DrawContext(NamedTuple):
         return 2.0 * math.pi * self.rng.random()
 
     def whole(self, low: int, high: int) -> float:
-        """A whole number from low to high."""
+        """A whole number from low to high; wide: 1 to 3 high."""
         return float(self.rng.integers(1, 3 * high + 1) if self.wide else self.rng.integers(low, high + 1))
 
     @property
@@ -57,7 +57,7 @@ class DrawContext(NamedTuple):
         return bool(self.s.linear[self.k])
 
     def motor_like(self, metres: float) -> float:
-        """A travel or speed given for the screws, at the same motor angle on this axis."""
+        """A travel or speed of the screws, converted to this axis at equal motor angle."""
         return metres if self.linear else metres / SCREW * self.s.ratio[self.k]
 
     @property
@@ -107,7 +107,7 @@ def _tn_factor(d: DrawContext) -> dict:
 
 
 def _delay(d: DrawContext) -> dict:
-    return {"delay_s": max(d.sign() * d.size(0.25e-3, 0.75e-3), -d.s.position_delay[d.k])}  # nothing arrives before it is sent
+    return {"delay_s": max(d.sign() * d.size(0.25e-3, 0.75e-3), -d.s.position_delay[d.k])}  # the total delay stays causal
 
 
 def _limit(d: DrawContext) -> dict:
@@ -152,7 +152,7 @@ def _backlash(d: DrawContext) -> dict:
 
 def _set_backlash(s: Settings, k: int, p: dict) -> None:
     s.gap[k] = p["clearance"]
-    s.contact_stiffness[k] = p.get("contact_stiffness", 0.0)  # 0: the default law, once all masses are known
+    s.contact_stiffness[k] = p.get("contact_stiffness", 0.0)  # 0: the default, from the final masses
     s.contact_damping[k] = p.get("contact_damping", 0.0)
 
 
@@ -162,7 +162,7 @@ def _compliance(d: DrawContext) -> dict:
 
 
 def stable_damping(d: DrawContext, stiffness: float) -> float:
-    """Damper of a load spring such that a position loop on the scale stays stable: 2 zeta w = damping / load > Kv."""
+    """Damping of a load spring that keeps the position loop on the scale stable: 2 zeta w = damping / load > Kv."""
     usual = 2.0 * d.within(0.04, 0.09) * math.sqrt(stiffness * d.load)
     return max(usual, d.within(1.25, 1.7) * d.s.kv[d.k] * d.load)
 
@@ -298,12 +298,12 @@ LIBRARY: dict[str, Effect] = {
 
 
 def draw_effect(name: str, axis: str, context: DrawContext, library: dict[str, Effect] = LIBRARY) -> dict:
-    """A drawn effect as a truth.toml states it."""
+    """A drawn effect in the form of a truth.toml."""
     return {"name": name, "axis": axis, **library[name].draw(context)}
 
 
 def apply_effect(s: Settings, effect: dict, library: dict[str, Effect] = LIBRARY) -> None:
-    """Changes settings `s` by one effect dict; raises ValueError on an unknown name or an axis that cannot have it."""
+    """Apply one effect to settings `s`; raises ValueError for an unknown name or an axis that cannot have it."""
     name, axis = effect["name"], effect["axis"]
     if name not in library:
         raise ValueError(f"no effect {name!r}; there are: {', '.join(library)}")

@@ -1,12 +1,11 @@
-"""Friction of one axis at its load side: exact stick-slip, or a bristle when the axis has pre-sliding.
+"""Friction of one axis at its load side: exact stick-slip, or a bristle if the axis has pre-sliding.
 
 Level:   F(v, q) = Coulomb (1 + fraction sin(k q)) (1 + warming) + excess exp(-(v / velocity)^2)
-Stick-slip (no bristle): over a step h the friction force is the one that brings the free motion v + h a to rest, if the
-level allows it, else the level against the motion:
+Stick-slip (no bristle): over a step h the friction force brings the free motion v + h a to rest, limited to the level:
     force = clip(-(v / h + a) m, -F, F)
-which is the implicit Coulomb law: exact level while sliding, and true rest (not creep) while sticking.
+This is the implicit Coulomb law: the exact level while sliding, and true rest (no creep) while sticking.
 Bristle:  z' = v - stiffness |v| z / F,   force = -(stiffness z + damping z')
-integrated exactly over a step of constant v, because at rapid speed the bristle turns over far faster than any step:
+integrated exactly over a step of constant v, because at rapid speed the bristle saturates much faster than any step:
     z -> zs + (z - zs) e^-x,   mean z = zs + (z - zs)(1 - e^-x)/x,   zs = F sign(v) / stiffness,   x = stiffness |v| h / F
 Units N, m, s (Nm, rad, s at A and C). Source: effects.md, "stribeck, presliding"; the exact step is the linear ODE's solution.
 """
@@ -20,7 +19,7 @@ from .compiled import compiled
 
 @compiled(inline=True)
 def friction_level(coulomb: float, wave: float, wave_number: float, excess: float, velocity: float, q: float, v: float) -> float:
-    """F(v, q) > 0, see above."""
+    """F(v, q) of the module's docstring, at least 0."""
     level = coulomb
     if wave != 0.0:
         level *= 1.0 + wave * math.sin(wave_number * q)

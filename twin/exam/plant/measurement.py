@@ -1,11 +1,10 @@
-"""Measuring systems: noise and resolution of the machine file's [measurement] table, and what lies between load and reading.
+"""Measuring systems: noise and resolution of the machine file's [measurement] table, and errors between load and reading.
 
     scale = q + frame + drift (started_at + t) + eccentricity (sin(q + phase) - sin(q0 + phase))
     reading = round((scale + noise) / step) step
-Noise is white and Gaussian with the table's standard deviation; steps and deviations SI. Found in the recorded campaigns:
-scale noise comes before rounding and the position controller gets the rounded sample; speed and current noise are seen by
-their controllers, tick by tick.
-Beyond the library: play of the scale's coupling, error within a scale period, cross-talk of another axis, current recorded late.
+Noise is white and Gaussian with the table's standard deviation, in SI. As in the recorded campaigns, scale noise is added before
+rounding and the position controller uses the rounded sample; the speed and current controllers see their noise at every tick.
+Outside the library: play of the scale's coupling, error within a scale period, cross-talk of another axis, late recording of current.
 """
 
 from __future__ import annotations

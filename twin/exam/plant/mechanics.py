@@ -1,15 +1,15 @@
-"""Motors, drive trains and loads of the five axes between two control ticks: RK4 with a held voltage.
+"""Motors, drive trains and loads of the five axes between two control ticks: RK4 at constant voltage.
 
 State rows [axis]: QM VM motor-side position and speed (in axis units), Q V load, CURRENT, F FD frame deflection and speed.
-    L i' = u - R i - Ke w                      w = motor speed as its encoder shows it
+    L i' = u - R i - Ke w                      w = motor speed at its encoder
     m_m VM' = Kt i / r + ripple / r - P        P = drive-train force; a rigid axis has m_m on the load and no P
     m_l V' = P - viscous - friction - constant - gravity + disturbance - mass_c x acceleration of the other axis
     FD' = ratio V' - 2 zeta w FD - w^2 F
-A and C share the mass matrix of tilting_pair.py; rotors, added inertia are diagonal terms.
-Drive train: d = QM + ahead(QM) - Q with the transmission's error `ahead`, which a rigid axis shows at its motor encoder alone;
-e = d outside the gap, measured from its edge:
+A and C share the mass matrix of tilting_pair.py; rotors and added inertia are diagonal terms.
+Drive train: d = QM + ahead(QM) - Q with the transmission error `ahead`, which on a rigid axis appears only at the motor encoder;
+e = deflection beyond the edge of the gap:
     P = k e + k3 e^3 + soft k clip(d, +-gap/2) + damping (VM - V) [without soft only in contact]
-Friction is one held force per step, found at its start from the free acceleration (friction.py). Units SI at the axis.
+Friction is constant over a step and computed at its start from the free acceleration (friction.py). Units SI at the axis.
 Source: effects.md; ordinary mechanics.
 """
 
@@ -26,11 +26,10 @@ from .tilting_pair import pair_terms
 QM, VM, Q, V, CURRENT, F, FD = range(7)
 STATES = 7
 A, C = 3, 4
-DEAD_TIME_A = 0.2  # current at which an inverter's dead time has taken most of its voltage
+DEAD_TIME_A = 0.2  # current scale of the voltage lost to an inverter's dead time
 
-
-# Rows of the table of numbers `m` [row, axis], SI at the axis, electrics at the motor. One array, because a compiled call
-# that hands over forty of them costs more than the mechanics.
+# Rows of the parameter table `m` [row, axis], SI at the axis, electrics at the motor. It is one array, because passing forty
+# arrays to a compiled function takes longer than the mechanics.
 (
     RATIO,
     KT,
@@ -59,7 +58,7 @@ DEAD_TIME_A = 0.2  # current at which an inverter's dead time has taken most of 
     BRISTLE_DAMPING,  # stiffness 0: exact stick-slip
     STEADY_FORCE,
     DISTURBANCE,
-    DISTURBANCE_W,  # steady against +q: constant force, weight of Z
+    DISTURBANCE_W,  # steady: constant force and weight of Z, against +q
     FRAME_W,
     FRAME_ZETA,
     FRAME_RATIO,
@@ -72,7 +71,7 @@ DEAD_TIME_A = 0.2  # current at which an inverter's dead time has taken most of 
     LEAD,
     CYCLIC,
     CYCLIC_PHASE,
-    ZERO_KEPT,  # 1: the motor encoder keeps its zero from run to run, 0: lead and cyclic error are zero where a run starts
+    ZERO_KEPT,  # 1: the motor encoder keeps its zero from run to run, 0: lead and cyclic error start at zero in each run
 ) = range(41)
 
 
@@ -93,7 +92,7 @@ def drive_force(m: np.ndarray, k: int, d: float, speed: float) -> float:
 
 @compiled(inline=True)
 def ahead(m: np.ndarray, k: int, q: float, q0: float) -> float:
-    """How far lead and cyclic error carry the load ahead of the motor side: zero at q0, or, with a zero that is kept, where they may be."""
+    """Lead of the load over the motor side by lead and cyclic error, relative to the value at q0 unless the zero is kept."""
     start = 1.0 - m[ZERO_KEPT, k]
     error = m[LEAD, k] * (q - start * q0)
     if m[CYCLIC, k] != 0.0:
@@ -112,19 +111,19 @@ def ahead_slope(m: np.ndarray, k: int, q: float) -> float:
 
 @compiled(inline=True)
 def motor_position(m: np.ndarray, k: int, q: float, q0: float) -> float:
-    """What the motor encoder shows, in axis units: a rotor on a spring shows where it is, a rigid one lags by what the load is ahead."""
+    """Motor encoder in axis units: the rotor's position on an elastic axis, load position minus `ahead` on a rigid one."""
     return q if m[ELASTIC, k] != 0.0 else q - ahead(m, k, q, q0)
 
 
 @compiled(inline=True)
 def motor_speed(m: np.ndarray, k: int, q: float, v: float) -> float:
-    """Motor speed [rad/s]: the derivative of motor_position over r."""
+    """Motor speed [rad/s]: time derivative of motor_position, divided by r."""
     return v / m[RATIO, k] if m[ELASTIC, k] != 0.0 else (1.0 - ahead_slope(m, k, q)) * v / m[RATIO, k]
 
 
 @compiled()
 def motor_torque(m: np.ndarray, k: int, y: np.ndarray, q0: np.ndarray) -> float:
-    """Torque [Nm] at the rotor: Kt i with saturation, ripple and cogging."""
+    """Torque at the rotor [Nm]: Kt i with saturation, plus ripple and cogging."""
     current = y[CURRENT, k]
     torque = m[KT, k] * current
     if m[SATURATION, k] != 0.0:
@@ -149,10 +148,10 @@ def slopes(
     other: np.ndarray,
     q0: np.ndarray,
 ) -> tuple[float, float, float]:
-    """dy = time derivative of y; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
+    """Write the time derivative of y to dy; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
 
-    friction [axis] is the held friction force, shaking [axis] the outer forces of this instant, other [axis] the load
-    accelerations of the step before (for the coupling of axes)."""
+    friction [axis]: friction force of this step; shaking [axis]: external force at this instant; other [axis]: load accelerations of
+    the previous step, for the coupling of axes."""
     for k in range(5):
         force = motor_torque(m, k, y, q0) / m[RATIO, k]
         w = motor_speed(m, k, y[QM, k], y[VM, k])
@@ -208,7 +207,7 @@ def find_friction(
     mcc: float,
     free: np.ndarray,
 ) -> None:
-    """Friction forces held over the coming step, from free slopes dy (friction zero); corrects dy to hold them."""
+    """Friction forces for the coming step, from the slopes dy without friction; adds their accelerations to dy."""
     det = maa * mcc - mac * mac
     for k in range(5):
         free[k] = dy[V, k]
@@ -222,7 +221,7 @@ def find_friction(
         if m[BRISTLE, k] == 0.0:
             friction[k] = stick_slip_force(friction[k], y[V, k], dy[V, k], mass, step)
         dy[V, k] += friction[k] / mass
-    # A and C push each other through Mac: a few rounds settle both forces (Mac^2 / Maa Mcc is below 1 %)
+    # A and C are coupled by Mac: a few iterations converge, as Mac^2 / (Maa Mcc) is below 1 %
     level_a, level_c = friction[A], friction[C]
     force_a, force_c = 0.0, 0.0
     if m[BRISTLE, A] != 0.0:
@@ -261,7 +260,7 @@ def advance(
     steps: int,
     work: np.ndarray,
 ) -> None:
-    """Moves y, z over `steps` RK4 steps of `step` seconds; work is scratch [8, STATES, axis]."""
+    """Advance y and z by `steps` RK4 steps of `step` seconds; work [8, STATES, axis] is scratch memory."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     friction, shake, none = work[5, 0], work[5, 1], work[5, 2]
     shake_mid, shake_end = work[6, 0], work[6, 1]

@@ -1,6 +1,6 @@
-"""Effects that the library does not have: the diagnosis should answer "unknown" and say where they sit.
+"""Effects that the library lacks: the diagnosis should answer "unknown" or "law", with the right axis and block.
 
-Same form as effects.LIBRARY; laws (T* torque set point, w* speed set point, x scale, d drive-train deflection):
+Same form as effects.LIBRARY. Symbols: T* torque set point, w* speed set point, s set point, x scale, d drive-train deflection:
 
 | effect | block | law | size at scale 1 |
 |---|---|---|---|

@@ -1,10 +1,9 @@
-"""Numbers of the second plant: from the parsed machine file to plain SI arrays, one entry per axis.
+"""Parameters of the second plant: from the parsed machine file to SI arrays with one entry per axis.
 
-Order of axes everywhere: X Y Z A C.  Units at the axis: m, N, kg or rad, Nm, kg m2; `ratio` r = axis units per motor
-radian (lead / 2 pi, or 1 / gear ratio).  A motor-side number becomes an axis-side one by
+Axis order: X Y Z A C. Units at the axis: m, N, kg or rad, Nm, kg m2; `ratio` r = axis units per motor radian (lead / 2 pi, or
+1 / gear ratio). From the motor side to the axis side:
     mass, inertia: J / r^2      friction: T / r      viscous: b / r^2      force: Kt i / r
-The control keeps the nominal torque constant and the nominal inertia J_ff whatever motor and load really are
-(docs/theory.md).
+The control keeps the nominal torque constant and inertia J_ff, whatever the true motor and load are (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ AXES = ("X", "Y", "Z", "A", "C")
 LINEAR = ("X", "Y", "Z")
 SPREAD_KEYS = ("torque_constant", "resistance", "inductance", "rotor_inertia", "coulomb_friction", "viscous_friction")
 BODIES = ("cradle", "table", "workpiece")
-FREE = 1e30  # "no limit" for clips; finite, so that products with it stay numbers
+FREE = 1e30  # no limit; finite, so that products with zero stay numbers
 
 
 @dataclass(frozen=True)
 class Richness:
-    """Physics that is always on in small amounts and that no effect describes; `small()` and `off()` are its variants.
+    """Small imperfections on every axis that no effect describes; `small()` and `off()` are its variants.
 
     compliance_hz: (low, high) of sqrt(k / load) / 2 pi of the drive train; damping ratio 0.04 to 0.08
-    presliding: (low, high) travel [m at the screws, A and C at equal motor angle] to full Coulomb friction
-    cogging: (low, high) amplitude as a share of Coulomb friction; 6 to 14 periods a motor turn
-    stribeck: (low, high) excess as a share of Coulomb friction; velocity 1 to 4 mm/s (likewise)
+    presliding: (low, high) travel to full Coulomb friction [m at the screws; A and C at equal motor angle]
+    cogging: (low, high) amplitude as a share of Coulomb friction; 6 to 14 periods per motor turn
+    stribeck: (low, high) excess as a share of Coulomb friction; velocity 1 to 4 mm/s (A and C at equal motor angle)
     """
 
     compliance_hz: tuple[float, float] | None = (150.0, 250.0)
@@ -43,17 +42,18 @@ class Richness:
     def small(cls) -> Richness:
         """About a fifth of the default: near the measuring noise, far below the usual size of any effect.
 
-        Where an axis sticks it is some ten times the noise.
+        On a sticking axis they are about ten times the noise.
         """
         return cls((400.0, 600.0), (0.05e-6, 0.2e-6), (0.0005, 0.002), (0.001, 0.005))
 
     @classmethod
     def off(cls) -> Richness:
+        """No imperfections."""
         return cls(None, None, None, None)
 
 
 def unit_factors() -> dict:
-    """Factors on the nominal machine file, all one; the layout of a truth.toml's [parameter] tables."""
+    """Factors of 1 on the nominal machine file, in the layout of a truth.toml's [parameter] tables."""
     factors = {axis: dict.fromkeys(SPREAD_KEYS, 1.0) for axis in AXES}
     for axis in LINEAR:
         factors[axis]["moving_mass"] = 1.0
@@ -62,7 +62,7 @@ def unit_factors() -> dict:
 
 
 def draw_factors(rng: np.random.Generator, spread: float) -> dict:
-    """Uniform factors within 1 +- spread, every parameter by itself."""
+    """Factors drawn uniformly and independently within 1 +- spread."""
     factors = unit_factors()
     for table in factors.values():
         for key in table:
@@ -119,65 +119,22 @@ Settings = Any  # a SimpleNamespace of arrays [axis], made by settings_of
 
 
 ZERO_IN_LIBRARY = [
-    "set_point_lag",
-    "current_lag",
-    "stribeck_excess",
-    "presliding_stiffness",
-    "presliding_damping",
-    "asymmetry",
-    "friction_wave",
-    "friction_wave_number",
-    "constant_force",
-    "added_mass",
-    "gap",
-    "contact_stiffness",
-    "contact_damping",
-    "stiffness",
-    "damping",
-    "hardening",
-    "frame_w",
-    "frame_zeta",
-    "frame_ratio",
-    "ripple",
-    "ripple_n",
-    "ripple_phase",
-    "cogging",
-    "cogging_n",
-    "cogging_phase",
-    "lead",
-    "cyclic",
-    "cyclic_phase",
-    "eccentricity",
-    "eccentricity_phase",
-    "drift",
-    "disturbance",
-    "disturbance_w",
-]
-"""Parameters of effects of the library, one number per axis: zero on a machine without effects."""
+    "set_point_lag", "current_lag", "stribeck_excess", "presliding_stiffness", "presliding_damping", "asymmetry", "friction_wave",
+    "friction_wave_number", "constant_force", "added_mass", "gap", "contact_stiffness", "contact_damping", "stiffness", "damping",
+    "hardening", "frame_w", "frame_zeta", "frame_ratio", "ripple", "ripple_n", "ripple_phase", "cogging", "cogging_n",
+    "cogging_phase", "lead", "cyclic", "cyclic_phase", "eccentricity", "eccentricity_phase", "drift", "disturbance", "disturbance_w",
+]  # fmt: skip
+"""Parameters of library effects, one number per axis; zero on a machine without effects."""
 
 ZERO_OUTSIDE = [
-    "dead_band",
-    "speed_lag",
-    "notch_hz",
-    "notch_width",
-    "saturation_a",
-    "dead_time_v",
-    "windage",
-    "warming",
-    "warming_time",
-    "soft_gap",
-    "soft_share",
-    "scale_play",
-    "subperiod",
-    "subperiod_length",
-    "skew_s",
-    "jitter_s",
-]
-"""The same of effects outside the library."""
+    "dead_band", "speed_lag", "notch_hz", "notch_width", "saturation_a", "dead_time_v", "windage", "warming", "warming_time",
+    "soft_gap", "soft_share", "scale_play", "subperiod", "subperiod_length", "skew_s", "jitter_s",
+]  # fmt: skip
+"""The same for effects outside the library."""
 
 
 def settings_of(machine: dict, factors: dict) -> Settings:
-    """All arrays of control and mechanics for a machine without effects; effects change them in place."""
+    """Arrays of control and mechanics for a machine without effects; effects change them in place."""
     axis = [machine["axis"][a] for a in AXES]
     motor, loops = [a["motor"] for a in axis], [a["loops"] for a in axis]
     linear = np.array([a["kind"] == "linear" for a in axis])
@@ -186,7 +143,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
         return np.array([t[key] for t in tables], dtype=float)
 
     def commissioned(key: str, nominal: np.ndarray) -> np.ndarray:
-        """What the control was commissioned with, where the file says so."""
+        """Value with which the control was commissioned, if the file has one."""
         return np.array([a.get("commissioned", {}).get(key, n) for a, n in zip(axis, nominal)])
 
     def spread(key: str) -> np.ndarray:
@@ -194,9 +151,8 @@ def settings_of(machine: dict, factors: dict) -> Settings:
 
     s = SimpleNamespace(linear=linear)
     s.ratio = np.array([ratio_of(a) for a in axis])
-    rotor_nominal = np.array(
-        [a["rotor_and_screw_inertia_kg_m2" if a["kind"] == "linear" else "rotor_and_gear_inertia_kg_m2"] for a in axis]
-    )
+    rotor_key = {"linear": "rotor_and_screw_inertia_kg_m2", "rotary": "rotor_and_gear_inertia_kg_m2"}
+    rotor_nominal = np.array([a[rotor_key[a["kind"]]] for a in axis])
     mass_nominal = np.array([a.get("moving_mass_kg", 0.0) for a in axis])
 
     # Control: nominal numbers only
@@ -228,11 +184,11 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.clamped = []
     s.machine, s.factors = machine, factors
 
-    # What a nominal machine lacks: neutral values
+    # Neutral values of everything that effects change
     for key in (*ZERO_IN_LIBRARY, *ZERO_OUTSIDE):
         setattr(s, key, np.zeros(len(AXES)))
     s.stribeck_velocity = np.full(len(AXES), 1e-3)
-    s.zero_kept = False  # of the motor encoders, see mechanics.motor_position
+    s.zero_kept = False  # motor encoders, see mechanics.ZERO_KEPT
     s.speed_clip = np.full(len(AXES), FREE)
     s.coupling = np.zeros((len(AXES), len(AXES)))  # [this, from]: mass
     s.crosstalk = np.zeros((len(AXES), len(AXES)))  # [this, from]: axis units per axis unit, outside the library
@@ -247,6 +203,6 @@ def _diagonal_at_zero(pair: np.ndarray) -> tuple[float, float]:
 
 
 def load_of(s: Settings) -> np.ndarray:
-    """Load mass or inertia [kg, kg m2] of each axis at A = C = 0, clamped and added ones included."""
+    """Load mass or inertia [kg, kg m2] of each axis at A = C = 0, including clamped and added ones."""
     pair = pair_of(s.machine, s.factors, s.clamped)
     return s.load_mass + s.added_mass + np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(pair)])

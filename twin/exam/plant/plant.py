@@ -1,17 +1,18 @@
-"""The second plant: a five-axis machine with its control, by another path than the twin (no MuJoCo, other integrator).
+"""The second plant: a five-axis machine with its control, without MuJoCo and with another integrator than the twin.
 
     s = settings_of(machine, factors); effects and richness change s; run(s, set_points) -> Trace
 
 A tick (125 us): measure -> position controller (every 2 ms) -> speed and current controller -> record -> RK4 to the next tick.
-The control sees the same noisy, rounded samples that are recorded: the scale at position cycles, motor speed and current
-at every tick (found in the recorded campaigns, their statistics fit no other choice). At the start the scale shows the set point, nothing
-moves, and the integrators carry gravity, unbalance and constant force, not friction.
+The control uses the same noisy, rounded samples that are recorded: the scale at position cycles, motor speed and current at every
+tick. Only this choice reproduces the statistics of the recorded campaigns. A run starts at rest with the scale at the set point; the
+integrators hold gravity, unbalance and constant force, but no friction.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -44,13 +45,13 @@ from .mechanics import (
 from .parameters import AXES, Settings, load_of, pair_of
 from .tilting_pair import holding_torque
 
-SUBSTEPS = 8  # RK4 steps per 125 us tick: 450 Hz contact and 250 Hz modes to far below a nanometre
-RING = 256  # ticks of current that are remembered: 32 ms
+SUBSTEPS = 8  # RK4 steps per 125 us tick; errors at 450 Hz contacts and 250 Hz modes stay far below a nanometre
+RING = 256  # length of the current history in ticks: 32 ms
 CONTACT_HZ, CONTACT_DAMPING_RATIO = 450.0, 0.3  # effects.md, default of backlash
 
 
 class PlantError(RuntimeError):
-    """A run that cannot be simulated: says which and why."""
+    """A run or case that cannot be simulated."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Trace:
 
 
 def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
-    """(table [row, axis], sums of the pair) from settings after effects and richness; fills the default contact of backlash."""
+    """(table [row, axis], sums of the pair) from settings after effects and richness; adds the default contact of backlash."""
     pair = pair_of(s.machine, s.factors, s.clamped)
     load_mass = s.load_mass + s.added_mass
     inertia = load_of(s)
@@ -78,7 +79,7 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
         reduced = s.motor_mass[k] * inertia[k] / (s.motor_mass[k] + inertia[k])
         contact = s.contact_stiffness[k] or (2 * math.pi * CONTACT_HZ) ** 2 * reduced
         contact_damping = s.contact_damping[k] or 2 * CONTACT_DAMPING_RATIO * math.sqrt(contact * reduced)
-        # a gap and a spring on one axis lie in series
+        # gap contact and spring of one axis are in series
         in_series = stiffness[k] > 0.0
         stiffness[k] = 1 / (1 / contact + 1 / stiffness[k]) if in_series else contact
         damping[k] = min(damping[k], contact_damping) if in_series else contact_damping
@@ -86,52 +87,41 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
     steady = s.constant_force.copy()
     steady[2] += load_mass[2] * s.gravity
     saturation = np.where(s.saturation_a > 0, 1 / np.where(s.saturation_a > 0, s.saturation_a, 1.0) ** 2, 0.0)
-    return np.array(
-        [
-            s.ratio,
-            s.kt,
-            saturation,
-            s.dead_time_v,
-            s.ke,
-            s.resistance,
-            s.inductance,
-            s.motor_mass,
-            load_mass,
-            (stiffness > 0).astype(float),
-            stiffness,
-            damping,
-            s.hardening * stiffness,
-            (s.gap + s.soft_gap) / 2,
-            np.where(s.soft_gap > 0, s.soft_share, 0.0),
-            s.viscous,
-            s.asymmetry,
-            s.windage,
-            s.coulomb,
-            s.friction_wave,
-            s.friction_wave_number,
-            s.stribeck_excess,
-            s.stribeck_velocity,
-            s.presliding_stiffness,
-            s.presliding_damping,
-            steady,
-            s.disturbance,
-            s.disturbance_w,
-            s.frame_w,
-            s.frame_zeta,
-            s.frame_ratio,
-            s.ripple,
-            s.ripple_n,
-            s.ripple_phase,
-            s.cogging,
-            s.cogging_n,
-            s.cogging_phase,
-            s.lead,
-            s.cyclic,
-            s.cyclic_phase,
-            np.full(len(s.linear), float(s.zero_kept)),
-        ],
-        dtype=float,
-    ), pair
+    soft_share = np.where(s.soft_gap > 0, s.soft_share, 0.0)
+    rows = [  # in the order of the row numbers in mechanics.py
+        s.ratio, s.kt, saturation, s.dead_time_v, s.ke, s.resistance, s.inductance,
+        s.motor_mass, load_mass,
+        (stiffness > 0).astype(float), stiffness, damping, s.hardening * stiffness, (s.gap + s.soft_gap) / 2, soft_share,
+        s.viscous, s.asymmetry, s.windage,
+        s.coulomb, s.friction_wave, s.friction_wave_number, s.stribeck_excess, s.stribeck_velocity,
+        s.presliding_stiffness, s.presliding_damping,
+        steady, s.disturbance, s.disturbance_w,
+        s.frame_w, s.frame_zeta, s.frame_ratio,
+        s.ripple, s.ripple_n, s.ripple_phase, s.cogging, s.cogging_n, s.cogging_phase,
+        s.lead, s.cyclic, s.cyclic_phase, np.full(len(s.linear), float(s.zero_kept)),
+    ]  # fmt: skip
+    return np.array(rows, dtype=float), pair
+
+
+class Clock(NamedTuple):
+    """Start of the run after that of the first run [s], tick [s], ticks per position cycle and per sample, RK4 steps per tick."""
+
+    started_at: float
+    tick: float
+    cycle_ticks: int
+    sample_ticks: int
+    substeps: int
+
+
+class Noise(NamedTuple):
+    """Realisations [sample or tick, axis]: scale at samples and, for drives that close the position loop, between them; motor speed
+    and current at ticks; delay of the scale's sampling [s]."""
+
+    scale: np.ndarray
+    between: np.ndarray
+    speed: np.ndarray
+    current: np.ndarray
+    jitter: np.ndarray
 
 
 @compiled(allocates=True)
@@ -141,30 +131,21 @@ def _simulate(
     pair: np.ndarray,
     coupling: np.ndarray,
     sensors: Sensors,
+    noise: Noise,
+    clock: Clock,
+    warming: np.ndarray,
+    set_points: np.ndarray,
     state: np.ndarray,
     y: np.ndarray,
-    z: np.ndarray,
-    play: np.ndarray,
-    q0: np.ndarray,
-    s_position: np.ndarray,
-    s_feedforward: np.ndarray,
-    noise_x: np.ndarray,
-    noise_between: np.ndarray,
-    noise_w: np.ndarray,
-    noise_i: np.ndarray,
-    jitter: np.ndarray,
-    started_at: float,
-    tick: float,
-    cycle_ticks: int,
-    sample_ticks: int,
-    substeps: int,
-    warming: np.ndarray,
-    warming_time: np.ndarray,
     out: np.ndarray,
 ) -> int:
-    """The loop. out [signal, sample, axis]: position, motor position, speed, speed set point, current, load, true current.
+    """The loop. set_points [position or feedforward, cycle, axis], warming [share or time constant, axis];
+    out [signal, sample, axis]: position, motor position, speed, speed set point, current, load, true current.
 
-    Returns 0, or 1 + the axis whose state ran away."""
+    Returns 0, or 1 + the index of an unstable axis."""
+    q0 = y[Q].copy()
+    play, z = q0.copy(), np.zeros(5)
+    tick, cycle_ticks, sample_ticks, started_at = clock.tick, clock.cycle_ticks, clock.sample_ticks, clock.started_at
     samples = out.shape[1]
     voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
     work = np.zeros((8, STATES, 5))
@@ -182,7 +163,7 @@ def _simulate(
                 if sensors.play[k] != 0.0:
                     play[k] = min(max(play[k], q - 0.5 * sensors.play[k]), q + 0.5 * sensors.play[k])
                     q = play[k]
-                x = q + y[F, k] + sensors.drift[k] * (started_at + t) + y[V, k] * jitter[row, k]
+                x = q + y[F, k] + sensors.drift[k] * (started_at + t) + y[V, k] * noise.jitter[row, k]
                 if sensors.eccentricity[k] != 0.0:
                     x += sensors.eccentricity[k] * (
                         math.sin(q + sensors.eccentricity_phase[k]) - math.sin(q0[k] + sensors.eccentricity_phase[k])
@@ -192,13 +173,13 @@ def _simulate(
                 for j in range(5):
                     if sensors.crosstalk[k, j] != 0.0:
                         x += sensors.crosstalk[k, j] * (y[Q, j] - q0[j])
-                noise = noise_between[n, k] if in_drive and not sampled else noise_x[row, k]
-                x = round((x + noise) / sensors.scale_step[k]) * sensors.scale_step[k]
-            w = motor_speed(m, k, y[QM, k], y[VM, k]) + noise_w[n, k]
-            current = y[CURRENT, k] + noise_i[n, k]
+                x += noise.between[n, k] if in_drive and not sampled else noise.scale[row, k]
+                x = round(x / sensors.scale_step[k]) * sensors.scale_step[k]
+            w = motor_speed(m, k, y[QM, k], y[VM, k]) + noise.speed[n, k]
+            current = y[CURRENT, k] + noise.current[n, k]
             # control
             if cycle:
-                position_cycle(c, state, k, s_position[n // cycle_ticks, k], s_feedforward[n // cycle_ticks, k], x)
+                position_cycle(c, state, k, set_points[0, n // cycle_ticks, k], set_points[1, n // cycle_ticks, k], x)
             if in_drive:
                 drive_cycle(c, state, k, n, x, past)
             voltage[k] = current_cycle(c, state, k, w, current)
@@ -215,10 +196,10 @@ def _simulate(
                 out[6, row, k] = y[CURRENT, k]
                 if not abs(y[V, k]) < 1e3:
                     return 1 + k
-            if warming[k] != 0.0:
-                warm[k] = 1.0 + warming[k] * (1.0 - math.exp(-(started_at + t) / warming_time[k]))
+            if warming[0, k] != 0.0:
+                warm[k] = 1.0 + warming[0, k] * (1.0 - math.exp(-(started_at + t) / warming[1, k]))
         if n < (samples - 1) * sample_ticks:
-            advance(m, pair, coupling, y, z, other, voltage, warm, q0, t, tick / substeps, substeps, work)
+            advance(m, pair, coupling, y, z, other, voltage, warm, q0, t, tick / clock.substeps, clock.substeps, work)
     return 0
 
 
@@ -231,36 +212,13 @@ def run(
     noise: bool = True,
     set_point_period_s: float | None = None,
 ) -> Trace:
-    """Simulates one run on settings `s` over set points [sample, axis] (SI) and returns its Trace at the sample period.
+    """Simulate one run with settings `s` over set points [sample, axis] (SI); returns its Trace at the sample period.
 
-    A run of a campaign starts `started_at_s` after the first (thermal drift, warming). Equal seeds give equal traces.
-    `set_point_period_s` is that of the set points, where it is not the sample period: an interpolator writes one each 2 ms."""
-    given = np.ascontiguousarray(set_points, dtype=float)
+    The run starts `started_at_s` after the first one of its campaign (thermal drift, warming). Equal seeds give equal traces.
+    `set_point_period_s` is the period of the set points; None: the sample period."""
     c, (m, pair), sensors = control_of(s), mechanics_of(s), sensors_of(s)
-    # Set points at the control's cycle, delayed by any fraction of a sample: a cubic spline through the recorded ones
-    period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
-    given_at = np.arange(len(given)) * (set_point_period_s or period)
-    samples = len(given) if set_point_period_s is None else math.floor(given_at[-1] / period + 1e-6) + 1
-    grid = np.arange(samples) * period
-    s_points = given
-    if set_point_period_s is not None:
-        s_points = np.column_stack([_delayed(given_at, given[:, k], grid, 0.0) for k in range(5)])
-    cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
-    at = _on_straight_lines if s.straight_set_points else _delayed
-    s_position, s_feedforward = (
-        np.column_stack([at(given_at, given[:, k], cycles, delay[k]) for k in range(5)])
-        for delay in (s.position_delay, s.feedforward_delay)
-    )
-    # Noise
-    rng = np.random.default_rng(seed)
-    ticks = (samples - 1) * s.sample_ticks + 1
-    noise_x = rng.standard_normal((samples, 5)) * sensors.scale_noise * noise
-    jitter = rng.standard_normal((samples, 5)) * s.jitter_s
-    noise_w = rng.standard_normal((ticks, 5)) * (sensors.speed_noise / s.ratio * noise)
-    noise_i = rng.standard_normal((ticks, 5)) * (sensors.current_noise * noise)
-    # a drive that closes the position loop reads its scale at every tick
-    noise_between = np.zeros((0, 5)) if not c.transport.any() else rng.standard_normal((ticks, 5)) * sensors.scale_noise * noise
-    # Rest: the scale shows the first set point, the drive trains are loaded, the integrators carry what holds
+    grid, s_points, commands = _commands(s, np.ascontiguousarray(set_points, dtype=float), set_point_period_s)
+    # rest: the scale shows the first set point, the drive trains are loaded, the integrators hold the load
     q0 = s_points[0] - sensors.drift * started_at_s
     hold = m[STEADY_FORCE].copy()
     hold[3:] += holding_torque(pair, q0[3], q0[4])
@@ -271,44 +229,46 @@ def run(
     y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
     voltage = s.resistance * y[CURRENT] + s.dead_time_v * np.tanh(y[CURRENT] / DEAD_TIME_A)
     state = control_at_rest(c, s_points[0], y[CURRENT], voltage)
-    out = np.zeros((7, samples, 5))
-    status = _simulate(
-        c,
-        m,
-        pair,
-        s.coupling,
-        sensors,
-        state,
-        y,
-        np.zeros(5),
-        q0.copy(),
-        q0,
-        s_position,
-        s_feedforward,
-        noise_x,
-        noise_between,
-        noise_w,
-        noise_i,
-        jitter,
-        started_at_s,
-        s.tick,
-        s.cycle_ticks,
-        s.sample_ticks,
-        substeps,
-        s.warming,
-        np.where(s.warming_time > 0, s.warming_time, 1.0),
-        out,
-    )
+    drawn = _noise_of(s, sensors, np.random.default_rng(seed), len(grid), noise)
+    clock = Clock(started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps)
+    warming = np.array([s.warming, np.where(s.warming_time > 0, s.warming_time, 1.0)])
+    out = np.zeros((7, len(grid), 5))
+    status = _simulate(c, m, pair, s.coupling, sensors, drawn, clock, warming, commands, state, y, out)
     if status:
-        raise PlantError(
-            f"axis {AXES[status - 1]} ran away (over 1000 m/s or rad/s, or not a number): "
-            "an effect makes its control loop unstable; choose a smaller size"
-        )
+        raise PlantError(f"axis {AXES[status - 1]} is unstable (speed above 1000 m/s or rad/s, or not a number): choose a smaller effect")
     return Trace(grid, s_points, *out)
 
 
+def _commands(s: Settings, given: np.ndarray, given_period: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(sample times, set points at them, delayed set points [position or feedforward, cycle, axis]), by cubic splines."""
+    period, cycle = s.tick * s.sample_ticks, s.tick * s.cycle_ticks
+    given_at = np.arange(len(given)) * (given_period or period)
+    samples = len(given) if given_period is None else math.floor(given_at[-1] / period + 1e-6) + 1
+    grid = np.arange(samples) * period
+    points = given
+    if given_period is not None:
+        points = np.column_stack([_delayed(given_at, given[:, k], grid, 0.0) for k in range(5)])
+    cycles = np.arange(((samples - 1) * s.sample_ticks) // s.cycle_ticks + 1) * cycle
+    at = _on_straight_lines if s.straight_set_points else _delayed
+    delays = (s.position_delay, s.feedforward_delay)
+    delayed = [np.column_stack([at(given_at, given[:, k], cycles, delay[k]) for k in range(5)]) for delay in delays]
+    return grid, points, np.array(delayed)
+
+
+def _noise_of(s: Settings, sensors: Sensors, rng: np.random.Generator, samples: int, on: bool) -> Noise:
+    """One realisation of all noise; jitter, an effect, stays when the noise is off."""
+    ticks = (samples - 1) * s.sample_ticks + 1
+    scale = rng.standard_normal((samples, 5)) * sensors.scale_noise * on
+    jitter = rng.standard_normal((samples, 5)) * s.jitter_s
+    speed = rng.standard_normal((ticks, 5)) * (sensors.speed_noise / s.ratio * on)
+    current = rng.standard_normal((ticks, 5)) * (sensors.current_noise * on)
+    in_drive = bool(s.dsc_delay.any())  # such a drive reads its scale at every tick
+    between = rng.standard_normal((ticks, 5)) * sensors.scale_noise * on if in_drive else np.zeros((0, 5))
+    return Noise(scale, between, speed, current, jitter)
+
+
 def _delayed(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: float) -> np.ndarray:
-    """values(cycles - delay), the first value before the start; exact where these times meet the grid."""
+    """values(cycles - delay) by a cubic spline; the first value before the start."""
     at = np.clip(cycles - delay, grid[0], grid[-1])
     if np.ptp(values) == 0.0:
         return np.full(len(at), values[0])
@@ -316,12 +276,12 @@ def _delayed(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: fl
 
 
 def _on_straight_lines(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: float) -> np.ndarray:
-    """The same on straight lines between the values that the control has at its own cycles."""
+    """values(cycles - delay), interpolated linearly between the values at the control's cycles."""
     return np.interp(cycles - delay, cycles, _delayed(grid, values, cycles, 0.0))
 
 
 def _deflection(m: np.ndarray, k: int, force: float) -> float:
-    """Drive-train deflection under a steady force, on the flank that the force presses; centred without force."""
+    """Drive-train deflection under a steady force, on the loaded flank; centred without force."""
     if m[ELASTIC, k] == 0.0 or force == 0.0:
         return 0.0
     inside = m[SOFT, k] * m[STIFFNESS, k] * m[HALF_GAP, k]

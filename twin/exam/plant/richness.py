@@ -1,7 +1,6 @@
-"""Puts the small physics of `Richness` on settings: compliance, pre-sliding, cogging, Stribeck on every axis.
+"""Applies the small imperfections of `Richness` to settings: compliance, pre-sliding, cogging, Stribeck on every axis.
 
-Where an effect of the same kind is already there, the effect stays as it is: it is the machine's law then.
-Numbers are drawn per axis from `rng`; units and ranges stand at parameters.Richness.
+An effect of the same kind takes precedence. Values are drawn per axis; units and ranges: parameters.Richness.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from .parameters import Richness, Settings, load_of
 
 
 def apply_richness(s: Settings, richness: Richness, rng: np.random.Generator) -> None:
-    """Changes settings `s` in place, after the effects; draws the same numbers whichever effects are there."""
+    """Change settings `s` in place, after the effects; the draws do not depend on the effects."""
     n = len(s.linear)
     draw = {kind: rng.random((3, n)) for kind in ("compliance", "presliding", "cogging", "stribeck")}
 

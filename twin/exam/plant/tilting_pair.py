@@ -9,8 +9,8 @@ the A axis. In the cradle frame its centre is rho = o + Rz(C) p, d = Rz(C) p, ze
 Lagrange's equations, ' = d/dC:
     Maa A" + Mac C" + Maa' A' C' + Mac' C'^2 + dV/dA = Q_A
     Mac A" + Mcc C" - 1/2 Maa' A'^2          + dV/dC = Q_C
-Rotors turn through a constant ratio and enter as diagonal terms elsewhere. Sums over bodies come ready made in `pair`
-(parameters.pair_of). Units kg m2, Nm, rad. Source: own derivation; checked by energy conservation in tests/exam.
+Rotors enter elsewhere as diagonal terms. `pair` holds the sums over the bodies (parameters.pair_of). Units kg m2, Nm, rad.
+Source: own derivation, checked by energy conservation in tests/exam.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .compiled import compiled
 
 @compiled(inline=True)
 def pair_terms(pair: np.ndarray, a: float, c: float, va: float, vc: float) -> tuple[float, float, float, float, float]:
-    """(Maa, Mac, Mcc, h_A, h_C): mass matrix and the torques h = Coriolis + centrifugal + gravity that stand left of Q."""
+    """(Maa, Mac, Mcc, h_A, h_C): mass matrix and h = Coriolis + centrifugal + gravity torques, on the left side of the equations."""
     g, cradle_i, cradle_y, cradle_z = pair[0], pair[1], pair[2], pair[3]
     m, mx, my, mz, oy = pair[4], pair[5], pair[6], pair[7], pair[8]
     sxx, syy, sxy, szz, szx, szy = pair[9], pair[10], pair[11], pair[12], pair[13], pair[14]
