@@ -72,7 +72,7 @@ class SinumerikCalls(SinumerikMotion):
         self.flow.decided(match[1], (value,))
         for part in _CASE_PART.finditer(match[2]):
             if part[1] == "DEFAULT" or self._value_of(part[1], s.column) == value:
-                self.flow._goto(frame, frame.at, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+                self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
                 return
 
     def _own_program(self, name: str) -> bool:
