@@ -72,8 +72,11 @@ def moved(e: Element, offset: float) -> Element:
 class Compensation:
     """The elements between G41 or G42 and G40; `emit` puts out a finished element."""
 
-    def __init__(self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None]) -> None:
+    def __init__(
+        self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None], tool_radius: float
+    ) -> None:
         self.offset = radius if left else -radius
+        self.tool_radius = tool_radius  # `radius` is in program coordinates, which a frame may scale
         self.along_next, self.corners_meet, self.emit = along_next, corners_meet, emit
         self.last: Element | None = None  # programmed
         self.shifted: Element | None = None  # beside it, its start is final

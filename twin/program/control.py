@@ -20,6 +20,7 @@ from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
 
 LONGEST_DWELL = 3600.0
+SAME_SCALE = 1e-9
 
 Vector = tuple[float, float, float]
 Arc = tuple[np.ndarray, bool, int]
@@ -227,7 +228,7 @@ class Control(ControlState):
     def compensate(self, side: int, radius: float, *, along_next: bool, corners_meet: bool = False) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
         if self.comp is not None:
-            if side and (side > 0) == (self.comp.offset * radius > 0) and abs(self.comp.offset) == abs(radius):
+            if side and (side > 0) == (self.comp.offset * radius > 0) and self.comp.tool_radius == abs(radius):
                 return
             if side:
                 raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
@@ -239,9 +240,23 @@ class Control(ControlState):
                 )
             self.programmed = self.here()
             self.comp = Compensation(
-                abs(radius), (side > 0) == (radius > 0), along_next=along_next, corners_meet=corners_meet, emit=self._emit
+                abs(radius) / self._scale(),
+                (side > 0) == (radius > 0),
+                along_next=along_next,
+                corners_meet=corners_meet,
+                emit=self._emit,
+                tool_radius=abs(radius),
             )
         self.settle_plain()
+
+    def _scale(self) -> float:
+        """Factor of the frame in the plane in force (SCALE, G51): it scales the contour, not the radius of the tool."""
+        if self.matrix is None:
+            return 1.0
+        first, second = (float(np.linalg.norm(self.matrix[:, i])) for i in arcs.PLANES[self.plane][:2])
+        if abs(first - second) > SAME_SCALE * first:
+            raise WordError("G41 and G42 need the same scale along both axes of the plane; scale them alike, or write G40", 1)
+        return first
 
     def _stands_across(self) -> bool:
         """Under a transformation: whether the tool stands along the normal of the plane in force."""
