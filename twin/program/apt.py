@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
 from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
-from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
+from twin.program.apt_words import FREE_TEXT, NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
 from twin.program.control_state import INCH
 from twin.program.machine_file import first_feed
@@ -124,10 +124,8 @@ class AptReader:
             self.out.notes[f"{word}/0,0,0: a shift by nothing"] = None
         elif word in NOT_SIMULATED or first in NOT_SIMULATED:
             raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
-        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in ("PARTNO", "PPRINT", "TPRINT", "REMARK", "INSERT"):
+        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in FREE_TEXT:
             self.out.notes[f"{word}: understood, without effect on the motion"] = None
-        elif found[0] in ("LETTER", "TITLES", "DISPLY", "PROGRAM"):
-            self.out.notes[f"{word}: text"] = None
         elif "_" in word:
             self.out.notes[
                 f"{word}: a word of the CAM system that the standard of CL data does not have, taken as without effect on the motion"
@@ -166,6 +164,8 @@ class AptReader:
         if self.world:
             self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
             return
+        if np.linalg.norm(np.cross(m[:, 0], m[:, 1]) - m[:, 2]) > OFF_AXIS:
+            raise self._fail(f"{word}/: its third axis is not that of a right-handed frame; correct it")
         self._frame(word, m[:, 0], m[:, 1], m[:, 3])
 
     def _transformation_type(self, word: str, values: str) -> None:
