@@ -16,13 +16,14 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control_state import INCH, LINEAR, Item
+from twin.program.control_state import INCH, LINEAR, OTHER, ROTARY, Item
 from twin.program.cycles import CycleError
 from twin.program.expressions import Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_calls import IsoCalls
 from twin.program.iso_drilling import CYCLES
 from twin.program.iso_lines import SEPARATOR, message_text
+from twin.program.iso_motion import REFERENCES
 from twin.program.source import Unit
 from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
 from twin.program.words import NUMBER
@@ -31,7 +32,11 @@ _NOT_IN_LINUXCNC: dict[float, str] = {
     76: "threading is not simulated",
     88: "boring with a halt for the hand is not simulated",
     5: "splines; let the CAM system put out lines or arcs",
+    87: "LinuxCNC itself does not carry it out",
+    100: "LinuxCNC has no such code",
+    101: "LinuxCNC has no such code",
 }
+_ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is not simulated")
 _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
     {54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3},
@@ -40,6 +45,7 @@ _ALIKE: tuple[set[float], ...] = (
 _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK", 60: ""}
 
 
+_AXES = (*LINEAR, *ROTARY, *OTHER)
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
 """What M70 and M73 of LinuxCNC keep, beside unit and feed."""
 
@@ -106,6 +112,10 @@ class Iso(IsoCalls):
             if not name[-1].isalpha() or not name.isascii():
                 raise WordError(f"'{char}' starts no word", column)
             e.at += 1
+            if not self.linuxcnc and name in _AXES and (not e.peek() or e.peek() in _AXES) and {28, 30} & {n for n, _ in g}:
+                self.note("G28, G30: an axis without a value goes to its reference point at once")
+                words[name] = Item(0.0, "IC", column)
+                continue
             if not e.peek():
                 raise WordError(f"'{name}' needs a number", column)
             try:
@@ -176,6 +186,9 @@ class Iso(IsoCalls):
             self._release()
         if self._calls(codes, m_codes, w):
             return
+        if 100 in codes and "T" in w:
+            self._change_and_move(g, m, w)
+            return
         w = {self.slot_of.get(name, name): item for name, item in w.items()}
         self._feed_and_tool(codes, g, m_codes, w)
         if self.linuxcnc:
@@ -186,7 +199,7 @@ class Iso(IsoCalls):
         plane_before = self.plane
         modal = False
         for number, column in g:
-            if number not in (0, 1, 2, 3, 53, 28, 30) and number not in CYCLES:
+            if number not in (0, 1, 2, 3, 53, *REFERENCES, 33, 33.1) and number not in CYCLES:
                 modal = self._g(number, column, w, codes) or modal
         if self.plane != plane_before and self.comp is not None:
             raise WordError("the plane changes inside G41 or G42; write G40 before", 1)
@@ -210,10 +223,22 @@ class Iso(IsoCalls):
             raise WordError(f"{name} has no use in this block; remove it, or add the G or M code that it belongs to", item.column)
         self._m_after(m_codes)
 
+    def _change_and_move(self, g: list[tuple[float, int]], m: list[tuple[float, int]], w: dict[str, Item]) -> None:
+        """G100 T of a Brother: a tool change, then rapid, Z last."""
+        self.note("G100 T: a tool change, then the other axes at rapid, then Z")
+        motion = self.motion
+        places = {name: w.pop(name) for name in (*LINEAR, *ROTARY, *OTHER) if name in w}
+        self.execute([entry for entry in g if entry[0] != 100], [*m, (6.0, 1)], w)
+        height = {"Z": places.pop("Z")} if "Z" in places else {}
+        for part in (places, height):
+            if part:
+                self.execute([(0, 1)], [], part)
+        self.motion = motion
+
     def _known_g(self, number: float, column: int) -> tuple[float, int]:
         entry = ISO_G.get(number)
-        if self.linuxcnc and number in _NOT_IN_LINUXCNC:
-            entry = (REFUSED, _NOT_IN_LINUXCNC[number])
+        if number in (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC):
+            entry = (REFUSED, (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC)[number])
         if entry is None:
             raise WordError(f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", column)
         if entry[0] == REFUSED:
@@ -253,7 +278,11 @@ class Iso(IsoCalls):
             tool["M6"] = 6.0, 1
         elif 61 in m and "Q" in w:
             tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
-        if codes & {43, 43.4, 43.5, 234}:
+        if 44 in codes:
+            if self.out.modes.traori:
+                raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
+            self.note("G44: taken as G43; without G43.4 X Y Z are positions of the axes whatever the length")
+        if codes & {43, 43.4, 43.5, 44, 234}:
             tool["G43"] = 43.0, 1
         if 49 in codes:
             tool["G49"] = 49.0, 1
@@ -295,6 +324,10 @@ class Iso(IsoCalls):
             self._g10(w, column)
         elif number == 11:
             pass
+        elif number == 10.9:
+            if "X" in w and w.pop("X").value:
+                raise WordError("G10.9 X1 is not supported: diameters are programmed on lathes; this machine mills", column)
+            self.note("G10.9 X0: lengths are radii, as here")
         elif number == 92:
             self._g92(w, column)
         elif number in (92.1, 92.2, 92.3):
@@ -305,11 +338,10 @@ class Iso(IsoCalls):
             self.set_frames()
         elif number == 52:
             self._g52(w)
-        elif number in (68, 51, 51.1, 50, 50.1):
-            self._turn_plane(number, w, column)
-        elif number == 69:
-            self._unswivel()
-            self._turn_plane(69, w, column)
+        elif number in (68, 69, 51, 51.1, 50, 50.1, 100, 101):
+            if number == 69:
+                self._unswivel()
+            self._map(number, w, column)
         elif number == 68.2:
             self._tilt(w)
         elif number in (15, 16):

@@ -43,6 +43,9 @@ class IsoCalls(IsoMotion, ABC):
         if s.kind == "then":
             if self.number_of(s.text, s.column):
                 self.words(" " * s.rest[0] + s.key)
+        elif s.kind == "words_goto":
+            self.words(s.key)
+            self.flow.jump_to(frame, s)
         elif s.kind == "program":
             self._program(s, frame)
         elif s.kind == "call":
@@ -68,6 +71,8 @@ class IsoCalls(IsoMotion, ABC):
             return True
         if 67 in codes:
             self.modal_macro = None
+        if 198 in m and not self.linuxcnc:
+            m[m.index(198)] = 98
         if 97 in m or 98 in m:
             own = 97 in m
             if own and self.linuxcnc:
@@ -77,7 +82,10 @@ class IsoCalls(IsoMotion, ABC):
             p, times = w.pop("P"), 1
             number = int(p.value)
             if "L" in w or "K" in w:
-                times = int(w.pop("L" if "L" in w else "K").value)
+                word = w.pop("L" if "L" in w else "K")
+                times = int(word.value)
+                if times != word.value:
+                    raise WordError(f"M98 repeats {word.value:g} times; give a whole number", word.column)
             elif not self.linuxcnc and not own and number > 9999:
                 times, number = divmod(number, 10000)
             if w or codes:

@@ -18,6 +18,9 @@ from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling
 from twin.program.source import Unit
 
+REFERENCES = {27, 28, 29, 30}
+"""G codes of the reference point."""
+
 
 class IsoMotion(IsoDrilling):
     """Moves."""
@@ -30,11 +33,15 @@ class IsoMotion(IsoDrilling):
         self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.modal_macro: tuple[Unit, int, dict] | None = None
         self.edge: Item | None = None  # D, which a Fanuc keeps
+        self.between: tuple[np.ndarray, list[float]] | None = None  # the point of G28 or G30, through which G29 comes back
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
-        if codes & {28, 30}:
-            self._reference(28 if 28 in codes else 30, coordinates, w)
+        if reference := codes & REFERENCES:
+            self._reference(int(min(reference)), coordinates, w)
+            return
+        if threading := codes & {33, 33.1}:
+            self._thread(min(threading), coordinates, w)
             return
         vector, given = None, w.keys() & set("IJK")
         if 43.5 in codes or (self.out.modes.traori and self.motion in (0, 1) and given and not codes & {2, 3}):
@@ -123,7 +130,13 @@ class IsoMotion(IsoDrilling):
         coordinates[b] = Item(radius * math.sin(math.radians(angle)), "AC", column)
 
     def _reference(self, number: int, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
-        """G28, G30: through the point of the block to the reference point, rapid."""
+        """G28, G30: through the point of the block to the reference point; G29: back through that point; G27: to the point alone. Rapid."""
+        if number == 29 and self.between is not None:
+            self.go(mv.RAPID, *self.between)
+        if number in (27, 29):
+            self.note("G27: a rapid move; that it ends at the reference point is not checked") if number == 27 else None
+            self.go(mv.RAPID, *self.target(coordinates, False))
+            return
         home = self.home[number]
         if number == 30 and "P" in w and (which := int(w.pop("P").value)) != 2:
             home = self.frame_table(f"G30P{which}")
@@ -132,6 +145,7 @@ class IsoMotion(IsoDrilling):
         none = [math.nan, math.nan]
         if coordinates:
             self.go(mv.RAPID, point, angles)
+            self.between = point, angles
         named = coordinates or {n: Item(0.0) for n in (*LINEAR, *ROTARY)}
         goal = np.array(self.out.position[:3])
         for n in named:
@@ -142,6 +156,19 @@ class IsoMotion(IsoDrilling):
             else:
                 self.other_axes[n] = 0.0
         self.go(mv.RAPID, goal, none, suppress=True)
+
+    def _thread(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """G33 and G33.1 of LinuxCNC: a line of K a turn of the spindle; G33.1, a tap, comes back the same way."""
+        speed = self.out.modes.spindle
+        if "K" not in w or not speed > 0.0:
+            raise WordError(f"G{number:g} needs K, the pitch, and a spindle speed S; add them", 1)
+        start, feed = self.here(), self.feed
+        self.feed = abs(w.pop("K").value) * speed
+        self.note("G33, G33.1: a line at K times S; the angle of the spindle is not simulated")
+        self.go(mv.LINE, *self.target(coordinates, False))
+        if number == 33.1:
+            self.go(mv.LINE, start, [math.nan, math.nan])
+        self.feed, self.motion = feed, None
 
     def _dwell(self, w: dict[str, Item]) -> None:
         name = next((n for n in ("P", "X", "U") if n in w), None)
@@ -170,7 +197,9 @@ class IsoMotion(IsoDrilling):
             if "Q" in w:
                 w.pop("Q")
                 self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
-        self.rounding = 60 if number == 61.1 or (number == 61 and not self.linuxcnc) else 64
+        if number == 61.1 and not self.linuxcnc:
+            self.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
+        self.rounding = 60 if number == (61.1 if self.linuxcnc else 61) else 64
         if number == 61 and self.linuxcnc:
             self.tolerance = 1e-6
             self.note("G61: exact path, a rounding of 1 um")
@@ -183,7 +212,7 @@ class IsoMotion(IsoDrilling):
     def _other_radius(self, d: Item) -> None:
         """D without G41 or G42 on a Fanuc: the radius of the next one; beside the contour it may only name the same one again."""
         self.edge = d
-        if self.comp is not None and abs(self._radius_of(d)) != abs(self.comp.offset):
+        if self.comp is not None and abs(self._radius_of(d)) != self.comp.tool_radius:
             raise WordError("D changes the radius inside G41 or G42; write G40 and a move before", d.column)
 
     def _compensation(self, number: float, w: dict[str, Item], column: int) -> None:

@@ -91,7 +91,13 @@ class IsoVariables(IsoFrames):
                 return self.names[key]
             if (value := self._predefined(key)) is not None:
                 return value
-            raise WordError(f"parameter #<{key.lower()}> has no value; set it before, or pass it to the program", column)
+            given = self.machine.document.get("variables", {})
+            if isinstance(given, dict) and isinstance(value := given.get(f"#<{key.lower()}>"), int | float):
+                return float(value)
+            raise WordError(
+                f"parameter #<{key.lower()}> has no value; set it before, or give '#<{key.lower()}>' in the table [variables] of the machine file",
+                column,
+            )
         if key == 0:
             return Null(0.0)
         if key <= 33:
@@ -102,8 +108,14 @@ class IsoVariables(IsoFrames):
             return self.numbers[key]
         if self.linuxcnc and key > 5602:
             raise WordError(f"parameter #{key} is out of range, 5602 is the last", column)
+        given = self.machine.document.get("variables", {})
+        if isinstance(given, dict) and isinstance(value := given.get(f"#{key}"), int | float):
+            return float(value)
         if not self.linuxcnc and key >= 1000:
-            raise WordError(f"system variable #{key} has no value here; set it in the program or remove it", column)
+            raise WordError(
+                f"system variable #{key} has no value here; set it in the program, or give '#{key}' in the table [variables] of the machine file",
+                column,
+            )
         return Null(0.0)
 
     def assign(self, name: str, value: float, column: int) -> None:
