@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -77,6 +79,37 @@ def test_threads_of_linuxcnc(read) -> None:
     assert program.moves.feed * 60e3 == pytest.approx([100, 100, 500])
     with pytest.raises(InputError, match="threading"):
         read("G0 X0 Z1\nG33 Z-1. F1.\n", "part.nc")
+
+
+def test_splines_of_linuxcnc(read) -> None:
+    """G5 from (0, 0) with (0, 3) to (1, 1) with (0, -3): points of the curve by hand; the next goes on with its arm; G5.1 by I and J."""
+    program = read("G0 X0 Y0\nG5 I0 J3 P0 Q-3 X1 Y1 F100\nP0 Q-3 X2 Y1\nG5.1 X4 Y0 I1 J2\nM2\n", "part.ngc")
+    ends = np.array(places(program))
+    u = np.linspace(0.0, 1.0, 12)[1:-1]
+    curve = np.stack([3 * u**2 * (1 - u) + u**3, 9 * u * (1 - u) ** 2 - 6 * u**2 * (1 - u) + u**3], axis=1)
+    chords = np.concatenate([np.linspace(a, b, 20) for a, b in pairwise(ends)])
+    assert max(np.linalg.norm(chords - p, axis=1).min() for p in curve) < 2e-3
+    assert {(1, 1), (2, 1), (4, 0)} <= set(map(tuple, ends.tolist()))
+    with pytest.raises(InputError, match="needs I J P Q"):
+        read("G0 X0 Y0\nG5 P0 Q-3 X1 Y1 F100\n", "part.ngc")
+    with pytest.raises(InputError, match="splines"):
+        read("G0 X0 Y0\nG5 I0 J3 P0 Q-3 X1 Y1 F100\n", "part.nc")
+
+
+@pytest.mark.parametrize(
+    ("name", "condition", "holds"),
+    [
+        ("part.nc", "#2AND512EQ512", True), ("part.nc", "#1 EQ 3 OR 4", False), ("part.nc", "[#1GT2]AND[#1LT3]", False), ("part.nc", "#1AND1", True),
+        ("part.nc", "5XOR4EQ1", True),
+    ],
+)  # fmt: skip
+def test_and_or_xor_of_a_fanuc_work_on_bits(read, name: str, condition: str, holds: bool) -> None:
+    text = f"#1=3\n#2=512\nG0 X0\nIF[{condition}]GOTO5\nX100.\nN5 X1.\n"
+    assert ([100, 0] not in places(read(text, name))) is holds
+
+
+def test_radius_by_h(read) -> None:
+    assert places(read("G10 L12 P19 R2.\nG1 X0 Y0 F100\nG42 H19 X10. Y5.\nX20.\nG40 X30.\n", "part.nc"))[1:] == [[10, 3], [20, 3], [30, 5]]
 
 
 def test_one_list_of_offsets(read) -> None:

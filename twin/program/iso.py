@@ -31,7 +31,6 @@ from twin.program.words import NUMBER
 _NOT_IN_LINUXCNC: dict[float, str] = {
     76: "threading is not simulated",
     88: "boring with a halt for the hand is not simulated",
-    5: "splines; let the CAM system put out lines or arcs",
     87: "LinuxCNC itself does not carry it out",
     100: "LinuxCNC has no such code",
     101: "LinuxCNC has no such code",
@@ -190,6 +189,9 @@ class Iso(IsoCalls):
             self._change_and_move(g, m, w)
             return
         w = {self.slot_of.get(name, name): item for name, item in w.items()}
+        if not self.linuxcnc and codes & {41, 42} and not codes & {43, 43.4, 43.5, 44} and "H" in w and "D" not in w:
+            self.note("G41 H, G42 H: H is the number of the radius, as on older controls")
+            w["D"] = w.pop("H")
         self._feed_and_tool(codes, g, m_codes, w)
         if self.linuxcnc:
             for alike in _ALIKE:
@@ -199,7 +201,7 @@ class Iso(IsoCalls):
         plane_before = self.plane
         modal = False
         for number, column in g:
-            if number not in (0, 1, 2, 3, 53, *REFERENCES, 33, 33.1) and number not in CYCLES:
+            if number not in (0, 1, 2, 3, 53, *REFERENCES, 33, 33.1, *self.splines) and number not in CYCLES:
                 modal = self._g(number, column, w, codes) or modal
         if self.plane != plane_before and self.comp is not None:
             raise WordError("the plane changes inside G41 or G42; write G40 before", 1)

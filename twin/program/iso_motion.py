@@ -33,12 +33,17 @@ class IsoMotion(IsoDrilling):
         self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.modal_macro: tuple[Unit, int, dict] | None = None
         self.edge: Item | None = None  # D, which a Fanuc keeps
+        self.splines = dict.fromkeys((5, 5.1), "spline") if linuxcnc else {}
+        self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
         self.between: tuple[np.ndarray, list[float]] | None = None  # the point of G28 or G30, through which G29 comes back
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
         if reference := codes & REFERENCES:
             self._reference(int(min(reference)), coordinates, w)
+            return
+        if self.splines and (codes & self.splines.keys() or (self.motion == 5 and coordinates and not codes & {0, 1, 2, 3})):
+            self._spline(5.1 if 5.1 in codes else 5, coordinates, w)
             return
         if threading := codes & {33, 33.1}:
             self._thread(min(threading), coordinates, w)
@@ -64,8 +69,6 @@ class IsoMotion(IsoDrilling):
             return
         if self.motion is None:
             raise WordError("coordinates without a motion: G80 is in force; give G0 or G1", 1)
-        if self.motion == 5:
-            raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", 1)
         kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion]
         if kind != mv.RAPID and self.feed == 0.0:
             self._no_feed()
@@ -156,6 +159,27 @@ class IsoMotion(IsoDrilling):
             else:
                 self.other_axes[n] = 0.0
         self.go(mv.RAPID, goal, none, suppress=True)
+
+    def _spline(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the plane XY, as chords."""
+        if self.plane != 17 or coordinates.keys() - {"X", "Y"} or self.comp is not None or math.isnan(self.feed) or not self.feed:
+            raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block", 1)
+        needed = "IJPQ" if number == 5 else "IJ"
+        given = {n: w.pop(n).value * self.unit for n in needed if n in w}
+        if number == 5 and self.motion == 5 and not given.keys() & {"I", "J"}:
+            given["I"], given["J"] = (-v for v in self.spline_arm)  # the next curve goes on smoothly
+        if set(needed) - given.keys():
+            raise WordError(f"G{number:g} needs {' '.join(needed)}; add them", 1)
+        start = self.here()
+        point, _ = self.target(coordinates, False)
+        near = start + np.array([given["I"], given["J"], 0.0])
+        far = point + np.array([given["P"], given["Q"], 0.0]) if number == 5 else near
+        if number == 5.1:
+            near, far = start + (near - start) * 2.0 / 3.0, point + (far - point) * 2.0 / 3.0
+        for end in arcs.bezier_chords(np.array([start, near, far, point])):
+            self.go(mv.LINE, end, [math.nan, math.nan])
+        self.note("G5, G5.1: the curve as chords within 0.5 um")
+        self.motion, self.spline_arm = (5, (given["P"], given["Q"])) if number == 5 else (None, (0.0, 0.0))
 
     def _thread(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
         """G33 and G33.1 of LinuxCNC: a line of K a turn of the spindle; G33.1, a tap, comes back the same way."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.control_state import INDEX, OTHER, ROTARY
-from twin.program.expressions import ISO, Expression, Null, WordError
+from twin.program.expressions import FANUC, ISO, Expression, Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
 
@@ -42,7 +42,7 @@ class IsoVariables(IsoFrames):
         return value
 
     def _expression(self, text: str, at: int, column: int = 1) -> Expression:
-        return Expression(text, ISO, self._named, self._hash, at, column)
+        return Expression(text, ISO if self.linuxcnc else FANUC, self._named, self._hash, at, column)
 
     def _named(self, expression: Expression, name: str, at: int) -> float:
         if name.startswith("EXISTS") and expression.peek() == "[":

@@ -12,7 +12,7 @@ NOTHING = "understood, without effect on the motion"
 ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
     3: (ACTS, "arc counter-clockwise"), 4: (ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s"),
-    5: (ACTS, "P alone: high-speed mode, noted; splines are refused"), 5.1: (NOTE, "look-ahead of the control, " + NOTHING),
+    5: (ACTS, "LinuxCNC: cubic spline; others: P alone, high-speed mode, noted"), 5.1: (NOTE, "LinuxCNC: quadratic spline; others: look-ahead of the control"),
     5.2: (REFUSED, "NURBS; let the CAM system put out lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system put out lines or arcs"),
     7: (REFUSED, "diameters are programmed on lathes; this machine mills"), 8: (NOTE, "radius or look-ahead, " + NOTHING),
     9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool"), 11: (ACTS, "end of G10"), 10.9: (ACTS, "X0: radii, as here"),
