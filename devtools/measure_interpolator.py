@@ -162,21 +162,24 @@ def long_program(blocks: int) -> str:
 
 
 def throughput(machine, folder: Path, blocks: int, simulate: bool) -> None:  # type: ignore[no-untyped-def]
-    """Blocks per second of reading plus interpolation, on one core, after one small program that compiles."""
+    """Blocks per second of processor time of reading plus interpolation, after one small program that compiles.
+
+    Windows are planned on several cores: what they share is the time on the clock against the processor time.
+    """
     small = written(folder, long_program(500), "small.mpf")
     interpolate(read_program(small, machine), machine)
     path = written(folder, long_program(blocks), "long.mpf")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.perf_counter()
+    start, clock = time.process_time(), time.perf_counter()
     program = read_program(path, machine)
-    read = time.perf_counter() - start
+    read = time.process_time() - start
     trace = interpolate(program, machine)
-    total = time.perf_counter() - start
+    total, clock = time.process_time() - start, time.perf_counter() - clock
     memory = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     print(
-        f"{blocks} blocks, {path.stat().st_size / 1e6:.1f} MB: read {read:.2f} s, interpolated {total - read:.2f} s for"
+        f"{blocks} blocks, {path.stat().st_size / 1e6:.1f} MB: processor time: read {read:.2f} s, interpolated {total - read:.2f} s for"
         f" {trace.time[-1]:.0f} s of motion; "
-        f"{blocks / total:.0f} blocks/s (bound 20000), {memory:.0f} MB more memory"
+        f"{blocks / total:.0f} blocks per second of processor time (bound 20000), {blocks / clock:.0f} by the clock, {memory:.0f} MB more memory"
     )
     if simulate:
         from twin.simulation.run import simulate as run

@@ -7,6 +7,8 @@ way that their invented stop and start can be felt, and are joined in the middle
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +25,7 @@ WINDOW = 20_000  # nodes planned at once
 FELT = 6.0  # run-ups to feed that an invented stop is felt
 MUCH_LONGER = 4.0  # a run-up so many times as long as those behind it begins a new stretch
 JOIN = 64  # nodes over which two windows are joined
+MOST_THREADS = 4  # windows planned at the same time, each of which needs memory
 SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
 """Limits are planned with these factors, since between two nodes they may be exceeded a little."""
 
@@ -35,6 +38,9 @@ class Law(NamedTuple):
     a: np.ndarray
     slope: np.ndarray
 
+
+Span = tuple[int, int, int]
+"""First and last node of a window, and the node from which on it takes over from the window before."""
 
 Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """First and last node of each window planned so far -> the factors on its limits, its coefficients."""
@@ -190,35 +196,51 @@ def _plan_long(
     progress: Callable[[float], None] | None,
     kept: Windows,
 ) -> np.ndarray:
-    """Windows one after the other, joined where both keep clear of their invented stops."""
+    """Windows, each planned by itself on a thread of its own, joined where both keep clear of their invented stops."""
     total = len(piece)
     c = np.zeros(total + 2)
-    begin = join_at = 0  # first node of the window, node up to which c is settled
-    window = WINDOW
-    while True:
-        end = min(begin + window, total)
-        if end < total:
-            join = felt_to(nodes, piece, way, begin, end) - JOIN
-            begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
-            if join <= join_at + JOIN or begin_next <= begin:
-                # the run-ups are longer than the window: take a larger one
-                window *= 2
-                continue
+
+    def planned(span: Span) -> np.ndarray:
+        begin, end, _ = span
         factors, new = kept.get((begin, end), (None, np.empty(0)))
         if factors is None or not np.array_equal(factors, ease[:, begin:end]):
             new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end], gap)
             kept[begin, end] = ease[:, begin:end].copy(), new
-        if begin == 0:
-            c[: end + 2] = new
-        else:
-            # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
-            share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
-            share = share * share * (3.0 - 2.0 * share)
-            c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
-        if progress:
-            progress(end / total)
+        return new
+
+    spans = _spans(nodes, piece, way)
+    pool = ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1))
+    try:
+        for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
+            if begin == 0:
+                c[: end + 2] = new
+            else:
+                # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
+                share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
+                share = share * share * (3.0 - 2.0 * share)
+                c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
+            if progress:
+                progress(end / total)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return c
+
+
+def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
+    """The windows of a stretch."""
+    total, window = len(piece), WINDOW
+    begin = join_at = 0
+    spans: list[Span] = []
+    while True:
+        end = min(begin + window, total)
         if end == total:
-            return c
+            return [*spans, (begin, end, join_at)]
+        join = felt_to(nodes, piece, way, begin, end) - JOIN
+        begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
+        if join <= join_at + JOIN or begin_next <= begin:
+            window *= 2  # the run-ups are longer than the window
+            continue
+        spans.append((begin, end, join_at))
         begin, join_at, window = begin_next, join, WINDOW
 
 
