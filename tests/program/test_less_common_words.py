@@ -108,6 +108,17 @@ def test_and_or_xor_of_a_fanuc_work_on_bits(read, name: str, condition: str, hol
     assert ([100, 0] not in places(read(text, name))) is holds
 
 
+def test_radius_and_angle_of_linuxcnc(read) -> None:
+    text = "F100\nG1 X0 Y0\n@10 ^0\n^90\nG91 @5\n^90\nG90 @3\nG81 @5 ^180 Z-1 R1\nG80\nM2\n"
+    ends = places(read(text, "part.ngc"))
+    assert ends[:6] == [[0, 0], [10, 0], [0, 10], [0, 15], [-15, 0], [-3, 0]]
+    assert ends[-1] == [-5, 0]
+    with pytest.raises(InputError, match="stand for X and Y"):
+        read("G1 F100 X1 @10\n", "part.ngc")
+    with pytest.raises(InputError, match="starts no word"):
+        read("G1 F100 @10\n", "part.nc")
+
+
 def test_radius_by_h(read) -> None:
     assert places(read("G10 L12 P19 R2.\nG1 X0 Y0 F100\nG42 H19 X10. Y5.\nX20.\nG40 X30.\n", "part.nc"))[1:] == [[10, 3], [20, 3], [30, 5]]
 

@@ -21,7 +21,7 @@ from twin.program.flow import Flow
 from twin.program.iso_drilling import CYCLES
 from twin.program.iso_lines import SEPARATOR, message_text
 from twin.program.iso_modes import IsoModes
-from twin.program.iso_motion import REFERENCES
+from twin.program.iso_motion import POLAR, REFERENCES
 from twin.program.source import Unit
 from twin.program.words import NUMBER
 
@@ -90,7 +90,7 @@ class Iso(IsoModes):
             if char == ",":
                 e.at += 1
                 name = "," + e.peek()
-            if not name[-1].isalpha() or not name.isascii():
+            if not (name[-1].isalpha() or (self.linuxcnc and name in POLAR)) or not name.isascii():
                 raise WordError(f"'{char}' starts no word", column)
             e.at += 1
             if not self.linuxcnc and name in _AXES and (not e.peek() or e.peek() in _AXES) and {28, 30} & {n for n, _ in g}:

@@ -18,6 +18,9 @@ from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling
 from twin.program.source import Unit
 
+POLAR = ("@", "^")
+"""Words of a radius and an angle (LinuxCNC)."""
+
 REFERENCES = {27, 28, 29, 30}
 """G codes of the reference point."""
 
@@ -39,6 +42,8 @@ class IsoMotion(IsoDrilling):
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
+        if w.keys() & set(POLAR):
+            self._radius_and_angle(coordinates, w)
         if reference := codes & REFERENCES:
             self._reference(int(min(reference)), coordinates, w)
             return
@@ -105,6 +110,21 @@ class IsoMotion(IsoDrilling):
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
                 frame.variables = dict(variables)
+
+    def _radius_and_angle(self, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """@ and ^ of LinuxCNC: radius and angle about the program zero; the one that is missing stays, with G91 they are added."""
+        a, b = (LINEAR[i] for i in arcs.PLANES[self.plane][:2])
+        item = next(iter(w[n] for n in POLAR if n in w))
+        if self.plane != 17 or a in coordinates or b in coordinates:
+            raise WordError("@ and ^ stand for X and Y under G17; remove the other words", item.column)
+        here = self._from()[:2] / self.unit
+        radius, angle = math.hypot(*here), math.degrees(math.atan2(here[1], here[0]))
+        if "@" in w:
+            radius = w.pop("@").value + (0.0 if self.absolute else radius)
+        if "^" in w:
+            angle = w.pop("^").value + (0.0 if self.absolute else angle)
+        for name, part in ((a, math.cos(math.radians(angle))), (b, math.sin(math.radians(angle)))):
+            coordinates[name] = Item(radius * part, "AC", item.column)
 
     def _polar(self, coordinates: dict[str, Item]) -> None:
         """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program; both are kept.
