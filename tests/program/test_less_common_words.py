@@ -152,7 +152,7 @@ def test_frames_in_variables(read) -> None:
     text = "DEF FRAME F1, F2=CTRANS(X,5)\nF1=CTRANS(X,10,Y,5):CROT(Z,90)\n$P_UIFR[1]=F1\nG54 G0 X0 Y0\nX10\n"
     text += "$P_PFRAME=F2:CTRANS(Y,2)\nX0 Y0\nF1[X,TR]=20\n$P_PFRAME=F1\nX0 Y0\n"
     assert places(read(text)) == [[10, 15], [8, 10], [5, 25]]
-    with pytest.raises(InputError, match="is no frame"):
+    with pytest.raises(InputError, match="is not a frame"):
         read("DEF FRAME F1\nF1=F9\nG1 X1 F100\n")
 
 

@@ -624,10 +624,10 @@ def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list
     ("name", "block", "message"),
     [
         ("part.mpf", "PRESETON(X,0)", "new coordinates"),
-        ("part.mpf", "G90 G91 X3", "G90 and G91 stand in one block"),
+        ("part.mpf", "G90 G91 X3", "G90 and G91 are in one block"),
         ("part.mpf", "OFFN=0.5", "OFFN=0.5 is not supported"),
         ("part.mpf", "ID=1 WHENEVER $AA_IM[X]>1 DO POS[Y]=3", "synchronised"),
-        ("part.ngc", "G0 G1 X3", "G0 and G1 stand in one block"),
+        ("part.ngc", "G0 G1 X3", "G0 and G1 are in one block"),
         ("part.ngc", "M72", "M70"),
         ("part.nc", "G5 P2 X3 I1 J1", "splines"),
         ("part.nc", "#2201=5.", "differently"),

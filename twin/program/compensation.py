@@ -1,4 +1,4 @@
-"""Cutter radius compensation (G41, G42): the path of the tool centre beside the programmed contour.
+"""Cutter radius compensation (G41, G42): the path of the tool centre at a distance from the programmed contour.
 
 Each element is moved sideways by the radius. At an outside corner the tool goes round the corner on an arc (G450, and
 ISO) or to the point where the moved elements meet (G451); at an inside corner both are cut where they meet. An inside corner
@@ -104,7 +104,7 @@ class Compensation:
         self.last, self.shifted = e, new
 
     def finish(self) -> np.ndarray | None:
-        """The end of the compensation: the last element in full; returns where the tool stands in the plane."""
+        """Put out the last element in full; returns the position of the tool in the plane."""
         if self.shifted is None:
             return None
         if self.entry and self.along_next:

@@ -48,7 +48,7 @@ class Iso(IsoModes):
         self.set_frames()
 
     def run(self) -> Any:
-        """All blocks; the moves stand in `out`."""
+        """Read all blocks; `out` holds the moves."""
         self.flow.run()
         self._release()
         if self.comp is not None:
@@ -112,11 +112,11 @@ class Iso(IsoModes):
             elif name == "M":
                 m.append((value, column))
             elif isinstance(value, Null) and not self.linuxcnc:
-                self.note(f"{name}: a word whose variable was never set counts as not written")
+                self.note(f"{name}: a word whose variable was never set is ignored")
             elif name == "T" and name in words and not self.linuxcnc:
                 self.note("T twice in a block: the second prepares the tool of the next change")
             elif name in words:
-                raise WordError(f"{name} stands twice in the block; keep one", column)
+                raise WordError(f"{name} occurs twice in the block; keep one", column)
             else:
                 words[name] = Item(float(value), "", column)
         for key, value, column in later:
@@ -178,7 +178,7 @@ class Iso(IsoModes):
         if self.linuxcnc:
             for alike in _ALIKE:
                 if len(both := [n for n, _ in g if n in alike]) > 1:
-                    raise WordError(f"G{both[0]:g} and G{both[1]:g} stand in one block; keep one", 1)
+                    raise WordError(f"G{both[0]:g} and G{both[1]:g} are in one block; keep one", 1)
         motion = next((n for n, _ in reversed(g) if n in _ALIKE[0]), None)
         plane_before = self.plane
         modal = False

@@ -52,7 +52,7 @@ class IsoCalls(IsoMotion, ABC):
             self._call_oword(s)
         elif s.kind in ("return", "endsub"):
             if s.kind == "return" and len(self.flow.frames) == 1:
-                raise WordError("RETURN stands in no subprogram; remove it", s.column)
+                raise WordError("RETURN is outside a subprogram; remove it", s.column)
             self._back(s)
         else:
             raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
@@ -121,7 +121,7 @@ class IsoCalls(IsoMotion, ABC):
         return unit, found[0]
 
     def _program_place(self, number: int, column: int) -> tuple[Unit, int] | None:
-        """Where program O.. begins: in this file, or in a file of the folder; None if the machine file says that it moves no axis."""
+        """Unit and line where program O.. begins, in this file or in the folder; None if the machine file lists it as moving no axis."""
         wrong = False
         for unit in dict.fromkeys((self.flow.frame.unit, self.unit_read)):
             for at, line in enumerate(unit.lines):
@@ -138,7 +138,7 @@ class IsoCalls(IsoMotion, ABC):
         unit = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))  # type: ignore[assignment]
         if unit is None:
             if moves_no_axis(self.machine, [f"O{number}", f"O{number:04d}"]):
-                self.note(f"O{number}: moves no axis, says the machine file")
+                self.note(f"O{number}: the machine file lists it as moving no axis")
                 return None
             raise WordError(
                 f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); add it, or list it in [program] "

@@ -54,7 +54,7 @@ class IsoDrilling(IsoVariables):
                 word = w.pop(name)
                 repeats = int(word.value)
                 if repeats != word.value:
-                    raise WordError(f"{name}{word.value:g} is no whole number of repetitions; correct it", word.column)
+                    raise WordError(f"{name}{word.value:g} is not a whole number of repetitions; correct it", word.column)
         if not (coordinates or codes & CYCLES or repeats != 1):
             return
         if "Z" not in self.sticky or "R" not in self.sticky:
@@ -65,7 +65,7 @@ class IsoDrilling(IsoVariables):
         if math.isnan(self.feed) or self.feed == 0.0:
             self._no_feed()
         if self.comp is not None:
-            raise WordError("a drilling cycle stands inside G41 or G42; write G40 before", 1)
+            raise WordError("a drilling cycle is inside G41 or G42; write G40 before", 1)
         if repeats > MOST_REPEATS:
             raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
         here = self.here() / self.unit
@@ -86,7 +86,7 @@ class IsoDrilling(IsoVariables):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
             self.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
-            self.note("G88: the halt at the bottom is passed over")
+            self.note("G88: the halt at the bottom is left out")
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0

@@ -89,7 +89,7 @@ class IsoFrames(IsoLines):
     def _g10_tool(self, what: int, w: dict[str, Item], column: int) -> None:
         """G10 L10 to L13 of Fanuc (length, its wear, radius, its wear), L1 of LinuxCNC (Z, R)."""
         if what in (50, 51, 52) and not self.linuxcnc:
-            self.note("G10 L50 .. G11: parameters of the control, understood, without effect on the motion")
+            self.note("G10 L50 .. G11: parameters of the control, understood, no effect on the motion")
             self.parameter_lines = True
             return
         given = {10: "R", 11: "R", 12: "R", 13: "R"} if not self.linuxcnc else {1: "ZR"}
@@ -177,7 +177,7 @@ class IsoFrames(IsoLines):
         self.set_frames()
 
     def _map(self, number: float, w: dict[str, Item], column: int) -> None:
-        """G51.1 and G101 (mirror), G51 (scale), G68 (turn) and their ends. A mirror holds what is scaled, which holds what is turned."""
+        """G51.1 and G101 (mirror), G51 (scale), G68 (turn) and the codes that end them."""
         if self.shift_on and np.any(self.shift):
             self.note("G68, G51: the point they are about counts before G92")
         places = {i: w.pop(n).value * self.unit for i, n in enumerate(LINEAR) if n in w}

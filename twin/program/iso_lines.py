@@ -48,7 +48,7 @@ class IsoLines(Corners):
             if active := _ACTIVE.match(inner):
                 messages.append(f"{active[1].upper()},{active[2]}")
             elif (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
-                self.note(f"({log[1].upper()}): understood, without effect on the motion")
+                self.note(f"({log[1].upper()}): understood, no effect on the motion")
             elif log and "," in inner:
                 raise WordError(f"({log[1].lower()},..) runs code of the control, which is not simulated; remove it", match.start() + 1)
             return " " * len(match[0])
@@ -140,7 +140,7 @@ def _oword(match: re.Match[str]) -> Statement:
 
 
 def message_text(text: str, number_of: Callable[[str, int], float]) -> str:
-    """What the operator reads of MSG, DEBUG or PRINT: the values of parameters stand in their places."""
+    """The text of MSG, DEBUG or PRINT with the values of its parameters filled in."""
     kind, _, rest = text.partition(",")
     places = 6
 

@@ -26,7 +26,7 @@ _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22:
 
 
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
-"""What M70 and M73 of LinuxCNC keep, beside unit and feed."""
+"""What M70 and M73 of LinuxCNC keep besides unit and feed."""
 
 
 class IsoModes(IsoCalls, ABC):
@@ -49,7 +49,7 @@ class IsoModes(IsoCalls, ABC):
 
     def _known_m(self, number: float, column: int) -> int:
         if number != int(number) or not 0 <= number <= 99999:
-            raise WordError(f"M{number:g} is no M code", column)
+            raise WordError(f"M{number:g} is not an M code", column)
         entry = ISO_M.get(int(number))
         if entry is not None and entry[0] == REFUSED:
             raise WordError(f"M{number:g} is not supported: {entry[1]}", column)
@@ -108,7 +108,7 @@ class IsoModes(IsoCalls, ABC):
             if "P" not in w or w.keys() & set("XYZIJQ"):
                 raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", column)
             w.pop("P")
-            self.note("G5 P: high-speed mode of the control, understood, without effect on the motion")
+            self.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
         elif number in (17, 18, 19):
             self.plane = int(number)
         elif number in (90, 91):

@@ -65,7 +65,7 @@ class IsoMotion(IsoDrilling):
         in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
         if self.motion is None and coordinates and not self.linuxcnc and not self.any_motion:
             self.motion = 0
-            self.note("coordinates before any G0 or G1: taken as rapid, which a parameter of the control decides")
+            self.note("coordinates before any G0 or G1 are taken as rapid; a parameter of the control decides this")
         self.any_motion = self.any_motion or self.motion is not None
         moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
         if codes & {2, 3} and not moves:
@@ -100,7 +100,7 @@ class IsoMotion(IsoDrilling):
             arc = self.arc_centre(start, point, in_plane, radius), self.motion == 2, turns
         corner = next(((n, w.pop(n)) for n in (",R", ",C") if n in w), None)
         if corner is not None and (kind != mv.LINE or suppress or vector):
-            raise WordError(f"{corner[0]} stands in a block with G1 before another one with G1; write it there", corner[1].column)
+            raise WordError(f"{corner[0]} belongs in a block with G1 that another G1 follows; move it there", corner[1].column)
         if corner is not None or self.held is not None:
             move = Move(kind, point, angles, vector, arc, None, suppress, self.feed, self.line, self.block)
             self._queue(move, None if corner is None else (corner[0], corner[1].value * self.unit))
@@ -254,7 +254,7 @@ class IsoMotion(IsoDrilling):
         return 0.0 if d.value == 0 else self.tools.radius(f"{d.value:g}", d.column)
 
     def _other_radius(self, d: Item) -> None:
-        """D without G41 or G42 on a Fanuc: the radius of the next one; beside the contour it may only name the same one again."""
+        """D without G41 or G42 on a Fanuc: the radius of the next G41 or G42; inside one it must not change the radius."""
         self.edge = d
         if self.comp is not None and abs(self._radius_of(d)) != self.comp.tool_radius:
             raise WordError("D changes the radius inside G41 or G42; write G40 and a move before", d.column)

@@ -59,7 +59,7 @@ class IsoVariables(IsoFrames):
                 return float(self.linuxcnc or not isinstance(value, Null))
             except WordError:
                 return 0.0
-        raise expression.fail(f"'{name}' is no value; a number, #variable or [expression] is needed", at)
+        raise expression.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
 
     def _key(self, expression: Expression) -> int | str:
         """The parameter behind a #: its number or name."""

@@ -60,7 +60,7 @@ def along(w, feed, rotary):
 
 @compiled(allocates=True)
 def _at_ease(s, j, f, limits, feed, rotary):
-    """Do all axes follow piece j at its feed with at most the share AT_EASE of every limit? The feed alone then decides its speed."""
+    """Whether all axes follow piece j at its feed within the share AT_EASE of every limit; the feed alone then decides the speed."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     step = 0.5 * (s.t[j + 1] - s.t[j])
     a = np.empty(3)

@@ -81,9 +81,9 @@ def dialect(source: Source) -> str:
     found = [name for pattern, name in _OTHER if pattern.search(text)]
     found += [name for first, second, name in _BOTH if first.search(text) and second.search(text)]
     if found:
-        raise InputError(f"{source.path}: this is {found[0]}, which is not read; put the program out as SINUMERIK, ISO or APT")
+        raise InputError(f"{source.path}: this is {found[0]}, which is not read; post the program as SINUMERIK, ISO or APT")
     if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
-        raise InputError(f"{source.path}: this is a FADAL program, which is not read; put the program out as SINUMERIK, ISO or APT")
+        raise InputError(f"{source.path}: this is a FADAL program, which is not read; post the program as SINUMERIK, ISO or APT")
     if ending in SINUMERIK_ENDINGS:
         return "sinumerik"
     if ending in APT:

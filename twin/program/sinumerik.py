@@ -52,7 +52,7 @@ class Sinumerik(SinumerikModes):
         self.set_frames()
 
     def run(self) -> Any:
-        """All blocks; the moves stand in `out`."""
+        """Read all blocks; `out` holds the moves."""
         self.flow.run()
         self._release()
         if self.comp is not None:
@@ -104,7 +104,7 @@ class Sinumerik(SinumerikModes):
             raise WordError(str(error), 1) from None
 
     def _block(self, words: list[Word]) -> None:
-        """Everything that stands in one block: first the modes, then the move."""
+        """All words of one block: first the modes, then the move."""
         block = Block()
         for word in words:
             name = self.slot_of.get(word.name, word.name)
@@ -116,13 +116,13 @@ class Sinumerik(SinumerikModes):
                 block.g.append((self._value(word) if word.index is None else self._of_group(word), word))
             elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
                 if word.index and name not in _INDEXED_AXES:
-                    raise WordError(f"{name}[..] is no axis; write {name} and its place, or AX[..]", word.column)
+                    raise WordError(f"{name}[..] is not an axis; write {name} and its place, or AX[..]", word.column)
                 axis = name[0] if name not in _INDEXED_AXES else self._axis_of(word)
                 axis = self.slot_of.get(axis, axis) if axis != name else axis
                 if axis not in INDEX and axis not in OTHER:
                     raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)
                 if axis in block.coordinates:
-                    raise WordError(f"{axis} stands twice in the block; keep one", word.column)
+                    raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
                 block.coordinates[axis] = self._item(word)
                 if name.startswith("POS"):
                     self.note("POS, POSA: the axis moves with the others of the block, at rapid where it stands alone")
@@ -131,7 +131,7 @@ class Sinumerik(SinumerikModes):
                 block.centre[name] = self._item(word)
             elif name in ("F", "S", "P") or (name in SINUMERIK_NAMES and SINUMERIK_NAMES[name][1] in _VALUE_WORDS):
                 if name in block.extra:
-                    raise WordError(f"{name} stands twice in the block; keep one", word.column)
+                    raise WordError(f"{name} occurs twice in the block; keep one", word.column)
                 block.extra[name] = self._item(word)
             elif name == "M" and (word.value is not None or word.assigned):
                 block.m.append(int(self._value(word)))
@@ -142,7 +142,7 @@ class Sinumerik(SinumerikModes):
             elif name == "S1" and word.assigned and "S" not in block.extra:
                 block.extra["S"] = self._item(word)
             elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
-                self.note(f"{name}=: a word of another spindle or tool, understood, without effect on the motion")
+                self.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
             elif name == "R":
                 raise WordError("R is an R-parameter here (X=R1, R1=5); the radius of an arc is CR=, R in .ngc files only", word.column)
             elif len(name) == 1:
@@ -172,7 +172,7 @@ class Sinumerik(SinumerikModes):
                 self.note(f"G{number:g}: {entry[1]}")
         for alike in _ALIKE:
             if len(numbers & alike) > 1:
-                raise WordError("G" + " and G".join(f"{n:g}" for n in sorted(numbers & alike)) + " stand in one block; keep one", 1)
+                raise WordError("G" + " and G".join(f"{n:g}" for n in sorted(numbers & alike)) + " are in one block; keep one", 1)
         if numbers & {25, 26}:
             block.coordinates.clear()
             extra.pop("S", None)

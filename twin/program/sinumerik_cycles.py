@@ -149,7 +149,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         aside = _number(a, 7, 0.0), _number(a, 8, 0.0)
         cycle = Drilling(safe, depth, rtp, dwell=time(5), aside=aside, lift=abs(_number(a, 9, 0.0)))
     elif name in ("CYCLE87", "CYCLE88"):
-        control.note(f"{name}: the halt at the bottom is passed over")
+        control.note(f"{name}: the halt at the bottom is left out")
         cycle = Drilling(safe, depth, rtp, dwell=time(5) if name == "CYCLE88" else 0.0)
     elif name == "CYCLE89":
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
@@ -243,7 +243,7 @@ def height(control: SinumerikCalls, value: float) -> None:
 def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
     """The cycle of MCALL at each place of a pattern."""
     if control.mcall is None:
-        raise WordError(f"{name} needs a cycle by MCALL before; add MCALL CYCLE81(..)", word.column)
+        raise WordError(f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
     if any(isinstance(v, str) and "1" in v for v in a):
         raise WordError(f"{name} with places left out (_HIDE) is not supported; write the places", word.column)
     x, y, _ = arcs.PLANES[control.plane]

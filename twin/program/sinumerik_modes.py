@@ -137,7 +137,7 @@ class SinumerikModes(SinumerikCalls):
             raise WordError(f"{name} takes no value; remove '{given[:20]}'", word.column)
         elif name in ("TRAORI", "TRAFOOF"):
             if given:
-                self.note("TRAORI: its number is passed over; the transformation is that of the model")
+                self.note("TRAORI: its number is ignored; the transformation is that of the model")
             self._release()
             self._unswivel()
             self.transform(name == "TRAORI")

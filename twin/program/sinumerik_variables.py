@@ -55,7 +55,7 @@ class SinumerikVariables(SinumerikFrames):
             name, _, value = part.partition("=")
             shape = re.match(r"\s*([A-Z_$][A-Z0-9_$]*)\s*(?:\[(.*)\])?\s*\Z", name, re.A)
             if not shape:
-                raise WordError(f"'{part[:30]}' is no definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
+                raise WordError(f"'{part[:30]}' is not a definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
             store: dict[tuple, Value] = {("default",): start}
             if shape[2]:
                 sizes = [int(self.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
@@ -102,7 +102,7 @@ class SinumerikVariables(SinumerikFrames):
             asked = str(e.arguments()[0]).partition("[")[0].upper()
             return float(self._store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
-            raise e.fail(f"'{name}' is no function that is read here; write its value instead", at)
+            raise e.fail(f"'{name}' is not a function that is read here; write its value instead", at)
         if match := re.fullmatch(r"R(\d{1,4})", name):
             return self.parameters.get(int(match[1]), 0.0)
         if name == "R" and len(index) == 1 and not isinstance(index[0], str):
@@ -310,7 +310,7 @@ class SinumerikVariables(SinumerikFrames):
         while at < len(text.rstrip()):
             part = _FRAME_PART.match(text, at)
             if not part or (part[3] and part[3] not in _FRAMES and part[3] not in self.frame_variables):
-                raise WordError(f"'{text[at:].strip()[:20]}' is no frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
+                raise WordError(f"'{text[at:].strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
             if part[3]:
                 inner, shift = self._frame_named(part[3], tuple(self._value_of(t, column) for t, _ in split_arguments(part[4] or "")))
                 offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
@@ -326,7 +326,7 @@ class SinumerikVariables(SinumerikFrames):
                 pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
             for axis in pairs:
                 if axis not in INDEX and pairs[axis]:
-                    raise WordError(f"'{axis}' is no axis of this machine (X Y Z A C)", column)
+                    raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
             if part[1] in ("TRANS", "FINE"):
                 for axis, value in pairs.items():
                     if axis in INDEX:

@@ -7,7 +7,7 @@ REFUSED: known and not simulated; the text says what to do.
 from __future__ import annotations
 
 ACTS, NOTE, REFUSED = "acts", "note", "refused"
-NOTHING = "understood, without effect on the motion"
+NOTHING = "understood, no effect on the motion"
 
 ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
