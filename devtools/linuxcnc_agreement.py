@@ -56,7 +56,7 @@ def replay(lines: list[str]) -> Canon:
     canon, unit, plane = Canon(), 1.0, "XY"
     origin, shift, turn, feed = np.zeros(3), np.zeros(3), 0.0, 0.0
     here, raw = np.zeros(5), np.zeros(3)
-    seen = False
+    seen, turning, per_turn = False, 0.0, 0.0
 
     def machine(point: np.ndarray) -> np.ndarray:
         c, s = math.cos(math.radians(turn)), math.sin(math.radians(turn))
@@ -83,6 +83,13 @@ def replay(lines: list[str]) -> Canon:
             plane = text.split("_")[-1]
         elif name == "SET_FEED_RATE":
             feed = n[0]
+        elif name == "SET_SPINDLE_SPEED":
+            turning = n[-1]
+        elif name == "START_SPEED_FEED_SYNC":
+            per_turn = n[0]
+        elif name == "RIGID_TAP":  # down and back
+            for place in (np.array(n[:3]), raw):
+                canon.moves.append((mv.LINE, np.concatenate([machine(place), here[3:]]), None, per_turn * turning * unit, unit))
         elif name == "MESSAGE":
             canon.messages.append(text.strip('"').strip())
         elif name in ("STRAIGHT_TRAVERSE", "STRAIGHT_FEED", "ARC_FEED"):

@@ -1,5 +1,7 @@
 """Programs as texts."""
 
+from pathlib import Path
+
 import pytest
 
 from twin.program import read_program
@@ -15,3 +17,15 @@ def read(mikron, tmp_path):
         return read_program(path, machine)
 
     return reader
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Writes a text as a program file."""
+
+    def writer(text: str, name: str = "part.mpf") -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return writer

@@ -134,7 +134,7 @@ def test_planes(read) -> None:
 
 
 def test_stops_and_rounding(read) -> None:
-    program = read("G60 G603\nG1 X1 F100\nG64 X2\nG9 X3\nG641 ADIS=0.3 X4\nCYCLE832(0.02,3,0.5)\nX5\nG642 X6\nX7\n")
+    program = read("G60 G603\nG1 X1 F100\nG64 X2\nG9 X3\nG641 ADIS=0.3 X4\nCYCLE832(0.02,13,0.5)\nX5\nG642 X6\nX7\n")
     m = program.moves
     assert m.stop.tolist() == [True, False, True, False, False, False, True]
     assert m.distance[3] == pytest.approx(0.3e-3)

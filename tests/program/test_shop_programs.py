@@ -20,16 +20,6 @@ LINUXCNC = Path(__file__).resolve().parents[3] / "shared" / "data" / "linuxcnc" 
 
 
 @pytest.fixture
-def write(tmp_path):
-    def writer(text: str, name: str = "part.mpf") -> Path:
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return writer
-
-
-@pytest.fixture
 def read(mikron, write):
     return lambda text, name="part.mpf": read_program(write(text, name), mikron)
 
@@ -283,7 +273,7 @@ def fingerprint(out, front) -> tuple:
 
 CONTEXT = {4: "P1", 10: "L2 P1 X1", 28: "X1", 30: "X1", 52: "X1", 92: "X1", 68: "X0 Y0 R9", 68.2: "X0 Y0 Z0 I0 J0 K0", 51: "P2", 51.1: "X0", 54.1: "P3",
            73: "Z-1 R1 Q1", 83: "Z-1 R1 Q1", 41: "D1", 42: "D1", 41.1: "D1", 42.1: "D1", 53: "X1", 65: "P9", 66: "P9", 2: "X1 I5", 3: "X1 I5",
-           9: "X3", 64: "P1", 16: "X3"}  # fmt: skip
+           9: "X3", 64: "P1", 16: "X3", 27: "X3", 29: "X3", 87: "R-1 Z1", 10.9: "X0", 101: "X0", 100: "X0"}  # fmt: skip
 
 
 def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikron) -> None:
@@ -327,6 +317,7 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
             50.1,
             69,
             80,
+            100,
             15,
             90,
             91.1,
@@ -483,6 +474,106 @@ def test_no_word_of_a_cycle_is_ignored(write, mikron, number: int, name: str) ->
     assert not silent, silent
 
 
+RESETS = {1, 11, 15, 17, 21, 28.1, 30.1, 40, 53, 54, 64, 67, 71, 80, 90, 91.1, 92.1, 92.2, 92.3, 94, 98, 99, 100}
+"""Codes that are in force at the start, end what is not on, or act on what is not in this program."""
+
+
+@pytest.mark.parametrize("name", ["part.nc", "part.ngc"])
+def test_no_g_code_beside_a_move_is_ignored(write, mikron, name: str) -> None:
+    """Each code of the table with the words it needs, in the block of a move: others move, or a note or an error names it."""
+    set_apart = "".join(f"G10 L2 P{n} X{n}. Y0 Z0\n" for n in range(2, 10))
+    if name == "part.nc":
+        set_apart += "".join(f"G10 L20 P{n} X{n}.\n" for n in range(1, 21))
+    head = set_apart + HEAD
+    without = meaning(write(f"{head}X5 Y5\n{TAIL}", name), mikron)
+    silent = set()
+    for number, (kind, _) in ISO_G.items():
+        words = " ".join(w for w in CONTEXT.get(number, "").split() if w[0] not in "XYZ")
+        if kind != REFUSED and ignored(meaning(write(f"{head}X5 Y5 G{number:g} {words}\n{TAIL}", name), mikron), without):
+            silent.add(number)
+    unknown_there = {n for n in ISO_G if n in (54.1, 154) or 110 <= n < 130} if name == "part.ngc" else set()
+    assert silent <= RESETS | unknown_there, silent - RESETS
+
+
+@pytest.mark.parametrize("name", ["part.nc", "part.ngc"])
+@pytest.mark.parametrize(
+    "block",
+    ["X5. Y5.", "G0 X5.", "G28 X1.", "G4 P1.5", "G10 L2 P1 X1.", "G92 X3.", "G68 X0 Y0 R9.", "G43 H1 X5.", "M98 P7", "T1 M6", "M3 S5"],
+)
+def test_no_letter_beside_a_word_is_ignored(write, mikron, name: str, block: str) -> None:
+    """Each letter with a value. On a Fanuc D is kept for G41, F for the next G1, T for the next change; A and C of an offset act later."""
+    tail = "X9. Y2.\nX30. Y7. A1. C1.\nM30\nO7\nX2.\nM99\n"
+    without = meaning(write(f"{HEAD}{block}\n{tail}", name), mikron)
+    if without is None:
+        return
+    words = [f"{letter}{value}" for letter in "ABCDEFHIJKLPQRSTUVW" if letter not in block for value in ("2", "1.5")]
+    silent = {w for w in words if letter_of_no_axis(w) and ignored(meaning(write(f"{HEAD}{block} {w}\n{tail}", name), mikron), without)}
+    assert {w[0] for w in silent} <= {"D", "F", "T"}, silent
+
+
+DRILLING_CALLS = {
+    "CYCLE81": "5,0,1,-2,0,0.5,0,1,12", "CYCLE82": "5,0,1,-2,0,0.5,0,1,12", "CYCLE83": "5,0,1,-20,0,-5,5,1,0.5,0.5,0.8,1,3,1,0.6,1,1,0,1,12",
+    "CYCLE84": "5,0,1,-2,0,0.5,5,6,1,0,100,120,3,1,1,0", "CYCLE840": "5,0,1,-2,0,0.5,0,3,1,8,1,3,1", "CYCLE85": "5,0,1,-2,0,0.5,90,120,0,1,12",
+    "CYCLE86": "5,0,1,-2,0,0.5,3,0.1,0.2,0.3,45,0,1,12", "CYCLE87": "5,0,1,-2,0,3", "CYCLE88": "5,0,1,-2,0,0.5,3", "CYCLE89": "5,0,1,-2,0,0.5",
+    "CYCLE800": '1,"TC1",0,57,1,2,3,10,20,30,4,5,6,1,10,0', "CYCLE832": "0.1,13,1",
+    "HOLES1": "1,2,10,3,5,2", "HOLES2": '1,2,5,10,20,3,1000,1,"000"', "CYCLE801": "1,2,10,3,4,2,3,0,0,0", "CYCLE802": "111111111,111111111,3,4,5,6,7,8",
+}  # fmt: skip
+WITHOUT_MOTION = {
+    "CYCLE81": {8}, "CYCLE82": {8}, "CYCLE83": {7, 15, 19}, "CYCLE84": {7, 8, 10, 15}, "CYCLE840": {7, 8, 9, 10}, "CYCLE85": {10}, "CYCLE86": {7, 11, 13},
+    "CYCLE87": {6}, "CYCLE88": {7}, "CYCLE800": {1, 2, 3, 14, 15, 16}, "HOLES2": {7, 8, 9},
+}  # fmt: skip
+"""Arguments, from 1, about the spindle, the display, tables of threads, what another argument rules out, or what the note of CYCLE800 names."""
+
+
+@pytest.mark.parametrize("name", DRILLING_CALLS)
+def test_no_value_in_a_call_of_a_cycle_is_ignored(write, mikron, name: str) -> None:
+    """Each argument by itself with other values: the moves are others, or a note or an error says so."""
+    pattern = "MCALL CYCLE81(5,0,1,-2)\n{}\nMCALL" if name in ("HOLES1", "HOLES2", "CYCLE801", "CYCLE802") else "{}"
+
+    def run(arguments: list[str]) -> tuple[object, set[str]] | None:
+        call = pattern.format(f"{name}({','.join(arguments)})")
+        return meaning(write(f"G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\n{call}\nG1 X5 Z7\nY9\n"), mikron)
+
+    given = DRILLING_CALLS[name].split(",")
+    without = run(given)
+    silent = set()
+    for k, value in enumerate(given):
+        others = [v for v in ("2", "7", "1.3", "0", "-3", "", "22", "101") if v != value]
+        if all(ignored(run([*given[:k], other, *given[k + 1 :]]), without) for other in others):
+            silent.add(k + 1)
+    assert silent <= WITHOUT_MOTION.get(name, set()), silent
+
+
+CL_HEAD, CL_TAIL = "UNITS/MM\nSPINDL/500,RPM\nFEDRAT/500\nGOTO/0,0,150\n", "GOTO/5,0,150\nGOTO/5,5,150\nGOTO/5,10,150,0.1,0,1\n"
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UNITS/INCHES", "RAPID", "FEDRAT/7", "FEDRAT/7,IPM", "FEDRAT/0.1,MMPR", "FEDRAT/RAPID", "CIRCLE/2.5,0,150,0,0,1,2.5", "DELAY/2", "DELAY/2,REV",
+        "TLAXIS/0.1,0,1", "MSYS/1,0,0,1,0,0,0,1,0", "CSYS/1,0,0,1,0,1,0,0,0,0,1,0", "CYCLE/DRILL,5,100,MMPM,2", "GOHOME/1,1,150", "GODLTA/1,1,1",
+        "GODLTA/3", "FROM/1,1,150", "CUTCOM/LEFT", "PSIS/1", "MOVARC/2.5,0,150,0,0,1,2.5,ANGLE,180", "TRNTYP/WORLD,0,0,0",
+        "MCSYS/NUM,1,POINT,1,0,0,VECTOR,1,0,0,VECTOR,0,1,0", "FINI", "CYCLE/DRILL,FEDTO,10,RTRCTO,20,RAPTO,3,MMPM,100",
+        "CYCLE/DEEP,DEPTH,10,MMPM,100,CLEAR,5,RETURN,9",
+    ],
+)  # fmt: skip
+def test_each_statement_of_cl_data_that_acts_does(write, mikron, statement: str) -> None:
+    """The moves with it are others, or a note or an error names it; and each of its numbers matters."""
+
+    def run(text: str) -> tuple[object, set[str]] | None:
+        return meaning(write(f"{CL_HEAD}{text}\n{CL_TAIL}", "part.apt"), mikron)
+
+    with_it = run(statement)
+    assert not ignored(with_it, run(""))
+    if with_it is None or "/" not in statement or statement.startswith(("CUTCOM", "PSIS", "MCSYS", "TRNTYP")):
+        return
+    head, _, values = statement.partition("/")
+    for k, value in enumerate(values.split(",")):
+        if re.fullmatch(r"[\d.]+", value):
+            changed = [*values.split(",")[:k], "-1" if value == "1" else f"{float(value) + 1.5:g}", *values.split(",")[k + 1 :]]
+            assert not ignored(run(f"{head}/{','.join(changed)}"), with_it), (k, value)
+
+
 def letter_of_no_axis(word: str) -> bool:
     """Letters of axes that the machine lacks are refused when the program is finished, not while it is read."""
     return word[0] not in "BUVW"
@@ -533,10 +624,10 @@ def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list
     ("name", "block", "message"),
     [
         ("part.mpf", "PRESETON(X,0)", "new coordinates"),
-        ("part.mpf", "G90 G91 X3", "G90 and G91 stand in one block"),
+        ("part.mpf", "G90 G91 X3", "G90 and G91 are in one block"),
         ("part.mpf", "OFFN=0.5", "OFFN=0.5 is not supported"),
         ("part.mpf", "ID=1 WHENEVER $AA_IM[X]>1 DO POS[Y]=3", "synchronised"),
-        ("part.ngc", "G0 G1 X3", "G0 and G1 stand in one block"),
+        ("part.ngc", "G0 G1 X3", "G0 and G1 are in one block"),
         ("part.ngc", "M72", "M70"),
         ("part.nc", "G5 P2 X3 I1 J1", "splines"),
         ("part.nc", "#2201=5.", "differently"),

@@ -139,7 +139,7 @@ def test_slow_moves_take_no_more_nodes_for_a_set_point_than_fast_ones(
 
 
 def test_an_acceleration_above_its_limit_between_two_nodes_slows_that_place_only(mikron: Machine, tmp_path: Path) -> None:
-    head = "TRAORI\nCYCLE832(0.01,_FINISH,1)\nG0 X0 Y0 Z60 A0 C0\nG642 CTOL=0.01\n"
+    head = "TRAORI\nCYCLE832(0.01,_ORI_FINISH,1)\nG0 X0 Y0 Z60 A0 C0\nG642 CTOL=0.01\n"
     moves = (
         "G1 X2.637 Y4.392 Z60.529 A=-5.234 C=10.611 F200\n"
         "X4.522 Y4.265 Z59.162 A=-0.670 C=25.331 F100\n"

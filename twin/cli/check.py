@@ -1,4 +1,4 @@
-"""`twin check`: what of a program, or of a folder of them, is understood, fits the machine and keeps its limits."""
+"""`twin check`: check whether a program, or each program of a folder, is understood, fits the machine and keeps its limits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Check every program, print a line each, then the commonest reasons."""
+    """Check every program; print one line for each, then the commonest reasons."""
     from twin.program.check import check_programs, document, programs_in, reasons
     from twin.simulation.summary import table
 

@@ -73,7 +73,7 @@ class FlankMilling:
             " ".join(f"{w}{v:.6f}" for w, v in zip("XYZ", tip)) + " " + " ".join(f"{w}={v:.9f}" for w, v in zip(("A3", "B3", "C3"), a))
             for tip, a in poses
         ]
-        lines = [f"; {self.text}", HEAD + f"TRAORI\nORIWKS\nCYCLE832({self.tolerance:g},3,0.05)"]
+        lines = [f"; {self.text}", HEAD + f"TRAORI\nORIWKS\nCYCLE832({self.tolerance:g},13,0.05)"]
         lines += [f"G0 X{x:.6f} Y{y:.6f} Z{z + 80.0:.6f} A={tilt:.6f} C={turn:.6f}", f"G0 {words[0]}"]
         lines += [f"G1 {w}" + (f" F{self.feed:g}" if i == 0 else "") for i, w in enumerate(words[1:])]
         return "\n".join([*lines, f"G0 Z{z + 80.0:.6f}", "M30", ""])

@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
 from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
-from twin.program.apt_words import NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
+from twin.program.apt_words import FREE_TEXT, NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
 from twin.program.control_state import INCH
 from twin.program.machine_file import first_feed
@@ -60,7 +60,7 @@ class AptReader:
         self.direction: tuple[str, np.ndarray] | None = None
         self.cycle: Cycle | None = None
         self.ended = False
-        self.on_profile = False  # Creo says that its points are not those of the tool centre
+        self.on_profile = False  # Creo marks that its points are not those of the tool centre
         self.line = 0
         self.words = {
             "GOTO": self._goto, "FROM": self._from, "GODLTA": self._step, "RAPID": self._rapid, "FEDRAT": self._feed, "CIRCLE": self._circle,
@@ -77,7 +77,7 @@ class AptReader:
         return self.out.finish()
 
     def read_statements(self) -> None:
-        """All statements in order; the moves stand in `out`."""
+        """Read all statements in order; `out` holds the moves."""
         for line, text in self._statements():
             self.line = line
             try:
@@ -115,7 +115,7 @@ class AptReader:
             return
         found = word_and_values(text)
         if found is None:
-            raise self._fail(f"'{text[:40]}' is no APT statement; expected WORD/ values")
+            raise self._fail(f"'{text[:40]}' is not an APT statement; expected WORD/ values")
         word, values = found
         first = word.split()[0].split(",")[0]
         if word in self.words:
@@ -124,10 +124,8 @@ class AptReader:
             self.out.notes[f"{word}/0,0,0: a shift by nothing"] = None
         elif word in NOT_SIMULATED or first in NOT_SIMULATED:
             raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
-        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in ("PARTNO", "PPRINT", "TPRINT", "REMARK", "INSERT"):
-            self.out.notes[f"{word}: understood, without effect on the motion"] = None
-        elif found[0] in ("LETTER", "TITLES", "DISPLY", "PROGRAM"):
-            self.out.notes[f"{word}: text"] = None
+        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in FREE_TEXT:
+            self.out.notes[f"{word}: understood, no effect on the motion"] = None
         elif "_" in word:
             self.out.notes[
                 f"{word}: a word of the CAM system that the standard of CL data does not have, taken as without effect on the motion"
@@ -166,10 +164,12 @@ class AptReader:
         if self.world:
             self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
             return
+        if np.linalg.norm(np.cross(m[:, 0], m[:, 1]) - m[:, 2]) > OFF_AXIS:
+            raise self._fail(f"{word}/: its third axis is not that of a right-handed frame; correct it")
         self._frame(word, m[:, 0], m[:, 1], m[:, 3])
 
     def _transformation_type(self, word: str, values: str) -> None:
-        """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS behind it only says how the tool stands (RhinoCAM, VisualCAD)."""
+        """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS after it gives the tool axis only (RhinoCAM, VisualCAD)."""
         parts = listed(values)
         if parts[:1] != ["WORLD"] or any(not is_number(v) or float(v) for v in parts[1:]):
             raise self._fail(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0")
@@ -186,7 +186,7 @@ class AptReader:
 
     def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
         if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
-            raise self._fail(f"{word}/ is no frame: its axes are not of length 1 and at a right angle; correct it")
+            raise self._fail(f"{word}/ is not a frame: its axes must have length 1 and be at a right angle; correct it")
         x = x / np.linalg.norm(x)
         y = y - x * (x @ y)
         self.rotation = np.column_stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
@@ -215,7 +215,7 @@ class AptReader:
         self.out.notes[f"{word}: the points are those of the tool centre, the compensation is that of wear, which counts as 0"] = None
 
     def _part_surface(self, word: str, _values: str) -> None:
-        self.out.notes[f"{word}: understood, without effect on the motion"] = None
+        self.out.notes[f"{word}: understood, no effect on the motion"] = None
 
     def _fini(self, _word: str, _values: str) -> None:
         self.ended = True
@@ -373,7 +373,7 @@ class AptReader:
         self.cycle = cycle_of(kind, parts, self.unit, self.feed, lambda feed: self._feed_of(feed, word))
         if self.cycle is None:
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
-        self.out.notes[f"CYCLE/{kind}: one straight stroke to its depth; pecks and dwells are left out"] = None
+        self.out.notes[f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are left out"] = None
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle

@@ -26,7 +26,7 @@ _ORDINAL = re.compile(r",\s*(\d+)\s*,\s*INTOF")
 
 
 ANGLE_FITS = math.radians(1.0)
-"""How far the angle that MOVARC says may be from that of its points [rad]: some posts round it to whole degrees."""
+"""Tolerance between the angle of MOVARC and that of its points [rad]: some posts round it to whole degrees."""
 
 
 def arc_to(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 
-FREE_TEXT = ("PARTNO", "PPRINT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
+FREE_TEXT = ("PARTNO", "PPRINT", "PPWORD", "COMMENT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
 """Statements whose rest is text for people."""
 
 WITHOUT_EFFECT = frozenset({
@@ -18,7 +18,7 @@ WITHOUT_EFFECT = frozenset({
     "SELECTL", "SEQNO", "SET", "SLOWDN", "SPINDL", "STOP", "SYN", "TDATA", "TLCOM", "TLDATA", "TMARK", "TOLER", "TOOL PATH", "TOOLNO", "TURRET",
     "UNCLMP", "UNLOAD", "VERIFY", "ZERO", "CONTRL", "TAPKUL", "SWITCH", "BEGIN", "MATERL", "OPNAME", "APPLY", "TCP", "TCPCTL",
     "OFSTNO", "OSETNO", "PARTID", "CATCHR", "BARFED", "TLSTCK", "OVRIDE", "ADJUST", "LIMIT", "OPTION", "PRINT", "PUNCH", "CHUCK", "BLANK",
-    "STOCK", "FIXTUR", "REGEN", "NOPOST", "TOOLST", "TLSPEC", "RESET", "TYPE", "MODEL",
+    "TOOL", "STOCK", "FIXTUR", "REGEN", "NOPOST", "TOOLST", "TLSPEC", "RESET", "TYPE", "MODEL",
 })  # fmt: skip
 """Statements that are read and move nothing here; each is a note."""
 

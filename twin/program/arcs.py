@@ -7,6 +7,9 @@ import math
 
 import numpy as np
 
+CHORD = 0.5e-6
+"""Distance of the chords of a spline from it [m]."""
+MOST_CHORDS = 10_000
 CLOSING_TOLERANCE = 10e-6
 """Radii at start and end of an arc may differ by this [m]; the difference is spread along the arc. Chosen."""
 
@@ -108,3 +111,11 @@ def _angle(first: np.ndarray, last: np.ndarray, normal: np.ndarray) -> float:
     """Angle from one arm to the other about the normal, above 0."""
     angle = math.atan2(float(np.cross(first, last) @ normal), float(first @ last)) % (2.0 * math.pi)
     return angle if angle > 1e-9 else 2.0 * math.pi
+
+
+def bezier_chords(control: np.ndarray) -> np.ndarray:
+    """The ends (n, 3) [m] of chords along a cubic Bezier curve with control points (4, 3), none further from it than CHORD."""
+    bend = 6.0 * float(np.linalg.norm(np.diff(control, 2, axis=0), axis=1).max())
+    count = min(MOST_CHORDS, max(1, math.ceil(math.sqrt(bend / (8.0 * CHORD)))))
+    u = np.linspace(0.0, 1.0, count + 1)[1:, None]
+    return np.asarray((1 - u) ** 3 * control[0] + 3 * u * (1 - u) ** 2 * control[1] + 3 * u**2 * (1 - u) * control[2] + u**3 * control[3])

@@ -94,7 +94,7 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
 
 @compiled(allocates=True)
 def grade(e, h, corner):
-    """Let h grow from tight joints only by GROWTH per length (in place)."""
+    """Limit the growth of h from tight joints to GROWTH per length (in place)."""
     n = h.shape[0]
     cap = min(LONGEST_SPAN, e.u[n - 1] / 8.0)
     for k in range(n):
@@ -235,7 +235,7 @@ def spline_point(s, j, at, out):
 
 @compiled(allocates=True)
 def joint_ratios(e, s, tolerance, angle_tolerance):
-    """Deviation of the spline at every joint (E + 1,) in tolerances; beside an arc also between, put down to the nearer joint."""
+    """Deviation of the spline at every joint (E + 1,) in tolerances; next to an arc also between joints, assigned to the nearer one."""
     n = e.kind.shape[0]
     out = np.zeros(n + 1)
     have, want = np.empty(5), np.empty(5)

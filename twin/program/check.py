@@ -1,4 +1,4 @@
-"""What of a folder of programs is understood, fits the machine and keeps its limits: one line a program."""
+"""Check a folder of programs: what is understood, fits the machine and keeps its limits, one result a program."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html"
 
 @dataclass(frozen=True)
 class Checked:
-    """One program: is it understood, does it fit, how long does it take [s], what is in its way."""
+    """Result for one program: whether it is understood and fits, its duration [s], and the reason if it is refused."""
 
     path: Path
     understood: bool
@@ -96,7 +96,7 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
 def check_programs(
     paths: Sequence[Path], machine: Machine, *, place: bool = False, plan: bool = True, progress: Callable[[None], None] | None = None
 ) -> list[Checked]:
-    """All of them, in order."""
+    """Check all programs, in order."""
     found = []
     for path in paths:
         found.append(check_program(path, machine, place=place, plan=plan))
@@ -106,7 +106,7 @@ def check_programs(
 
 
 def reasons(checked: Sequence[Checked]) -> list[tuple[str, int, str]]:
-    """Why programs are refused: the reason without its numbers, how often, and where first; the commonest first."""
+    """Reasons for refusal without their numbers, the count of each, and its first place; the commonest first."""
     count: Counter[str] = Counter()
     first: dict[str, str] = {}
     for one in checked:

@@ -110,7 +110,7 @@ class Collector:
         self.blocks.append(block)
 
     def settle(self) -> np.ndarray:
-        """Angles of all rows so far are found; returns the last A and C."""
+        """Find the angles of all rows so far; returns the last A and C."""
         begin, end = self.settled, len(self.kinds)
         if end > begin:
             fixed = np.array([t[3:5] for t in self.targets[begin:end]])
@@ -288,7 +288,7 @@ class Collector:
 
 
 def travel_text(axis: int, value: float, kinematics: Kinematics) -> str:
-    """What lies outside travel (axis 0 to 4) and what to do."""
+    """The message for an axis (0 to 4) outside its travel."""
     name = kinematics.label[axis]
     unit, factor = AXIS_UNITS["rotary" if axis > 2 else "linear"].position
     low, high = kinematics.travel[axis] * factor

@@ -1,4 +1,4 @@
-"""Cutter radius compensation (G41, G42): the path of the tool centre beside the programmed contour.
+"""Cutter radius compensation (G41, G42): the path of the tool centre at a distance from the programmed contour.
 
 Each element is moved sideways by the radius. At an outside corner the tool goes round the corner on an arc (G450, and
 ISO) or to the point where the moved elements meet (G451); at an inside corner both are cut where they meet. An inside corner
@@ -72,8 +72,11 @@ def moved(e: Element, offset: float) -> Element:
 class Compensation:
     """The elements between G41 or G42 and G40; `emit` puts out a finished element."""
 
-    def __init__(self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None]) -> None:
+    def __init__(
+        self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None], tool_radius: float
+    ) -> None:
         self.offset = radius if left else -radius
+        self.tool_radius = tool_radius  # `radius` is in program coordinates, which a frame may scale
         self.along_next, self.corners_meet, self.emit = along_next, corners_meet, emit
         self.last: Element | None = None  # programmed
         self.shifted: Element | None = None  # beside it, its start is final
@@ -101,7 +104,7 @@ class Compensation:
         self.last, self.shifted = e, new
 
     def finish(self) -> np.ndarray | None:
-        """The end of the compensation: the last element in full; returns where the tool stands in the plane."""
+        """Put out the last element in full; returns the position of the tool in the plane."""
         if self.shifted is None:
             return None
         if self.entry and self.along_next:

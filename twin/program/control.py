@@ -20,6 +20,7 @@ from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
 
 LONGEST_DWELL = 3600.0
+SAME_SCALE = 1e-9
 
 Vector = tuple[float, float, float]
 Arc = tuple[np.ndarray, bool, int]
@@ -29,7 +30,7 @@ SpaceArc = tuple[np.ndarray, np.ndarray, float]
 
 
 class Programmed(NamedTuple):
-    """What a block says of its move besides the way in X Y Z; `mode` is the number of the modes in force."""
+    """What a block gives for its move besides X Y Z; `mode` is the number of the modes in force."""
 
     kind: int
     angles: list[float]
@@ -55,7 +56,7 @@ class Control(ControlState):
         if any(n in words and (words[n].how not in ("", "AC") or not self.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
         if suppress and self.comp is not None:
-            raise WordError("a block in machine coordinates stands inside G41 or G42; write G40 and a move before", 1)
+            raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before", 1)
         if start is None:
             start = np.array(out.position[:3]) if suppress else self.here()
         point = start.copy()
@@ -109,7 +110,7 @@ class Control(ControlState):
         self._feed_given(kind)
         if self.after_compensation and self.comp is None:
             if arc is not None or space_arc is not None:
-                raise WordError("the move behind G40 must be straight, not an arc; add a straight move", 1)
+                raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
             self.after_compensation = False
             self.settle_plain()
         said = Programmed(kind, angles, vector, self.feed * self.override, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
@@ -190,7 +191,7 @@ class Control(ControlState):
     def stop(self, pause: float) -> None:
         """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
         if self.comp is not None:
-            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it behind G40", 1)
+            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it after G40", 1)
         if self.out.kinds:
             self.out.stops[len(self.out.kinds) - 1] = pause
 
@@ -200,7 +201,7 @@ class Control(ControlState):
             raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
         out = self.out
         if self.comp is not None:
-            out.notes["G4 inside G41 or G42: left out, the tool does not rest on the contour"] = None
+            out.notes["G4 inside G41 or G42 is left out: the tool does not rest on the contour"] = None
             return
         out.pauses[len(out.kinds)] = seconds
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.line, self.block)
@@ -227,7 +228,7 @@ class Control(ControlState):
     def compensate(self, side: int, radius: float, *, along_next: bool, corners_meet: bool = False) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
         if self.comp is not None:
-            if side and (side > 0) == (self.comp.offset * radius > 0) and abs(self.comp.offset) == abs(radius):
+            if side and (side > 0) == (self.comp.offset * radius > 0) and self.comp.tool_radius == abs(radius):
                 return
             if side:
                 raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
@@ -239,9 +240,23 @@ class Control(ControlState):
                 )
             self.programmed = self.here()
             self.comp = Compensation(
-                abs(radius), (side > 0) == (radius > 0), along_next=along_next, corners_meet=corners_meet, emit=self._emit
+                abs(radius) / self._scale(),
+                (side > 0) == (radius > 0),
+                along_next=along_next,
+                corners_meet=corners_meet,
+                emit=self._emit,
+                tool_radius=abs(radius),
             )
         self.settle_plain()
+
+    def _scale(self) -> float:
+        """Factor of the frame in the plane in force (SCALE, G51): it scales the contour, not the radius of the tool."""
+        if self.matrix is None:
+            return 1.0
+        first, second = (float(np.linalg.norm(self.matrix[:, i])) for i in arcs.PLANES[self.plane][:2])
+        if abs(first - second) > SAME_SCALE * first:
+            raise WordError("G41 and G42 need the same scale along both axes of the plane; scale them alike, or write G40", 1)
+        return first
 
     def _stands_across(self) -> bool:
         """Under a transformation: whether the tool stands along the normal of the plane in force."""
@@ -266,7 +281,7 @@ class Control(ControlState):
         self.settle_plain()
 
     def _beside(self, said: Programmed, start: np.ndarray, point: np.ndarray, arc: Arc | None, space_arc: SpaceArc | None) -> None:
-        """Queue a move beside the contour."""
+        """Queue a move of the contour that the tool follows at a distance."""
         assert self.comp is not None
         if space_arc is not None or said.vector is not None or not all(math.isnan(v) for v in said.angles):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
@@ -279,7 +294,7 @@ class Control(ControlState):
             )
             centre, sense, turns = circle[0][[a, b]], (-1 if arc[1] else 1), arc[2]
             length = math.hypot(circle[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
-        if mode.feed_mode == 93:  # the time is that of the contour: the same speed beside it
+        if mode.feed_mode == 93:  # G93 gives the time of the contour; the tool keeps the same speed
             self.out.set_modes(replace(self.out.modes, feed_mode=94))
             said = said._replace(feed=said.feed * length / mode.feed_unit, mode=len(self.out.all_modes) - 1)
             self.out.set_modes(mode)
@@ -292,7 +307,7 @@ class Control(ControlState):
             raise WordError(str(error), 1) from None
 
     def _emit(self, e: Element) -> None:
-        """A finished element of the compensation goes out."""
+        """Put out a finished element of the compensation."""
         a, b, c = arcs.PLANES[self.plane]
         comp, self.comp = self.comp, None
         after, self.after_compensation = self.after_compensation, False

@@ -1,4 +1,4 @@
-"""What is in force while blocks run, for both languages: frames, modes, units, tools.
+"""The modal state of the control, for both languages: frames, modes, units, tools.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
 scales). Lengths are in m and rad from here on; a front end converts what is programmed.
@@ -51,7 +51,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 
 class ControlState:
-    """What is in force while blocks run; see the module for frames."""
+    """The modal state while blocks run; the module docstring defines the frames."""
 
     iso = False
     after_compensation = False  # the next move leads from the compensated path and must be straight
@@ -73,7 +73,7 @@ class ControlState:
         self.offset = [0.0] * 5
         self.other_axes = dict.fromkeys(OTHER, 0.0)
         self.comp: Compensation | None = None
-        self.programmed = np.zeros(3)  # the contour, while the tool runs beside it
+        self.programmed = np.zeros(3)  # place on the contour, while the tool follows it at a distance
         self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
         self.swivelled: tuple[np.ndarray, np.ndarray, bool] | None = None  # plane and origin; whether it switched TRAORI on
         self.plain = True  # blocks of coordinates alone may take the fast way
@@ -88,7 +88,7 @@ class ControlState:
     # ------------------------------------------------------------------ places
 
     def here(self) -> np.ndarray:
-        """Program coordinates (3,) of the tool, or of the contour it runs beside."""
+        """Program coordinates (3,) of the tool; inside G41 or G42 those on the contour."""
         if self.comp is not None or self.after_compensation:
             return self.programmed.copy()
         return self.to_program(np.array(self.out.position[:3]))
@@ -162,7 +162,7 @@ class ControlState:
     def set_feed(self, value: float, column: int = 1) -> None:
         """The F word, in the units in force."""
         if not 0.0 <= value < 1e9:
-            raise WordError(f"F{value:g} is no feed; give a number above 0", column)
+            raise WordError(f"F{value:g} is not a feed; give a number above 0", column)
         self.feed = value
 
     def set_spindle(self, value: float) -> None:
@@ -225,5 +225,5 @@ class ControlState:
             self.out.change_frame(replace(self.out.modes, traori=on))
 
     def note(self, text: str) -> None:
-        """Say once that a word was understood and what it means here."""
+        """Record once that a word was understood and what it means here."""
         self.out.notes[text] = None

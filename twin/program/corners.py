@@ -31,7 +31,7 @@ class Move(NamedTuple):
 
     @property
     def is_straight(self) -> bool:
-        """Is it no arc?"""
+        """Whether the move is a line."""
         return self.arc is None and self.space is None
 
 
@@ -62,7 +62,7 @@ class Corners(Control):
         return self.held.move.point.copy() if self.held is not None else self.here()
 
     def _queue(self, move: Move, corner: tuple[str, float] | None) -> None:
-        """Put a move out, or hold it back until its corner with the next one is known; `corner` is its word and size [m]."""
+        """Put a move out, or hold it until the next move defines its corner; `corner` is the word and the size [m]."""
         if self.every_corner and corner is None and move.kind == mv.LINE:
             corner = "RNDM", self.every_corner
         if self.held is not None:
@@ -73,7 +73,7 @@ class Corners(Control):
         self._go(move)
 
     def _go(self, move: Move) -> None:
-        """Put a move out with its own feed and place; the direction at its end is kept for CT."""
+        """Put a move out with its own feed and line; keep the direction at its end for CT."""
         kind, point, angles, vector, arc, space, suppress, feed, line, block = move
         now = self.feed, self.line, self.block
         self.feed, self.line, self.block = feed, line, block
@@ -89,12 +89,12 @@ class Corners(Control):
         self.feed, self.line, self.block = now
 
     def _release(self) -> None:
-        """A move that was held back for its corner goes out in full."""
+        """Put out in full a move that was held for its corner."""
         if self.held is not None:
             what, _, move, _ = self.held
             self.held = None
             if what != "RNDM":
-                raise WordError(f"behind {what} a move in the plane must follow; add it or remove {what}", 1)
+                raise WordError(f"a move in the plane must follow {what}; add it or remove {what}", 1)
             self._go(move)
 
     def _cut_corner(self, held: Held, following: Move) -> None:

@@ -35,6 +35,7 @@ class Drilling:
     peck: float = 0.0
     break_chip: bool = False
     back: float = CHIP_BREAK
+    dwell_last: float = 0.0  # at the bottom instead of `dwell`
     dwell_out: float = 0.0
     out: str = RAPID
     out_scale: float = 1.0
@@ -68,7 +69,7 @@ def drill(c: Drilling) -> list[tuple[str, float, float]]:
         elif k:
             steps += [(RAPID, at - down * c.back, 1.0)]
         steps.append((FEED, depth, c.first_scale if k == 0 and depths else 1.0))
-        dwell(c.dwell)
+        dwell(c.dwell_last if depth == c.depth and c.dwell_last else c.dwell)
         at = depth
     if any(c.aside) or c.lift:
         steps += [(ASIDE, c.depth - down * abs(c.lift), 1.0), (RAPID, c.retract, 1.0), (BACK, c.retract, 1.0)]

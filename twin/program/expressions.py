@@ -8,7 +8,7 @@ line and block.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import re
 from typing import Any
@@ -163,6 +163,12 @@ ISO = Grammar(
     },
     {},
 )
+FANUC = replace(
+    ISO,
+    operators=ISO.operators
+    | {"AND": (4, _bits(lambda a, b: a & b)), "OR": (3, _bits(lambda a, b: a | b)), "XOR": (3, _bits(lambda a, b: a ^ b))},
+)
+"""ISO as a Fanuc reads it: AND, OR and XOR work on the bits and bind like * and +, ahead of a comparison."""
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX([+-]?\d{1,3}))?", re.A)
 _NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
 _SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>]")
@@ -227,7 +233,7 @@ class Expression:
         match = _SIGN.match(self.text, self.at)
         if not match:
             match = _NAME.match(self.text, self.at)
-            if match and self.grammar is ISO:  # X1AND2 and 5MOD3: names of ISO are not separated
+            if match and self.grammar is not SINUMERIK:  # X1AND2 and 5MOD3: names of ISO are not separated
                 for name in self.grammar.operators:
                     if name.isalpha() and match[0].startswith(name):
                         return name, self.at + len(name)

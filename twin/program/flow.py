@@ -230,7 +230,7 @@ class Flow:
             front.runs_into("a subprogram", s.column)
             self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "goto":
-            self._goto(frame, at, s)
+            self._goto(frame, s)
         elif kind == "repeat_label":
             self._repeat(frame, at, s)
         else:
@@ -311,11 +311,16 @@ class Flow:
 
     # ------------------------------------------------------------------ jumps
 
-    def _goto(self, frame: Frame, at: int, s: Statement) -> None:
-        condition, direction, target = s.rest
+    def _goto(self, frame: Frame, s: Statement) -> None:
+        condition, *_ = s.rest
         if condition and not self._value(condition, s.column):
             self.advance(frame)
             return
+        self.jump_to(frame, s)
+
+    def jump_to(self, frame: Frame, s: Statement) -> None:
+        """Go on at the target of a jump."""
+        _, direction, target = s.rest
         self._jump(s.column)
         place = frame.first if direction == "S" else self.place(frame, target, direction, s.column)
         frame.repeats = [r for r in frame.repeats if r[2] <= place <= r[0]]
@@ -323,6 +328,8 @@ class Flow:
 
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
         """Line of a label or block number; `direction` F: further on, B: before, C: the program goes on where there is none."""
+        if target.startswith("="):  # a block number by an expression
+            target = f"N{int(self.front.number_of(target[1:], column))}"
         if frame.unit.labels is None:
             frame.unit.labels = self.front.labels(frame.unit)
         places = frame.unit.labels.get(target, [])

@@ -208,7 +208,7 @@ def _stretch_pieces(
 
 
 def _check_length(seconds: float, period: float, program: Program, row: int, most: float) -> None:
-    """Refuse a motion that takes for ever, before its set points take the memory or the disk."""
+    """Refuse a motion whose set points would not fit into memory or on the disk."""
     refuse_above(
         seconds / period,
         most,
@@ -219,7 +219,7 @@ def _check_length(seconds: float, period: float, program: Program, row: int, mos
 
 
 def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limits: lookahead.Limits) -> float:
-    """By which factor the motion must be slower so that differences of the set points keep every limit."""
+    """Factor by which the motion must be slower for the differences of the set points to keep every limit."""
     worst = 1.0
     before = np.tile(start, (3, 1))  # at rest before and behind
     for axes in itertools.chain(blocks, (None,)):

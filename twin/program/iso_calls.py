@@ -43,13 +43,16 @@ class IsoCalls(IsoMotion, ABC):
         if s.kind == "then":
             if self.number_of(s.text, s.column):
                 self.words(" " * s.rest[0] + s.key)
+        elif s.kind == "words_goto":
+            self.words(s.key)
+            self.flow.jump_to(frame, s)
         elif s.kind == "program":
             self._program(s, frame)
         elif s.kind == "call":
             self._call_oword(s)
         elif s.kind in ("return", "endsub"):
             if s.kind == "return" and len(self.flow.frames) == 1:
-                raise WordError("RETURN stands in no subprogram; remove it", s.column)
+                raise WordError("RETURN is outside a subprogram; remove it", s.column)
             self._back(s)
         else:
             raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
@@ -68,6 +71,8 @@ class IsoCalls(IsoMotion, ABC):
             return True
         if 67 in codes:
             self.modal_macro = None
+        if 198 in m and not self.linuxcnc:
+            m[m.index(198)] = 98
         if 97 in m or 98 in m:
             own = 97 in m
             if own and self.linuxcnc:
@@ -77,7 +82,10 @@ class IsoCalls(IsoMotion, ABC):
             p, times = w.pop("P"), 1
             number = int(p.value)
             if "L" in w or "K" in w:
-                times = int(w.pop("L" if "L" in w else "K").value)
+                word = w.pop("L" if "L" in w else "K")
+                times = int(word.value)
+                if times != word.value:
+                    raise WordError(f"M98 repeats {word.value:g} times; give a whole number", word.column)
             elif not self.linuxcnc and not own and number > 9999:
                 times, number = divmod(number, 10000)
             if w or codes:
@@ -113,7 +121,7 @@ class IsoCalls(IsoMotion, ABC):
         return unit, found[0]
 
     def _program_place(self, number: int, column: int) -> tuple[Unit, int] | None:
-        """Where program O.. begins: in this file, or in a file of the folder; None if the machine file says that it moves no axis."""
+        """Unit and line where program O.. begins, in this file or in the folder; None if the machine file lists it as moving no axis."""
         wrong = False
         for unit in dict.fromkeys((self.flow.frame.unit, self.unit_read)):
             for at, line in enumerate(unit.lines):
@@ -130,7 +138,7 @@ class IsoCalls(IsoMotion, ABC):
         unit = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))  # type: ignore[assignment]
         if unit is None:
             if moves_no_axis(self.machine, [f"O{number}", f"O{number:04d}"]):
-                self.note(f"O{number}: moves no axis, says the machine file")
+                self.note(f"O{number}: the machine file lists it as moving no axis")
                 return None
             raise WordError(
                 f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); add it, or list it in [program] "

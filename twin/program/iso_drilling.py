@@ -14,8 +14,8 @@ from twin.program.cycles import FEED, RAPID, Drilling
 from twin.program.expressions import WordError
 from twin.program.iso_variables import IsoVariables
 
-CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 88, 89}
-USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 88, 89}, "Q": {73, 76, 83}, "I": {76}, "J": {76}}
+CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
+USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
 """The cycles that a word acts in; it is kept for those that follow."""
 MOST_REPEATS = 10_000
 
@@ -54,7 +54,7 @@ class IsoDrilling(IsoVariables):
                 word = w.pop(name)
                 repeats = int(word.value)
                 if repeats != word.value:
-                    raise WordError(f"{name}{word.value:g} is no whole number of repetitions; correct it", word.column)
+                    raise WordError(f"{name}{word.value:g} is not a whole number of repetitions; correct it", word.column)
         if not (coordinates or codes & CYCLES or repeats != 1):
             return
         if "Z" not in self.sticky or "R" not in self.sticky:
@@ -65,7 +65,7 @@ class IsoDrilling(IsoVariables):
         if math.isnan(self.feed) or self.feed == 0.0:
             self._no_feed()
         if self.comp is not None:
-            raise WordError("a drilling cycle stands inside G41 or G42; write G40 before", 1)
+            raise WordError("a drilling cycle is inside G41 or G42; write G40 before", 1)
         if repeats > MOST_REPEATS:
             raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
         here = self.here() / self.unit
@@ -77,15 +77,16 @@ class IsoDrilling(IsoVariables):
             depth = safe + self.sticky["Z"]
         if self.linuxcnc and self.plane != 17 and number in (74, 84):
             raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves", 1)
-        if depth > safe:
-            raise WordError(f"G{number}: {depth_axis} {depth:g} lies above R {safe:g}; correct one", 1)
+        if (depth > safe) != (number == 87) and depth != safe:
+            where = "below" if number == 87 else "above"
+            raise WordError(f"G{number}: {depth_axis} {depth:g} lies {where} R {safe:g}; correct one", 1)
         clear = max(safe, initial) if self.retract_to_start else safe
-        aside = (self.sticky.get("I", 0.0), self.sticky.get("J", 0.0)) if number == 76 else (0.0, 0.0)
-        if number == 76 and not any(aside):
+        aside = (self.sticky.get("I", 0.0), self.sticky.get("J", 0.0)) if number in (76, 87) else (0.0, 0.0)
+        if number in (76, 87) and not any(aside):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
-            self.note("G76: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
+            self.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
-            self.note("G88: the halt at the bottom is passed over")
+            self.note("G88: the halt at the bottom is left out")
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0
@@ -98,7 +99,7 @@ class IsoDrilling(IsoVariables):
         if number in (73, 83):
             self.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
         nothing = [math.nan, math.nan]
-        if start_height < safe:
+        if start_height < safe and number != 87:
             self._height(across, safe)
         for _ in range(repeats):
             point = self.here()
@@ -106,9 +107,32 @@ class IsoDrilling(IsoVariables):
                 i = INDEX[name]
                 point[i] = value * self.unit if absolute[name] else point[i] + value * self.unit
             self.go(mv.RAPID, point, nothing)
+            if number == 87:
+                self._bore_back(across, safe, depth, initial, aside, pause)
+                continue
             if abs(self.here()[across] / self.unit - safe) > 1e-12:
                 self._height(across, safe)
             self.drill(cycle)
+
+    def _bore_back(self, across: int, low: float, high: float, initial: float, aside: tuple[float, float], pause: float) -> None:
+        """G87 at one hole: aside and down to R, back to the axis of the hole, upwards at feed to Z, aside and out."""
+        self._aside(aside, 1.0)
+        self._height(across, low)
+        self._aside(aside, -1.0)
+        point = self.here()
+        point[across] = high * self.unit
+        self.go(mv.LINE, point, [math.nan, math.nan])
+        if pause:
+            self.dwell(pause)
+        self._aside(aside, 1.0)
+        self._height(across, initial)
+        self._aside(aside, -1.0)
+
+    def _aside(self, step: tuple[float, float], sense: float) -> None:
+        point = self.here()
+        for i, way in zip(arcs.PLANES[self.plane][:2], step):
+            point[i] += sense * way * self.unit
+        self.go(mv.RAPID, point, [math.nan, math.nan])
 
     def _height(self, across: int, value: float) -> None:
         point = self.here()

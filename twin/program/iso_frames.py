@@ -13,6 +13,12 @@ from twin.program.control_state import INDEX, LINEAR, OTHER, ROTARY, Item, rotat
 from twin.program.expressions import WordError
 from twin.program.iso_lines import IsoLines
 
+Map = tuple[np.ndarray, np.ndarray]
+"""Matrix (3, 3) and shift (3,) [m]: from the inner coordinates x to the outer ones, matrix x + shift."""
+
+NESTING = ("mirror", "scale", "turn")
+"""G51.1, G51 and G68 in the order in which a Fanuc nests them, the outermost first."""
+
 
 class IsoFrames(IsoLines):
     """Frames and what changes them."""
@@ -27,7 +33,9 @@ class IsoFrames(IsoLines):
         self.shift = np.zeros(5)  # G92 (LinuxCNC: also G52)
         self.shift_kept, self.shift_on = np.zeros(5), False
         self.local = np.zeros(5)  # G52 of Fanuc
-        self.plane_matrix, self.plane_offset = np.eye(3), np.zeros(3)  # G68, G51, G51.1
+        self.maps: dict[str, Map] = {}
+        self.mirrors: dict[int, float] = {}  # axis of G51.1 -> place of the mirror [m]
+        self.plane_matrix, self.plane_offset = np.eye(3), np.zeros(3)  # all of `maps`
 
     def set_frames(self) -> None:
         """The frame in force: system and its turn, G92, then the local frames."""
@@ -81,7 +89,7 @@ class IsoFrames(IsoLines):
     def _g10_tool(self, what: int, w: dict[str, Item], column: int) -> None:
         """G10 L10 to L13 of Fanuc (length, its wear, radius, its wear), L1 of LinuxCNC (Z, R)."""
         if what in (50, 51, 52) and not self.linuxcnc:
-            self.note("G10 L50 .. G11: parameters of the control, understood, without effect on the motion")
+            self.note("G10 L50 .. G11: parameters of the control, understood, no effect on the motion")
             self.parameter_lines = True
             return
         given = {10: "R", 11: "R", 12: "R", 13: "R"} if not self.linuxcnc else {1: "ZR"}
@@ -96,7 +104,19 @@ class IsoFrames(IsoLines):
                     value += self.tools.value(name, quantity, wear=wear) or 0.0
                 self.tools.set_value(name, quantity, value, wear=wear)
 
+    def _one_offset(self, w: dict[str, Item]) -> None:
+        """G10 P R of a Fanuc whose offsets are one list: the same number serves as length and as radius."""
+        if "P" not in w:
+            raise WordError("G10 R needs P, the number of the offset; add it", w["R"].column)
+        name, value = f"{w.pop('P').value:g}", w.pop("R").value * self.unit
+        for quantity in ("length", "radius"):
+            old = 0.0 if self.absolute else self.tools.value(name, quantity) or 0.0
+            self.tools.set_value(name, quantity, old + value)
+
     def _g10(self, w: dict[str, Item], column: int) -> None:
+        if "L" not in w and not self.linuxcnc and "R" in w and not w.keys() & {*LINEAR, *ROTARY, *OTHER}:
+            self._one_offset(w)
+            return
         what = int(w.pop("L").value) if "L" in w else 2
         if what not in (2, 20):
             self._g10_tool(what, w, column)
@@ -156,35 +176,52 @@ class IsoFrames(IsoLines):
                 self.local[i] = value
         self.set_frames()
 
-    def _turn_plane(self, number: float, w: dict[str, Item], column: int) -> None:
-        """G68 (turn), G51 (scale), G51.1 (mirror) and their ends."""
+    def _map(self, number: float, w: dict[str, Item], column: int) -> None:
+        """G51.1 and G101 (mirror), G51 (scale), G68 (turn) and the codes that end them."""
         if self.shift_on and np.any(self.shift):
             self.note("G68, G51: the point they are about counts before G92")
-        matrix, centre = np.eye(3), np.zeros(3)
-        axis = arcs.PLANES[self.plane][2]
-        if number == 68:
-            angle = w.pop("R").value if "R" in w else 0.0
-            matrix = rotation(axis, angle)
-            here = self.here()
-            centre = np.array([w.pop(n).value * self.unit if n in w else here[i] for i, n in enumerate(LINEAR)])
+        places = {i: w.pop(n).value * self.unit for i, n in enumerate(LINEAR) if n in w}
+        if number in (51.1, 101):
+            if number == 101 and any(places.values()):
+                raise WordError("G101 mirrors about the zero of the program; write 0 behind its axes, or use G51.1", column)
+            self.mirrors |= places
+        elif number in (50.1, 100):
+            self.mirrors = {i: at for i, at in self.mirrors.items() if places and i not in places}
         elif number == 51:
-            factors = [w.pop(n).value for n in "IJK" if n in w]
-            if "P" in w:
-                factors = [w.pop("P").value] * 3
-                factors = [f / 1000.0 if f > 100 else f for f in factors]
-            if len(factors) != 3 or not all(factors):
-                raise WordError("G51 needs one factor P, or I J K, other than 0", column)
-            matrix = np.diag(factors)
-            centre = np.array([w.pop(n).value * self.unit if n in w else 0.0 for n in LINEAR])
-        elif number == 51.1:
-            for i, n in enumerate(LINEAR):
-                if n in w:
-                    centre[i], matrix[i, i] = w.pop(n).value * self.unit, -1.0
-        elif number == 50.1:
-            for n in LINEAR:
-                w.pop(n, None)
-        self.plane_matrix, self.plane_offset = matrix, centre - matrix @ centre
+            self._scale_about(places, w, column)
+        elif number == 68:
+            matrix = rotation(arcs.PLANES[self.plane][2], w.pop("R").value if "R" in w else 0.0)
+            self.maps["turn"] = _about(matrix, self._centre("turn", places))
+        elif number in (50, 69):
+            self.maps.pop("scale" if number == 50 else "turn", None)
+        mirror = np.diag([-1.0 if i in self.mirrors else 1.0 for i in range(3)])
+        self.maps["mirror"] = _about(mirror, np.array([self.mirrors.get(i, 0.0) for i in range(3)]))
+        self.plane_matrix, self.plane_offset = self._inside("mirror")
         self.set_frames()
+
+    def _inside(self, outermost: str) -> Map:
+        """The map from program coordinates to those outside of one of the maps."""
+        matrix, offset = np.eye(3), np.zeros(3)
+        for name in reversed(NESTING[NESTING.index(outermost) :]):
+            outer, shift = self.maps.get(name, (np.eye(3), np.zeros(3)))
+            matrix, offset = outer @ matrix, outer @ offset + shift
+        return matrix, offset
+
+    def _centre(self, name: str, places: dict[int, float]) -> np.ndarray:
+        """The centre (3,) of a map in the coordinates outside of it: as programmed, otherwise where the tool stands."""
+        matrix, offset = self._inside(name)
+        here = matrix @ self.here() + offset
+        return np.array([places.get(i, here[i]) for i in range(3)])
+
+    def _scale_about(self, places: dict[int, float], w: dict[str, Item], column: int) -> None:
+        """G51: one factor P, or one for each axis by I J K; a whole number above 100 counts in thousandths."""
+        factors = [w.pop(n).value if n in w else 1.0 for n in "IJK"] if w.keys() & set("IJK") else []
+        if "P" in w:
+            factors = [w.pop("P").value] * 3
+        factors = [f / 1000.0 if abs(f) > 100 else f for f in factors]
+        if not factors or not all(factors):
+            raise WordError("G51 needs one factor P, or I J K, other than 0", column)
+        self.maps["scale"] = _about(np.diag(factors), self._centre("scale", places))
 
     def _tilt(self, w: dict[str, Item]) -> None:
         """G68.2: a plane by its origin and the Euler angles I (about z), J (about x), K (about z)."""
@@ -193,6 +230,11 @@ class IsoFrames(IsoLines):
         matrix = rotation(2, i) @ rotation(0, j) @ rotation(2, k)
         self._swivel(matrix, origin)
         self.note("G68.2: the tool stands across the plane at once; A and C turn with the next move")
+
+
+def _about(matrix: np.ndarray, centre: np.ndarray) -> Map:
+    """The map that leaves a centre (3,) where it is."""
+    return matrix, centre - matrix @ centre
 
 
 def _system_name(number: int) -> str:

@@ -22,11 +22,14 @@ _IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GOTO\s*(.+?)|THEN\s*(.+?))\s*$", re.A)
 _WHILE = re.compile(r"\s*WHILE\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
 _DO = re.compile(r"\s*(DO|END)\s*(\d+)\s*$", re.A)
 _GOTO = re.compile(r"\s*GOTO\s*(.+?)\s*$", re.A)
+_WORDS_GOTO = re.compile(r"(\s*(?:N\d+\s*)?#.*?=.*?[\d\]\s.])GOTO\s*(\d+|#.+|\[.+\])\s*$", re.A)
 _MAIN_BLOCK = re.compile(r"(\s*):(\d+)(?=\s*[A-Z])", re.A)
 COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
 _ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
 _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
-LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O\s*(?:<[^>]*>|\d+\s*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#\s*<", re.I | re.M)
+LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O[ \t]*(?:<[^>]*>|\d+[ \t]*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#[ \t]*<", re.I | re.M)
+_OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]PRNT\s*\[|POPEN\b|PCLOS\b)", re.A)
+"""Commands of a macro that print to a file or an interface."""
 SEPARATOR = "\x01"
 _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
@@ -45,7 +48,7 @@ class IsoLines(Corners):
             if active := _ACTIVE.match(inner):
                 messages.append(f"{active[1].upper()},{active[2]}")
             elif (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
-                self.note(f"({log[1].upper()}): understood, without effect on the motion")
+                self.note(f"({log[1].upper()}): understood, no effect on the motion")
             elif log and "," in inner:
                 raise WordError(f"({log[1].lower()},..) runs code of the control, which is not simulated; remove it", match.start() + 1)
             return " " * len(match[0])
@@ -61,7 +64,7 @@ class IsoLines(Corners):
         stripped = text.lstrip()
         if stripped.startswith(":") and (main := _MAIN_BLOCK.match(text)):
             text = f"{main[1]}N{main[2]}{text[main.end() :]}"
-        if stripped.startswith("%"):
+        if stripped.startswith("%") or _OUTPUT.match(stripped):
             text = ""
         elif stripped.startswith("/"):
             text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
@@ -89,6 +92,8 @@ class IsoLines(Corners):
             return Statement("loop" if match[1] == "DO" else "endwhile", f"DO{match[2]}")
         if match := _GOTO.match(rest):
             return Statement("goto", column=match.start(1) + 1, rest=("", "", self._target(match[1])))
+        if match := _WORDS_GOTO.match(rest):
+            return Statement("words_goto", match[1], column=match.start(2) + 1, rest=("", "", self._target(match[2])))
         return None
 
     @staticmethod
@@ -135,7 +140,7 @@ def _oword(match: re.Match[str]) -> Statement:
 
 
 def message_text(text: str, number_of: Callable[[str, int], float]) -> str:
-    """What the operator reads of MSG, DEBUG or PRINT: the values of parameters stand in their places."""
+    """The text of MSG, DEBUG or PRINT with the values of its parameters filled in."""
     kind, _, rest = text.partition(",")
     places = 6
 

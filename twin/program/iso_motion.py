@@ -18,6 +18,12 @@ from twin.program.expressions import WordError
 from twin.program.iso_drilling import IsoDrilling
 from twin.program.source import Unit
 
+POLAR = ("@", "^")
+"""Words of a radius and an angle (LinuxCNC)."""
+
+REFERENCES = {27, 28, 29, 30}
+"""G codes of the reference point."""
+
 
 class IsoMotion(IsoDrilling):
     """Moves."""
@@ -30,11 +36,22 @@ class IsoMotion(IsoDrilling):
         self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.modal_macro: tuple[Unit, int, dict] | None = None
         self.edge: Item | None = None  # D, which a Fanuc keeps
+        self.splines = dict.fromkeys((5, 5.1), "spline") if linuxcnc else {}
+        self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
+        self.between: tuple[np.ndarray, list[float]] | None = None  # the point of G28 or G30, through which G29 comes back
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
-        if codes & {28, 30}:
-            self._reference(28 if 28 in codes else 30, coordinates, w)
+        if w.keys() & set(POLAR):
+            self._radius_and_angle(coordinates, w)
+        if reference := codes & REFERENCES:
+            self._reference(int(min(reference)), coordinates, w)
+            return
+        if self.splines and (codes & self.splines.keys() or (self.motion == 5 and coordinates and not codes & {0, 1, 2, 3})):
+            self._spline(5.1 if 5.1 in codes else 5, coordinates, w)
+            return
+        if threading := codes & {33, 33.1}:
+            self._thread(min(threading), coordinates, w)
             return
         vector, given = None, w.keys() & set("IJK")
         if 43.5 in codes or (self.out.modes.traori and self.motion in (0, 1) and given and not codes & {2, 3}):
@@ -48,7 +65,7 @@ class IsoMotion(IsoDrilling):
         in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
         if self.motion is None and coordinates and not self.linuxcnc and not self.any_motion:
             self.motion = 0
-            self.note("coordinates before any G0 or G1: taken as rapid, which a parameter of the control decides")
+            self.note("coordinates before any G0 or G1 are taken as rapid; a parameter of the control decides this")
         self.any_motion = self.any_motion or self.motion is not None
         moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
         if codes & {2, 3} and not moves:
@@ -57,8 +74,6 @@ class IsoMotion(IsoDrilling):
             return
         if self.motion is None:
             raise WordError("coordinates without a motion: G80 is in force; give G0 or G1", 1)
-        if self.motion == 5:
-            raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", 1)
         kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion]
         if kind != mv.RAPID and self.feed == 0.0:
             self._no_feed()
@@ -85,7 +100,7 @@ class IsoMotion(IsoDrilling):
             arc = self.arc_centre(start, point, in_plane, radius), self.motion == 2, turns
         corner = next(((n, w.pop(n)) for n in (",R", ",C") if n in w), None)
         if corner is not None and (kind != mv.LINE or suppress or vector):
-            raise WordError(f"{corner[0]} stands in a block with G1 before another one with G1; write it there", corner[1].column)
+            raise WordError(f"{corner[0]} belongs in a block with G1 that another G1 follows; move it there", corner[1].column)
         if corner is not None or self.held is not None:
             move = Move(kind, point, angles, vector, arc, None, suppress, self.feed, self.line, self.block)
             self._queue(move, None if corner is None else (corner[0], corner[1].value * self.unit))
@@ -95,6 +110,21 @@ class IsoMotion(IsoDrilling):
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
                 frame.variables = dict(variables)
+
+    def _radius_and_angle(self, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """@ and ^ of LinuxCNC: radius and angle about the program zero; the one that is missing stays, with G91 they are added."""
+        a, b = (LINEAR[i] for i in arcs.PLANES[self.plane][:2])
+        item = next(iter(w[n] for n in POLAR if n in w))
+        if self.plane != 17 or a in coordinates or b in coordinates:
+            raise WordError("@ and ^ stand for X and Y under G17; remove the other words", item.column)
+        here = self._from()[:2] / self.unit
+        radius, angle = math.hypot(*here), math.degrees(math.atan2(here[1], here[0]))
+        if "@" in w:
+            radius = w.pop("@").value + (0.0 if self.absolute else radius)
+        if "^" in w:
+            angle = w.pop("^").value + (0.0 if self.absolute else angle)
+        for name, part in ((a, math.cos(math.radians(angle))), (b, math.sin(math.radians(angle)))):
+            coordinates[name] = Item(radius * part, "AC", item.column)
 
     def _polar(self, coordinates: dict[str, Item]) -> None:
         """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program; both are kept.
@@ -123,7 +153,13 @@ class IsoMotion(IsoDrilling):
         coordinates[b] = Item(radius * math.sin(math.radians(angle)), "AC", column)
 
     def _reference(self, number: int, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
-        """G28, G30: through the point of the block to the reference point, rapid."""
+        """G28, G30: through the point of the block to the reference point; G29: back through that point; G27: to the point alone. Rapid."""
+        if number == 29 and self.between is not None:
+            self.go(mv.RAPID, *self.between)
+        if number in (27, 29):
+            self.note("G27: a rapid move; that it ends at the reference point is not checked") if number == 27 else None
+            self.go(mv.RAPID, *self.target(coordinates, False))
+            return
         home = self.home[number]
         if number == 30 and "P" in w and (which := int(w.pop("P").value)) != 2:
             home = self.frame_table(f"G30P{which}")
@@ -132,6 +168,7 @@ class IsoMotion(IsoDrilling):
         none = [math.nan, math.nan]
         if coordinates:
             self.go(mv.RAPID, point, angles)
+            self.between = point, angles
         named = coordinates or {n: Item(0.0) for n in (*LINEAR, *ROTARY)}
         goal = np.array(self.out.position[:3])
         for n in named:
@@ -142,6 +179,40 @@ class IsoMotion(IsoDrilling):
             else:
                 self.other_axes[n] = 0.0
         self.go(mv.RAPID, goal, none, suppress=True)
+
+    def _spline(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the plane XY, as chords."""
+        if self.plane != 17 or coordinates.keys() - {"X", "Y"} or self.comp is not None or math.isnan(self.feed) or not self.feed:
+            raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block", 1)
+        needed = "IJPQ" if number == 5 else "IJ"
+        given = {n: w.pop(n).value * self.unit for n in needed if n in w}
+        if number == 5 and self.motion == 5 and not given.keys() & {"I", "J"}:
+            given["I"], given["J"] = (-v for v in self.spline_arm)  # the next curve goes on smoothly
+        if set(needed) - given.keys():
+            raise WordError(f"G{number:g} needs {' '.join(needed)}; add them", 1)
+        start = self.here()
+        point, _ = self.target(coordinates, False)
+        near = start + np.array([given["I"], given["J"], 0.0])
+        far = point + np.array([given["P"], given["Q"], 0.0]) if number == 5 else near
+        if number == 5.1:
+            near, far = start + (near - start) * 2.0 / 3.0, point + (far - point) * 2.0 / 3.0
+        for end in arcs.bezier_chords(np.array([start, near, far, point])):
+            self.go(mv.LINE, end, [math.nan, math.nan])
+        self.note("G5, G5.1: the curve as chords within 0.5 um")
+        self.motion, self.spline_arm = (5, (given["P"], given["Q"])) if number == 5 else (None, (0.0, 0.0))
+
+    def _thread(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+        """G33 and G33.1 of LinuxCNC: a line of K a turn of the spindle; G33.1, a tap, comes back the same way."""
+        speed = self.out.modes.spindle
+        if "K" not in w or not speed > 0.0:
+            raise WordError(f"G{number:g} needs K, the pitch, and a spindle speed S; add them", 1)
+        start, feed = self.here(), self.feed
+        self.feed = abs(w.pop("K").value) * speed
+        self.note("G33, G33.1: a line at K times S; the angle of the spindle is not simulated")
+        self.go(mv.LINE, *self.target(coordinates, False))
+        if number == 33.1:
+            self.go(mv.LINE, start, [math.nan, math.nan])
+        self.feed, self.motion = feed, None
 
     def _dwell(self, w: dict[str, Item]) -> None:
         name = next((n for n in ("P", "X", "U") if n in w), None)
@@ -170,7 +241,9 @@ class IsoMotion(IsoDrilling):
             if "Q" in w:
                 w.pop("Q")
                 self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
-        self.rounding = 60 if number == 61.1 or (number == 61 and not self.linuxcnc) else 64
+        if number == 61.1 and not self.linuxcnc:
+            self.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
+        self.rounding = 60 if number == (61.1 if self.linuxcnc else 61) else 64
         if number == 61 and self.linuxcnc:
             self.tolerance = 1e-6
             self.note("G61: exact path, a rounding of 1 um")
@@ -181,9 +254,9 @@ class IsoMotion(IsoDrilling):
         return 0.0 if d.value == 0 else self.tools.radius(f"{d.value:g}", d.column)
 
     def _other_radius(self, d: Item) -> None:
-        """D without G41 or G42 on a Fanuc: the radius of the next one; beside the contour it may only name the same one again."""
+        """D without G41 or G42 on a Fanuc: the radius of the next G41 or G42; inside one it must not change the radius."""
         self.edge = d
-        if self.comp is not None and abs(self._radius_of(d)) != abs(self.comp.offset):
+        if self.comp is not None and abs(self._radius_of(d)) != self.comp.tool_radius:
             raise WordError("D changes the radius inside G41 or G42; write G40 and a move before", d.column)
 
     def _compensation(self, number: float, w: dict[str, Item], column: int) -> None:

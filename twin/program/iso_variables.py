@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.control_state import INDEX, OTHER, ROTARY
-from twin.program.expressions import ISO, Expression, Null, WordError
+from twin.program.expressions import FANUC, ISO, Expression, Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
 
@@ -42,7 +42,7 @@ class IsoVariables(IsoFrames):
         return value
 
     def _expression(self, text: str, at: int, column: int = 1) -> Expression:
-        return Expression(text, ISO, self._named, self._hash, at, column)
+        return Expression(text, ISO if self.linuxcnc else FANUC, self._named, self._hash, at, column)
 
     def _named(self, expression: Expression, name: str, at: int) -> float:
         if name.startswith("EXISTS") and expression.peek() == "[":
@@ -59,7 +59,7 @@ class IsoVariables(IsoFrames):
                 return float(self.linuxcnc or not isinstance(value, Null))
             except WordError:
                 return 0.0
-        raise expression.fail(f"'{name}' is no value; a number, #variable or [expression] is needed", at)
+        raise expression.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
 
     def _key(self, expression: Expression) -> int | str:
         """The parameter behind a #: its number or name."""
@@ -91,7 +91,13 @@ class IsoVariables(IsoFrames):
                 return self.names[key]
             if (value := self._predefined(key)) is not None:
                 return value
-            raise WordError(f"parameter #<{key.lower()}> has no value; set it before, or pass it to the program", column)
+            given = self.machine.document.get("variables", {})
+            if isinstance(given, dict) and isinstance(value := given.get(f"#<{key.lower()}>"), int | float):
+                return float(value)
+            raise WordError(
+                f"parameter #<{key.lower()}> has no value; set it before, or give '#<{key.lower()}>' in the table [variables] of the machine file",
+                column,
+            )
         if key == 0:
             return Null(0.0)
         if key <= 33:
@@ -102,8 +108,14 @@ class IsoVariables(IsoFrames):
             return self.numbers[key]
         if self.linuxcnc and key > 5602:
             raise WordError(f"parameter #{key} is out of range, 5602 is the last", column)
+        given = self.machine.document.get("variables", {})
+        if isinstance(given, dict) and isinstance(value := given.get(f"#{key}"), int | float):
+            return float(value)
         if not self.linuxcnc and key >= 1000:
-            raise WordError(f"system variable #{key} has no value here; set it in the program or remove it", column)
+            raise WordError(
+                f"system variable #{key} has no value here; set it in the program, or give '#{key}' in the table [variables] of the machine file",
+                column,
+            )
         return Null(0.0)
 
     def assign(self, name: str, value: float, column: int) -> None:

@@ -1,7 +1,4 @@
-"""Look-ahead: the grid on which the time law is planned, the limits on it, and long stretches in overlapping windows.
-
-The nodes are the breaks of the spline, divided where the speed changes much from node to node: near stops and slow
-corners the node distance grows by DIVIDE per length; the first node lies 1/1000 of the run-up to feed from the stop.
+"""Look-ahead: the limits at the nodes of the time law, and long stretches in overlapping windows.
 
 A stretch of any length is planned in windows of at most WINDOW nodes, each from rest to rest; neighbours overlap by twice the
 way that their invented stop and start can be felt, and are joined in the middle of the overlap, where both agree.
@@ -10,6 +7,8 @@ way that their invented stop and start can be felt, and are joined in the middle
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -20,32 +19,15 @@ from twin.program import axis_path, elements, timelaw
 from twin.program.axis_path import Frames
 from twin.program.blend import Spline
 from twin.program.elements import Elements
+from twin.program.nodes import Feeds, Limits, along, grid, run_ups
 
-DIVIDE = 0.06
-BEND = 0.1  # change of direction [rad] within an interval
-FINEST = 65.0  # nodes at least over a run-up
 WINDOW = 20_000  # nodes planned at once
-AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
 FELT = 6.0  # run-ups to feed that an invented stop is felt
 MUCH_LONGER = 4.0  # a run-up so many times as long as those behind it begins a new stretch
 JOIN = 64  # nodes over which two windows are joined
+MOST_THREADS = 4  # windows planned at the same time, each of which needs memory
 SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
 """Limits are planned with these factors, since between two nodes they may be exceeded a little."""
-
-
-class Limits(NamedTuple):
-    """Speed, acceleration and jerk limits of X Y Z A C (5,) in SI."""
-
-    speed: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
-
-
-class Feeds(NamedTuple):
-    """Feed per element (E,): greatest speed [m/s or rad/s] (infinite: rapid), and whether it is that of the rotary axes."""
-
-    speed: np.ndarray
-    rotary: np.ndarray
 
 
 class Law(NamedTuple):
@@ -57,148 +39,11 @@ class Law(NamedTuple):
     slope: np.ndarray
 
 
+Span = tuple[int, int, int]
+"""First and last node of a window, and the node from which on it takes over from the window before."""
+
 Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """First and last node of each window planned so far -> the factors on its limits, its coefficients."""
-
-
-@compiled(allocates=True)
-def _run_up(s, j, f, limits, feed, rotary):
-    """Way [m of u] from rest to feed in the direction of piece j under the jerk and acceleration limits."""
-    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
-    axis_path.spline_jet(s, j, s.t[j], w)
-    axis_path.axis_jet(f, w, work, q)
-    speed, jerk, acceleration = _along(w, feed, rotary), np.inf, np.inf
-    for k in range(5):
-        size = abs(q[1, k])
-        if size > 1e-12:
-            speed = min(speed, limits.speed[k] / size)
-            acceleration = min(acceleration, limits.acceleration[k] / size)
-            jerk = min(jerk, limits.jerk[k] / size)
-    return speed * max(np.sqrt(speed / jerk), 0.5 * speed / acceleration)
-
-
-@compiled(allocates=True)
-def _along(w, feed, rotary):
-    """Path speed du/dt that gives the feed at a point with jets w."""
-    square = w[1, 3] ** 2 + w[1, 4] ** 2 if rotary else w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2
-    size = np.sqrt(square)
-    return feed / size if size > 1e-9 else np.inf
-
-
-@compiled(allocates=True)
-def _at_ease(s, j, f, limits, feed, rotary):
-    """Do all axes follow piece j at its feed with at most the share AT_EASE of every limit? The feed alone then decides its speed."""
-    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
-    step = 0.5 * (s.t[j + 1] - s.t[j])
-    a = np.empty(3)
-    for part in range(3):
-        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
-        a[part] = _along(w, feed, rotary) ** 2
-    if not np.isfinite(a).all():
-        return False
-    bend = (a[0] - 2.0 * a[1] + a[2]) / step**2
-    for part in range(3):
-        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
-        axis_path.axis_jet(f, w, work, q)
-        slope = (a[2] - a[0]) / (2.0 * step) + bend * (part - 1.0) * step
-        for k in range(5):
-            speed = abs(q[1, k]) * np.sqrt(a[part])
-            acceleration = abs(0.5 * q[1, k] * slope + q[2, k] * a[part])
-            jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a[part]) * np.sqrt(a[part])
-            if max(speed / limits.speed[k], acceleration / limits.acceleration[k], jerk / limits.jerk[k]) > AT_EASE:
-                return False
-    return True
-
-
-@compiled(allocates=True)
-def _slope_change(s, j):
-    """How much the direction of the path changes within piece j (rad, for small changes)."""
-    h = s.t[j + 1] - s.t[j]
-    square = 0.0
-    for d in range(5):
-        change = h * (2.0 * s.c[j, 2, d] + 3.0 * h * s.c[j, 3, d])
-        square += (change if d < 3 else elements.REFERENCE_RADIUS * change) ** 2
-    return np.sqrt(square)
-
-
-@compiled(allocates=True)
-def run_ups(s, e, f, limits, feeds):
-    """Run-up way of each piece, at most half the stretch."""
-    pieces = s.t.shape[0] - 1
-    way = np.empty(pieces)
-    i = 0
-    for j in range(pieces):
-        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
-        way[j] = min(_run_up(s, j, f, limits, feeds.speed[i], feeds.rotary[i]), 0.5 * s.t[pieces])
-    return way
-
-
-@compiled(allocates=True)
-def grid(s, e, f, limits, feeds):
-    """Nodes of the time law, the piece of the spline in which each interval lies, and the run-up way of each piece."""
-    pieces = s.t.shape[0] - 1
-    step = np.empty(pieces + 1)  # node distance wanted at the breaks
-    far = np.full(pieces + 1, np.inf)  # way to the next place where the speed may have to change
-    way = run_ups(s, e, f, limits, feeds)
-    i = 0
-    for j in range(pieces):
-        before = i
-        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
-        change = _slope_change(s, j)
-        size = (s.t[j + 1] - s.t[j]) / min(8.0, max(1.0, np.ceil(change / BEND)))
-        step[j] = min(step[j], size) if j else size
-        step[j + 1] = size
-        bent = (change > 0.05 * BEND or f.active) and not _at_ease(s, j, f, limits, feeds.speed[i], feeds.rotary[i])
-        if bent or feeds.speed[i] != feeds.speed[before]:
-            far[j] = 0.0
-            far[j + 1] = 0.0
-    # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
-    first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
-    step[0] = DIVIDE * first_step
-    step[pieces] = DIVIDE * last_step
-    far[0] = 0.0
-    far[pieces] = 0.0
-    for j in range(1, pieces + 1):
-        step[j] = min(step[j], step[j - 1] + DIVIDE * (s.t[j] - s.t[j - 1]))
-        far[j] = min(far[j], far[j - 1] + (s.t[j] - s.t[j - 1]))
-    for j in range(pieces - 1, -1, -1):
-        step[j] = min(step[j], step[j + 1] + DIVIDE * (s.t[j + 1] - s.t[j]))
-        far[j] = min(far[j], far[j + 1] + (s.t[j + 1] - s.t[j]))
-    nodes = np.empty(4 * pieces + 4096)
-    piece = np.empty(4 * pieces + 4096, np.int64)
-    nodes[0] = 0.0
-    count = 1
-    for j in range(pieces):
-        first = count - 1
-        at = s.t[j]
-        while at < s.t[j + 1] * (1.0 - 1e-14):
-            left, right = at - s.t[j], s.t[j + 1] - at
-            clear = min(far[j] + left, far[j + 1] + right)
-            # fine while the speed changes; once the feed is reached nothing happens
-            longest = max(way[j] / FINEST, DIVIDE * (clear - 2.0 * way[j]))
-            size = min(longest, step[j] + DIVIDE * left)
-            size = min(size, step[j + 1] + DIVIDE * max(0.0, right - size))
-            size = max(size, 1e-4 * (s.t[j + 1] - s.t[j]))
-            if j == 0 and left == 0.0:
-                size = min(first_step, 0.5 * right)
-            elif j == pieces - 1 and right < 1.5 * last_step:
-                size = right
-            if right < 2.0 * size:
-                size = right if right < 1.3 * size else 0.5 * right
-            at += size
-            if count + 1 >= nodes.shape[0]:
-                more_nodes, more_piece = np.empty(2 * count), np.empty(2 * count, np.int64)
-                more_nodes[:count], more_piece[:count] = nodes[:count], piece[:count]
-                nodes, piece = more_nodes, more_piece
-            nodes[count] = at
-            piece[count - 1] = j
-            count += 1
-        # even out: the last step may have been longer
-        factor = (s.t[j + 1] - s.t[j]) / (nodes[count - 1] - s.t[j])
-        for k in range(first + 1, count):
-            nodes[k] = s.t[j] + (nodes[k] - s.t[j]) * factor
-        nodes[count - 1] = s.t[j + 1]
-    return nodes[:count].copy(), piece[: count - 1].copy(), way
 
 
 @compiled(allocates=True)
@@ -214,10 +59,10 @@ def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
             axis_path.spline_jet(s, piece[n], nodes[n + end], w)
             axis_path.axis_jet(f, w, work, q)
             # the smallest feed of the blocks that the interval touches
-            speed = SPEED_MARGIN * _along(w, feeds.speed[i], feeds.rotary[i])
+            speed = SPEED_MARGIN * along(w, feeds.speed[i], feeds.rotary[i])
             k = i + 1
             while k < feeds.speed.shape[0] and e.u[k] < nodes[n + 1]:
-                speed = min(speed, SPEED_MARGIN * _along(w, feeds.speed[k], feeds.rotary[k]))
+                speed = min(speed, SPEED_MARGIN * along(w, feeds.speed[k], feeds.rotary[k]))
                 k += 1
             for k in range(5):
                 q1[n + end, k] = q[1, k]
@@ -351,35 +196,51 @@ def _plan_long(
     progress: Callable[[float], None] | None,
     kept: Windows,
 ) -> np.ndarray:
-    """Windows one after the other, joined where both keep clear of their invented stops."""
+    """Windows, each planned by itself on a thread of its own, joined where both keep clear of their invented stops."""
     total = len(piece)
     c = np.zeros(total + 2)
-    begin = join_at = 0  # first node of the window, node up to which c is settled
-    window = WINDOW
-    while True:
-        end = min(begin + window, total)
-        if end < total:
-            join = felt_to(nodes, piece, way, begin, end) - JOIN
-            begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
-            if join <= join_at + JOIN or begin_next <= begin:
-                # the run-ups are longer than the window: take a larger one
-                window *= 2
-                continue
+
+    def planned(span: Span) -> np.ndarray:
+        begin, end, _ = span
         factors, new = kept.get((begin, end), (None, np.empty(0)))
         if factors is None or not np.array_equal(factors, ease[:, begin:end]):
             new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end], gap)
             kept[begin, end] = ease[:, begin:end].copy(), new
-        if begin == 0:
-            c[: end + 2] = new
-        else:
-            # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
-            share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
-            share = share * share * (3.0 - 2.0 * share)
-            c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
-        if progress:
-            progress(end / total)
+        return new
+
+    spans = _spans(nodes, piece, way)
+    pool = ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1))
+    try:
+        for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
+            if begin == 0:
+                c[: end + 2] = new
+            else:
+                # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
+                share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
+                share = share * share * (3.0 - 2.0 * share)
+                c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
+            if progress:
+                progress(end / total)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return c
+
+
+def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
+    """The windows of a stretch."""
+    total, window = len(piece), WINDOW
+    begin = join_at = 0
+    spans: list[Span] = []
+    while True:
+        end = min(begin + window, total)
         if end == total:
-            return c
+            return [*spans, (begin, end, join_at)]
+        join = felt_to(nodes, piece, way, begin, end) - JOIN
+        begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
+        if join <= join_at + JOIN or begin_next <= begin:
+            window *= 2  # the run-ups are longer than the window
+            continue
+        spans.append((begin, end, join_at))
         begin, join_at, window = begin_next, join, WINDOW
 
 

@@ -1,4 +1,4 @@
-"""What [program] of the machine file says to every reader of programs."""
+"""The table [program] of the machine file, which every reader of programs uses."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class OutsideTravel(InputError):
 
 
 def placed(program: Program) -> Program:
-    """The program with its part shifted into the travel; an InputError says which axis is too short where no place fits."""
+    """The program with its part shifted into the travel. Raises InputError, which names the axis, if no place fits."""
     kinematics, moves = program.kinematics, program.moves
     own_turn = _rotations(kinematics, moves.target[:, 3:])
     bulge, of_move = _along_arcs(program)

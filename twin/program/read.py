@@ -52,10 +52,20 @@ _OTHER = (
     (re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M), "a HEIDENHAIN Klartext program"),
     (re.compile(r"^%\S+\s+G7[01]\s*\*", re.M), "a HEIDENHAIN program in DIN/ISO"),
     (re.compile(r"^\$\S+%\s*$|^\s*(?:N\d+\s*)?(?:CALL\s+O[A-Z0-9]+|V[CS]\d+\s*=|RTS\s*$)", re.M), "an OKUMA OSP program"),
+    (re.compile(r"^\s*(?:%L\s+\w+|#VAR\b|\$(?:IF|FOR|WHILE|SWITCH)\b)|\bV\.[LGPE]\.\w", re.M), "an ISG or Beckhoff program"),
+    (re.compile(r"^\s*%@MACRO\b|^\s*[@#]\d+\s*:=", re.M | re.I), "a SYNTEC macro"),
+    (re.compile(r"^%[\w .-]*,M", re.M), "a FAGOR program"),
+    (re.compile(r"^\s*(?:sub|gosub)\s+[a-z_]\w*\s*(?:;.*)?$", re.M | re.I), "an Eding CNC program"),
+    (re.compile(r"^\s*(?:N\d+\s*)?@\d{2,3}\s+[KRP]", re.M), "a SINUMERIK 810 or 840C program"),
     (re.compile(r"^\s*(?:MODULE\s+\w|PROC\s+main\(\)|MoveL\s|&ACCESS\b)", re.M), "a robot program"),
     (re.compile(r"^\s*(?:<\?xml|<html|\{\s*\")", re.I), "no part program but a data file"),
     (re.compile(r"^\s*(?:ISO-10303-21|solid\s+\w)", re.I), "a model, not a program"),
 )
+_BOTH = (
+    (re.compile(r"^%\d", re.M), re.compile(r"\bG7[79]\s*[HN]|\bER-?\d|\bG0*[01]\s+G52\s*[XYZ]"), "a NUM program"),
+    (re.compile(r"^\s*M1(?:04|09|40)\s+S\d", re.M), re.compile(r"^\s*G[01]\b[^\n;]*\bE-?[\d.]", re.M), "a program of a 3-D printer"),
+)
+"""Languages that two marks together show."""
 _FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
 """A length of the tool that is called without G43."""
 
@@ -68,19 +78,20 @@ def dialect(source: Source) -> str:
     """
     ending = source.path.suffix.lower()
     text = "\n".join(source.lines[:SNIFFED_LINES])
-    for pattern, name in _OTHER:
-        if pattern.search(text):
-            raise InputError(f"{source.path}: this is {name}, which is not read; put the program out as SINUMERIK, ISO or APT")
+    found = [name for pattern, name in _OTHER if pattern.search(text)]
+    found += [name for first, second, name in _BOTH if first.search(text) and second.search(text)]
+    if found:
+        raise InputError(f"{source.path}: this is {found[0]}, which is not read; post the program as SINUMERIK, ISO or APT")
     if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
-        raise InputError(f"{source.path}: this is a FADAL program, which is not read; put the program out as SINUMERIK, ISO or APT")
+        raise InputError(f"{source.path}: this is a FADAL program, which is not read; post the program as SINUMERIK, ISO or APT")
     if ending in SINUMERIK_ENDINGS:
         return "sinumerik"
     if ending in APT:
         return "apt"
-    code = re.sub(r"\([^()\n]*\)", " ", text)
+    code = re.sub(r"\([^()\n]*\)", "()", text)
     if ending == ".ngc" or LINUXCNC.search(code):
         return "linuxcnc"
-    sinumerik = len(_SINUMERIK.findall(re.sub(r";(?!\s*\$PATH).*", "", text)))
+    sinumerik = len(_SINUMERIK.findall(re.sub(r";(?!\s*\$PATH).*", "", code)))
     if len(_APT.findall(text)) > 2 and not re.search(r"^\s*N?\d*\s*G0?[01]\b", text, re.M):
         return "apt"
     if ending not in (".iso",) and sinumerik > len(_ISO.findall(code)):

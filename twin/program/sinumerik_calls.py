@@ -72,11 +72,11 @@ class SinumerikCalls(SinumerikMotion):
         self.flow.decided(match[1], (value,))
         for part in _CASE_PART.finditer(match[2]):
             if part[1] == "DEFAULT" or self._value_of(part[1], s.column) == value:
-                self.flow._goto(frame, frame.at, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+                self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
                 return
 
     def _own_program(self, name: str) -> bool:
-        """Whether a subprogram beside the program has the name of a word of the control that is not simulated."""
+        """Whether the folder holds a subprogram with the name of a word that is not simulated."""
         return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self._find(name) is not None
 
     def _find(self, name: str) -> Unit | None:
@@ -92,7 +92,7 @@ class SinumerikCalls(SinumerikMotion):
             if word.index is not None or (word.value is not None and word.name != "L"):
                 raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
             if moves_no_axis(self.machine, [name]):
-                self.note(f"{name}: moves no axis, says the machine file")
+                self.note(f"{name}: the machine file lists it as moving no axis")
                 return
             hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""
             hint = f"{hint}; or " if hint.startswith("did you") else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,33 @@ PITCHES = {
 }  # fmt: skip
 """Pitch of a metric thread by its size [mm], ISO 261."""
 MOST_HOLES = 10_000
+POSITIONS = 9
+"""Places of CYCLE802."""
+
+
+class Layout(NamedTuple):
+    """Where the later arguments of a drilling cycle stand, counted from 0; None where it has none.
+
+    `gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
+    axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
+    """
+
+    gmode: int | None = None
+    amode: int | None = None
+    axis: int | None = None
+    pitch_unit: int | None = None
+    pecks: int | None = None
+
+
+LAYOUTS = {
+    "CYCLE81": Layout(gmode=6, amode=8),
+    "CYCLE82": Layout(gmode=6, amode=8),
+    "CYCLE83": Layout(gmode=17, amode=19, axis=12),
+    "CYCLE84": Layout(gmode=21, axis=12, pitch_unit=13, pecks=15),
+    "CYCLE840": Layout(gmode=17, axis=11, pitch_unit=12),
+    "CYCLE85": Layout(gmode=8, amode=10),
+    "CYCLE86": Layout(gmode=11, amode=13),
+}
 _ORDERS = {1: 0, 2: 1, 3: 2}
 
 
@@ -84,23 +112,27 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
     spindle = control.out.modes.spindle
     feed: float | None = None
+    layout = LAYOUTS.get(name, Layout())
+    _later_arguments(control, name, a, layout, word)
+    in_turns = layout.amode is not None and int(_number(a, layout.amode, 0.0)) // 10 % 10 == 2
 
     def time(k: int) -> float:
         value = _number(a, k, 0.0)
-        if value < 0.0:
+        if value < 0.0 or (in_turns and value > 0.0):
             if not spindle:
                 raise WordError(f"{name}: a dwell in turns needs a spindle speed; give S before", word.column)
-            return -value * 60.0 / spindle
+            return abs(value) * 60.0 / spindle
         return value
 
     cycle = Drilling(safe, depth, rtp)
-    if name == "CYCLE82":
+    if name in ("CYCLE81", "CYCLE82"):
         cycle = Drilling(safe, depth, rtp, dwell=time(5))
     elif name == "CYCLE83":
         cycle = _deep(control, a, rfp, safe, depth, rtp, down, time)
     elif name in ("CYCLE84", "CYCLE840"):
         size, pitch = (7, 8) if name == "CYCLE84" else (9, 10)
-        lead = abs(_number(a, pitch, 0.0)) or PITCHES.get(abs(_number(a, size, 0.0)), 0.0)
+        lead = _lead(control, abs(_number(a, pitch, 0.0)), int(_number(a, layout.pitch_unit or 0, 0.0)))
+        lead = lead or PITCHES.get(abs(_number(a, size, 0.0)), 0.0)
         speed = (_number(a, 10, 0.0) if name == "CYCLE84" else 0.0) or spindle
         back = (_number(a, 11, 0.0) if name == "CYCLE84" else 0.0) or speed
         if lead and speed:
@@ -117,7 +149,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         aside = _number(a, 7, 0.0), _number(a, 8, 0.0)
         cycle = Drilling(safe, depth, rtp, dwell=time(5), aside=aside, lift=abs(_number(a, 9, 0.0)))
     elif name in ("CYCLE87", "CYCLE88"):
-        control.note(f"{name}: the halt at the bottom is passed over")
+        control.note(f"{name}: the halt at the bottom is left out")
         cycle = Drilling(safe, depth, rtp, dwell=time(5) if name == "CYCLE88" else 0.0)
     elif name == "CYCLE89":
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
@@ -137,6 +169,25 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
     if word.name in ("CYCLE81", "CYCLE82", "CYCLE83", "CYCLE84", "CYCLE840", "CYCLE85", "CYCLE86", "CYCLE87", "CYCLE88", "CYCLE89"):
         return run
     raise WordError(f"{name} is not read here", word.column)
+
+
+def _later_arguments(control: SinumerikCalls, name: str, a: list, layout: Layout, word: Word) -> None:
+    """What stands behind the classic arguments and has an effect on the control: noted or refused."""
+    given = {key: int(_number(a, k, 0.0)) for key, k in layout._asdict().items() if k is not None}
+    if given.get("gmode", 0) == 1:
+        control.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
+    across = arcs.PLANES[control.plane][2] + 1
+    if given.get("axis", 0) in (1, 2) and given["axis"] != across:
+        raise WordError(f"{name} along geometry axis {given['axis']} is not supported; select its plane with G17, G18 or G19", word.column)
+    if given.get("pecks", 0):
+        control.note(f"{name}: one stroke to its depth; the strokes between (_VARI) are left out")
+
+
+def _lead(control: SinumerikCalls, pitch: float, unit: int) -> float:
+    """Pitch of a thread in program units; `unit` as _PITA counts: 2 threads an inch, 3 inches, 4 modules, otherwise program units."""
+    if not pitch or unit in (0, 1):
+        return pitch
+    return {2: 25.4e-3 / pitch, 3: 25.4e-3 * pitch, 4: math.pi * 1e-3 * pitch}.get(unit, pitch * control.unit) / control.unit
 
 
 def _deep(
@@ -167,10 +218,14 @@ def _deep(
             size = 0.5 * left  # the control halves the last two steps
         at += down * size
     share = _number(a, 10, 1.0)
-    back = abs(_number(a, 14, 0.0)) or 1e-3 / control.unit
     removal = _number(a, 11, 0.0) == 1.0
+    depth_mm = abs(depth - rfp) * control.unit * 1e3
+    before = (
+        0.6 if depth_mm <= 30.0 else min(depth_mm / 50.0, 7.0)
+    )  # where feed begins again above the last depth, the control's own rule [mm]
+    back = abs(_number(a, 16 if removal else 14, 0.0)) or (before if removal else 1.0) * 1e-3 / control.unit
     return Drilling(
-        safe, depth, rtp, dwell=time(8), dwell_out=time(9), levels=tuple(levels), break_chip=not removal, back=back,
+        safe, depth, rtp, dwell=time(8), dwell_last=time(15), dwell_out=time(9), levels=tuple(levels), break_chip=not removal, back=back,
         first_scale=share if 0.0 < share <= 1.0 else 1.0,
     )  # fmt: skip
 
@@ -188,7 +243,9 @@ def height(control: SinumerikCalls, value: float) -> None:
 def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
     """The cycle of MCALL at each place of a pattern."""
     if control.mcall is None:
-        raise WordError(f"{name} needs a cycle by MCALL before; add MCALL CYCLE81(..)", word.column)
+        raise WordError(f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
+    if any(isinstance(v, str) and "1" in v for v in a):
+        raise WordError(f"{name} with places left out (_HIDE) is not supported; write the places", word.column)
     x, y, _ = arcs.PLANES[control.plane]
     places: list[tuple[float, float]] = []
     if name == "HOLES1":
@@ -211,7 +268,9 @@ def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
             raise WordError("CYCLE801 sheared or as a frame is not supported; write the places", word.column)
         places = [(px + i * dx * c - j * dy * s, py + i * dx * s + j * dy * c) for j in range(ny) for i in range(nx)]
     else:
-        numbers = [_number(a, k, math.nan) for k in range(2, len(a))]
+        if any("2" in f"{_number(a, k, 0.0):.0f}" for k in (0, 1)):
+            raise WordError(f"{name} with incremental places is not supported; write them as absolute ones", word.column)
+        numbers = [_number(a, k, math.nan) for k in range(2, min(len(a), 2 + 2 * POSITIONS))]
         places = [(u, v) for u, v in zip(numbers[0::2], numbers[1::2]) if not math.isnan(u) and not math.isnan(v)]
     for u, v in places:
         point = control.here()
@@ -262,15 +321,23 @@ def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
 
 
 def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
-    """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off."""
+    """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off.
+
+    The last digit 0 of `machining` switches off, too; its second digit 1 or a name _ORI_.. says that the third value is the tolerance
+    of the orientation [deg], which otherwise is a number of the version (Programming Manual 12/2019, CYCLE832).
+    """
     tolerance = a[0] if a and a[0] is not None else 0.0
     if isinstance(tolerance, str) or tolerance < 0.0:
         raise WordError("CYCLE832 needs a tolerance in mm first, e.g. CYCLE832(0.01,3)", word.column)
     machining = a[1] if len(a) > 1 else None
-    if machining == "_OFF" or machining == 0.0:
+    name, number = (machining, 1) if isinstance(machining, str) else ("", int(machining or 1))
+    if name == "_OFF" or machining == 0.0 or number % 10 == 0:
         tolerance = 0.0
     control.tolerance = tolerance * control.unit or DEFAULT_TOLERANCE
-    angle = a[2] if len(a) > 2 and isinstance(a[2], float) else 0.0
+    oriented = name.startswith("_ORI") or number // 10 % 10 == 1
+    if not oriented and len(a) > 2 and a[2] not in (None, 1.0):
+        control.note("CYCLE832: its third value is a tolerance only behind _ORI_.. or a second value with 1 in its tens; left out")
+    angle = a[2] if oriented and len(a) > 2 and isinstance(a[2], float) else 0.0
     control.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
     control.rounding = 642 if tolerance else 64
     if tolerance and control.out.feedforward is None:

@@ -51,7 +51,9 @@ class SinumerikFrames(SinumerikLines):
     def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
         """CYCLE800: the plane from here on; the tool stands across it."""
         self._swivel(matrix, origin)
-        self.note("CYCLE800: the tool stands across the plane at once; A and C turn with the next move")
+        self.note(
+            "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are left out"
+        )
 
     def unswivel(self) -> None:
         """CYCLE800(): back to the plane before."""

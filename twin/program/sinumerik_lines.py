@@ -20,7 +20,8 @@ _FLOW = re.compile(
 _SYNCHRONISED = re.compile(r"\s*(?:IDS?\s*=\s*\d+\s*)?(?:\b(?:WHEN|WHENEVER|EVERY|FROM)\b.*)?\bDO\b(.*)\Z", re.A)
 _BLOCK_CALL = re.compile(r"\s*CALL\s+BLOCK\s+([A-Z_N][A-Z0-9_]*)\s+TO\s+([A-Z_N][A-Z0-9_]*)\s*\Z", re.A)
 _COMMENT = re.compile(
-    r"((?:^|:)\s*(?:N\d+\s*)?|\s[A-KM-Z]=?[-+]?(?:\d+\.?\d*|\.\d+)\s*)\(([^()\"]*(?:\([^()\"]*\)[^()\"]*)*)\)(?=\s*(?:[A-Z]|\Z))", re.A
+    r"((?:^|:)\s*(?:N\d+\s*)?|\s[A-KM-Z]=?[-+]?(?:\d+\.?\d*|\.\d+)\s*|\b[A-Z_]\w*\s*=\s*[-+]?(?:\d+\.?\d*|\.\d+)\s+)\(([^()\"]*(?:\([^()\"]*\)[^()\"]*)*)\)(?=\s*(?:[A-Z]|\Z))",
+    re.A,
 )
 _GOTO = re.compile(r"\s*GOTO([FBC]?)\s+([A-Z0-9_]+)\s*\Z", re.A)
 _IF_GOTO = re.compile(r"\s*IF\b(.*?)\b(GOTO[FBCS]?\b.*)\Z", re.A)

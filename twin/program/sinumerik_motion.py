@@ -91,7 +91,7 @@ class SinumerikMotion(SinumerikVariables):
             if centre or by_words:
                 raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add the motion and its end point", 1)
             if corner:
-                raise WordError(f"{corner[0]} stands in the block of a move; write it there", 1)
+                raise WordError(f"{corner[0]} belongs in the block of a move; write it there", 1)
             return
         if kind != mv.ARC and (centre or by_words):
             raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add it to the block", 1)
@@ -178,7 +178,7 @@ class SinumerikMotion(SinumerikVariables):
             radius = radius + item.value * self.unit if item.how == "IC" else item.value * self.unit
         for i, part in ((a, math.cos), (b, math.sin)):
             if LINEAR[i] in coordinates:
-                raise WordError(f"{LINEAR[i]} stands beside AP= and RP=; keep one", coordinates[LINEAR[i]].column)
+                raise WordError(f"{LINEAR[i]} cannot be combined with AP= and RP=; keep one", coordinates[LINEAR[i]].column)
             coordinates[LINEAR[i]] = Item((self.pole[i] + radius * part(math.radians(angle))) / self.unit, "AC", 1)
 
     def _slanted(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:

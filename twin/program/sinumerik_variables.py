@@ -21,7 +21,9 @@ _DEF = re.compile(
     r"\s*(?:DEF|REDEF)\s+(?:(?:NCK|CHAN|SYNR|SYNRW|SYNW|INTERN)\s+)*(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.+)\Z", re.A
 )
 _WRAPPED = re.compile(r"\s*(AC|IC|DC|ACP|ACN)\s*\((.*)\)\s*\Z", re.S)
-_FRAME_PART = re.compile(r"\s*C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)\s*:?")
+_FRAME_PART = re.compile(r"\s*(?:C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)|([A-Z_$]\w*)(?:\[([^\]]*)\])?)\s*:?")
+_FRAMES = ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME")
+"""Frames of the control that a program may read and write."""
 AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
 MOST_ELEMENTS = 100_000
 
@@ -42,6 +44,7 @@ class SinumerikVariables(SinumerikFrames):
         super().__init__(path, machine)
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}
+        self.frame_variables: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # DEF FRAME
 
     def _define(self, s: Statement, frame: Frame) -> None:
         match = _DEF.match(s.text)
@@ -52,7 +55,7 @@ class SinumerikVariables(SinumerikFrames):
             name, _, value = part.partition("=")
             shape = re.match(r"\s*([A-Z_$][A-Z0-9_$]*)\s*(?:\[(.*)\])?\s*\Z", name, re.A)
             if not shape:
-                raise WordError(f"'{part[:30]}' is no definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
+                raise WordError(f"'{part[:30]}' is not a definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
             store: dict[tuple, Value] = {("default",): start}
             if shape[2]:
                 sizes = [int(self.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
@@ -62,9 +65,11 @@ class SinumerikVariables(SinumerikFrames):
             if value.strip():
                 values = re.match(r"\s*(?:SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
                 for k, (item, _) in enumerate(split_arguments(values[1]) if values else [(value, 0)]):
-                    if item:
+                    if item and match[1] != "FRAME":
                         store[(float(k),) if shape[2] else ()] = self._value_of(item, s.column)
             frame.variables[shape[1]] = store
+            if match[1] == "FRAME":
+                self.frame_variables[shape[1]] = self._frame_of(value, s.column)
 
     def _value_of(self, text: str, column: int) -> Value:
         variable = self._variable if self.reads is None else self._noted_variable
@@ -97,7 +102,7 @@ class SinumerikVariables(SinumerikFrames):
             asked = str(e.arguments()[0]).partition("[")[0].upper()
             return float(self._store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
-            raise e.fail(f"'{name}' is no function that is read here; write its value instead", at)
+            raise e.fail(f"'{name}' is not a function that is read here; write its value instead", at)
         if match := re.fullmatch(r"R(\d{1,4})", name):
             return self.parameters.get(int(match[1]), 0.0)
         if name == "R" and len(index) == 1 and not isinstance(index[0], str):
@@ -244,7 +249,7 @@ class SinumerikVariables(SinumerikFrames):
         index: tuple = ()
         if word.index is not None:
             index = tuple(self._value_of(t, word.column) for t, _ in split_arguments(word.index))
-        if name in ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME"):
+        if name in _FRAMES or name in self.frame_variables:
             self._write_frame(name, index, word)
             return
         value = self._value_of(word.text or "", word.text_column)
@@ -257,16 +262,9 @@ class SinumerikVariables(SinumerikFrames):
         self.assign(name, value, word.column, index)
 
     def _write_frame(self, name: str, index: tuple, word: Word) -> None:
-        """$P_UIFR and its kin: a whole frame CTRANS(..):CROT(..), or one component."""
+        """A frame of the control or a variable of type FRAME: whole, CTRANS(..):CROT(..), or one component."""
         text, column = word.text or "", word.text_column
-        target = "G500" if not index else frame_name(index[0])
-        if name in ("$P_UIFR", "$P_IFRAME"):
-            target = self.chosen if name == "$P_IFRAME" else target
-            old = self._settable(target)
-        elif name == "$P_PFRAME":
-            old = self.program_matrix, self.program_offset
-        else:
-            old = self.basic
+        old = self._frame_named(name, index)
         parts = [self.slot_of.get(i, i) for i in index if isinstance(i, str)]
         if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
             offset = old[1].copy()
@@ -282,8 +280,11 @@ class SinumerikVariables(SinumerikFrames):
             raise WordError(f"{name}[..,{','.join(parts)}] is not supported; write the frame as CTRANS(..):CROT(..)", word.column)
         else:
             new = self._frame_of(text, column)
+        if name in self.frame_variables:
+            self.frame_variables[name] = new
+            return
         if name in ("$P_UIFR", "$P_IFRAME"):
-            self.settable[target] = new
+            self.settable[self._settable_name(name, index)] = new
         elif name == "$P_PFRAME":
             self.program_matrix, self.program_offset = new
         else:
@@ -291,13 +292,31 @@ class SinumerikVariables(SinumerikFrames):
         self._release()
         self.set_frames()
 
+    def _settable_name(self, name: str, index: tuple) -> str:
+        return self.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+
+    def _frame_named(self, name: str, index: tuple) -> tuple[np.ndarray, np.ndarray]:
+        """The frame of a variable or of the control."""
+        if name in self.frame_variables:
+            return self.frame_variables[name]
+        if name in ("$P_UIFR", "$P_IFRAME"):
+            return self._settable(self._settable_name(name, index))
+        return (self.program_matrix, self.program_offset) if name == "$P_PFRAME" else self.basic
+
     def _frame_of(self, text: str, column: int) -> tuple[np.ndarray, np.ndarray]:
+        """The frames of a chain CTRANS(..):CROT(..):F1 as one; an empty text changes nothing."""
         matrix, offset = np.eye(3), np.zeros(5)
         at = 0
         while at < len(text.rstrip()):
             part = _FRAME_PART.match(text, at)
-            if not part:
-                raise WordError(f"'{text[at:].strip()[:20]}' is no frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
+            if not part or (part[3] and part[3] not in _FRAMES and part[3] not in self.frame_variables):
+                raise WordError(f"'{text[at:].strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
+            if part[3]:
+                inner, shift = self._frame_named(part[3], tuple(self._value_of(t, column) for t, _ in split_arguments(part[4] or "")))
+                offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
+                matrix = matrix @ inner
+                at = part.end()
+                continue
             values = [self.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
             inner, shift = np.eye(3), np.zeros(5)
             if part[1] == "MIRROR":
@@ -307,7 +326,7 @@ class SinumerikVariables(SinumerikFrames):
                 pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
             for axis in pairs:
                 if axis not in INDEX and pairs[axis]:
-                    raise WordError(f"'{axis}' is no axis of this machine (X Y Z A C)", column)
+                    raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
             if part[1] in ("TRANS", "FINE"):
                 for axis, value in pairs.items():
                     if axis in INDEX:

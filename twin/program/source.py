@@ -1,4 +1,4 @@
-"""The text of a program file: checked lines, the programs that one file holds, and subprograms in the folder beside it."""
+"""The text of a program file: checked lines, the programs in one file, and subprograms in its folder."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Folder:
         self.units: dict[str, Unit | None] = {}
 
     def find(self, *names: str) -> Unit | None:
-        """The program of the first of these names that a file beside the program has."""
+        """The program in the first of these files that exists in the folder."""
         if self.files is None:
             self.files = {}
             files: list[Path] = []

@@ -36,7 +36,7 @@ class Statement:
 
 
 def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Table:
-    """The table of a whole program; `statement` says what a line is. A fault in a line is left to the run of that line."""
+    """The table of a whole program; `statement` classifies a line. A fault in a line is raised when the line runs."""
     table: dict[int, tuple[int, ...]] = {}
     stacks: dict[str, list[list[int]]] = {}
     subs: list[list[int]] = []
@@ -45,7 +45,7 @@ def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Ta
             try:
                 unit.statements[at] = statement(text)
             except WordError:
-                continue  # it will be said where it runs
+                continue  # raised when the line runs
         s = unit.statements[at]
         if not isinstance(s, Statement):
             continue
@@ -101,4 +101,4 @@ def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, .
             and opener.kind != "if"
         ):
             return places
-    raise WordError(f"{s.kind.upper()} stands in no loop {s.key}; correct its number", s.column)
+    raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)

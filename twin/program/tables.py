@@ -7,50 +7,51 @@ REFUSED: known and not simulated; the text says what to do.
 from __future__ import annotations
 
 ACTS, NOTE, REFUSED = "acts", "note", "refused"
-NOTHING = "understood, without effect on the motion"
+NOTHING = "understood, no effect on the motion"
 
 ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
     3: (ACTS, "arc counter-clockwise"), 4: (ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s"),
-    5: (ACTS, "P alone: high-speed mode, noted; splines are refused"), 5.1: (NOTE, "look-ahead of the control, " + NOTHING),
+    5: (ACTS, "LinuxCNC: cubic spline; others: P alone, high-speed mode, noted"), 5.1: (NOTE, "LinuxCNC: quadratic spline; others: look-ahead of the control"),
     5.2: (REFUSED, "NURBS; let the CAM system put out lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system put out lines or arcs"),
     7: (REFUSED, "diameters are programmed on lathes; this machine mills"), 8: (NOTE, "radius or look-ahead, " + NOTHING),
-    9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool"), 11: (ACTS, "end of G10"),
+    9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool"), 11: (ACTS, "end of G10"), 10.9: (ACTS, "X0: radii, as here"),
     12: (REFUSED, "circular pockets; write the arcs"), 13: (REFUSED, "circular pockets; write the arcs"),
     15: (ACTS, "polar coordinates off"), 16: (ACTS, "polar coordinates about the program zero"),
     17: (ACTS, "plane XY"), 18: (ACTS, "plane ZX"), 19: (ACTS, "plane YZ"), 20: (ACTS, "inch"), 21: (ACTS, "mm"),
     22: (NOTE, "stroke limits, which the machine file gives"), 23: (NOTE, "stroke limits, which the machine file gives"), 25: (NOTE, "spindle watch, " + NOTHING),
-    26: (NOTE, "spindle watch, " + NOTHING), 27: (REFUSED, "reference point check is not simulated; remove it"),
+    26: (NOTE, "spindle watch, " + NOTHING), 27: (ACTS, "to the reference point at rapid; that it lies there is not checked"),
     28: (ACTS, "through the point of the block to the reference point"), 28.1: (ACTS, "this place is the reference point of G28"),
-    29: (REFUSED, "return from the reference point; program the position"),
+    29: (ACTS, "from the reference point through the point of G28 to that of the block"),
     30: (ACTS, "to the second reference point"), 30.1: (ACTS, "this place is the reference point of G30"),
-    31: (REFUSED, "probing is not simulated"), 33: (REFUSED, "threading is not simulated"), 33.1: (REFUSED, "rigid tapping with G33.1 is not simulated; use G84"),
+    31: (REFUSED, "probing is not simulated"), 33: (ACTS, "LinuxCNC: a line of K a turn; others: refused"), 33.1: (ACTS, "LinuxCNC: rigid tapping, K a turn, and back"),
     38.2: (REFUSED, "probing is not simulated"), 38.3: (REFUSED, "probing is not simulated"), 38.4: (REFUSED, "probing is not simulated"),
     38.5: (REFUSED, "probing is not simulated"),
     40: (ACTS, "cutter radius compensation off; the next move is straight"), 41: (ACTS, "cutter to the left of the contour; radius of D from [tool]"),
     42: (ACTS, "cutter to the right of the contour"), 41.1: (ACTS, "as G41, D is the diameter"), 42.1: (ACTS, "as G42, D is the diameter"),
     43: (ACTS, "tool length of H"), 43.1: (ACTS, "tool length in the block"), 43.2: (REFUSED, "a second tool length is not simulated"),
     43.4: (ACTS, "tool centre point control: five-axis transformation on"), 43.5: (ACTS, "as G43.4, tool axis by I J K"),
-    44: (REFUSED, "negative tool lengths; use G43"), 49: (ACTS, "tool length and G43.4 off"),
+    44: (ACTS, "as G43: without G43.4 X Y Z are positions of the axes whatever the length"), 49: (ACTS, "tool length and G43.4 off"),
     50: (ACTS, "scaling off"), 50.1: (ACTS, "mirror off"), 51: (ACTS, "scaling P or I J K about a point"), 51.1: (ACTS, "mirror about X Y Z"),
     52: (ACTS, "local shift"), 53: (ACTS, "machine coordinates in this block"), 53.1: (NOTE, "A and C turn with the next move"),
     53.6: (NOTE, "A and C turn with the next move"),
     54: (ACTS, "zero offset 1; with P an additional one"), 54.1: (ACTS, "additional zero offset P"), 55: (ACTS, "zero offset 2"), 56: (ACTS, "zero offset 3"),
     57: (ACTS, "zero offset 4"), 58: (ACTS, "zero offset 5"), 59: (ACTS, "zero offset 6"), 59.1: (ACTS, "zero offset 7"), 59.2: (ACTS, "zero offset 8"),
-    59.3: (ACTS, "zero offset 9"), 61: (ACTS, "LinuxCNC: exact path; others: exact stop"), 61.1: (ACTS, "exact stop"), 61.2: (NOTE, "path mode, " + NOTHING),
+    59.3: (ACTS, "zero offset 9"), 61: (ACTS, "LinuxCNC: exact path; others: exact stop"), 61.1: (ACTS, "LinuxCNC: exact stop; others: high accuracy, as G64"), 61.2: (NOTE, "path mode, " + NOTHING),
     62: (NOTE, "corner override, " + NOTHING), 63: (NOTE, "tapping mode, " + NOTHING), 64: (ACTS, "rounding within P"),
     65: (ACTS, "macro call P with arguments, L times"), 66: (ACTS, "macro call behind each move"), 67: (ACTS, "end of G66"),
     68: (ACTS, "turn by R about X Y"), 68.2: (ACTS, "tilted plane by origin and Euler angles I J K"), 69: (ACTS, "end of G68 and G68.2"),
     70: (ACTS, "inch"), 71: (ACTS, "mm"), 72: (REFUSED, "turning cycles; this machine mills"),
     73: (ACTS, "drilling, chips broken: Z R Q"), 74: (ACTS, "left-hand tapping: Z R P"), 76: (ACTS, "fine boring: aside by Q towards +, or by I J"),
     80: (ACTS, "cycle off"), 81: (ACTS, "drilling: Z R"), 82: (ACTS, "drilling with dwell P"), 83: (ACTS, "deep drilling: Q"), 84: (ACTS, "tapping at feed"),
-    85: (ACTS, "boring, out at feed"), 86: (ACTS, "boring, out at rapid"), 87: (REFUSED, "back boring moves aside; write the moves"),
+    85: (ACTS, "boring, out at feed"), 86: (ACTS, "boring, out at rapid"), 87: (ACTS, "back boring, upwards from R to Z: aside by Q towards +, or by I J"),
     88: (ACTS, "boring with dwell; the halt for the hand is passed over"), 89: (ACTS, "boring with dwell, out at feed"),
     84.2: (REFUSED, "use G84"), 84.3: (REFUSED, "use G74"),
     90: (ACTS, "absolute"), 91: (ACTS, "incremental"), 90.1: (ACTS, "I J K absolute"), 91.1: (ACTS, "I J K from the start"),
     92: (ACTS, "this place has these coordinates"), 92.1: (ACTS, "G92 cleared"), 92.2: (ACTS, "G92 off"), 92.3: (ACTS, "G92 on again"),
     93: (ACTS, "F is 1/min of the block"), 94: (ACTS, "F per minute"), 95: (ACTS, "F per turn of the spindle"),
     96: (REFUSED, "constant cutting speed is not simulated; use G97"), 97: (NOTE, NOTHING), 98: (ACTS, "cycles retract to the start"), 99: (ACTS, "cycles retract to R"),
+    100: (ACTS, "end of G101; with T (Brother) a tool change, then rapid"), 101: (ACTS, "mirror about the zero of X Y Z (Haas)"),
     103: (NOTE, "look-ahead in blocks, " + NOTHING), 60: (NOTE, "approach from one side: the overshoot is left out"),
     **dict.fromkeys((7.1, 12.1, 107, 112), (REFUSED, "cylinders and polar axes of other machines; let the CAM system put out X Y Z")), 13.1: (NOTE, NOTHING),
     **dict.fromkeys((35, 36, 37), (REFUSED, "probing is not simulated")), 47: (REFUSED, "engraving; let the CAM system put out the moves"),
@@ -64,7 +65,7 @@ ISO_G: dict[float, tuple[str, str]] = {
 
 ISO_M: dict[int, tuple[str, str]] = {
     0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 6: (ACTS, "tool change"),
-    60: (ACTS, "exact stop, then on"), 98: (ACTS, "call of O with P, L times"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
+    60: (ACTS, "exact stop, then on"), 98: (ACTS, "call of O with P, L times"), 198: (ACTS, "as M98, from another memory"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
     **dict.fromkeys((3, 4, 5, 19, 29), (NOTE, "spindle, " + NOTHING)), **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
     **dict.fromkeys((48, 49, 50, 51, 52, 53), (NOTE, "override, " + NOTHING)),
     **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
@@ -126,12 +127,14 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
         "DISPLOF DISPLON ASUP CDON CDOF CDOF2 POLFMASK ORISON ORISOF TCOABS TCOFR TOROTOF PAROTOF TOFFOF COUPOF CUTCONOF "
         "CUTCONON DRFOF PTPG0 CP OST OSOF OSS OSSE OSC PTP_OFF GFRAME0 TOOLCARRIER AUXFUDEL IPTRUNLOCK IPTRLOCK "
         "ACCLIMA PRIO QUICK SPRINT LFON LFOF LFTXT LFWP LFPOS POLFMLIN ICYCON ICYCOF TCOFRX TCOFRY TCOFRZ BLSYNC PRLOC ACTBLOCNO IPOENDA FINEA COARSEA "
-        "IPOBRKA DYNPREC CUT2DD CUT2DFD TOWSTD TOWMCS TOWWCS TOWBCS TOWTCS TOWKCS")),
+        "IPOBRKA DYNPREC CUT2DD CUT2DFD TOWSTD TOWMCS TOWWCS TOWBCS TOWTCS TOWKCS "
+        "BNAT BTAN BAUTO ENAT ETAN EAUTO RMI RMB RME RMN ORIC OSD FTOCOF SPOF POFF WALCS0 TOFROF CUTMODOF TRAILOF LEADOF TANGOF TANGDEL MASLOF CORROF "
+        "PROTA PROTS PROTD NPROT NPROTDEF PUTFTOCF")),
     **_group(NOTE, "a parameter of spindle or axes, " + NOTHING, "FA LIMS SPOS SPOSA SVC FPRAON FPRAOF FZ FENDNORM SF SCC"),
-    **_group(NOTE, "a lower limit that the program sets is not simulated; those of the machine file count", "FL OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM"),
+    **_group(NOTE, "a lower limit that the program sets is not simulated; those of the machine file count", "FL OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM VELOLIMA JERKLIMA"),
     **_group(NOTE, "a parameter of the path that is not simulated; feed and tolerance of the tool tip count", "FGREF STOLF CTOLG0 OTOLG0 ATOL FRC FRCM"),
     **_group(ACTS, "feed of the path in percent; feed of this block alone", "OVR FB"),
-    **_group(ACTS, "offsets and modes of the control that are read where they are 0, and refused elsewhere", "OFFN TOFFL TOFFR TOFF TCARR CUTMOD FXS CUTMODK"),
+    **_group(ACTS, "offsets and modes of the control that are read where they are 0, and refused elsewhere", "OFFN TOFFL TOFFR TOFF TCARR CUTMOD FXS CUTMODK DISC"),
     **_group(NOTE, "a call that moves no axis of this machine, " + NOTHING, (
         "SETMS FGROUP WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
         "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
@@ -170,7 +173,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
         "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
     **_group(REFUSED, "this place gets new coordinates; use TRANS or a settable frame", "PRESETON PRESETONS"),
     **_group(REFUSED, "point-to-point motion of the axes is not simulated; use CP", "PTP STAT TU"),
-    **_group(REFUSED, "tangential and table-coupled axes are not simulated", "TANG TANGON TANGOF TANGDEL CTABDEF CTABEND"),
+    **_group(REFUSED, "tangential and table-coupled axes are not simulated", "TANG TANGON CTABDEF CTABEND"),
     **_group(REFUSED, "contours in tables are not simulated; let the CAM system put out the moves", "CONTPRON CONTDCON EXECUTE INTERSEC CALCDAT"),
     **_group(REFUSED, "axes are exchanged or renamed by this; write the program for the axes of the machine", "GEOAX AXCTSWE AXCTSWED AXTOCHAN"),
     **_group(REFUSED, "measuring is not simulated; remove the call", (
@@ -178,7 +181,9 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(REFUSED, "synchronised actions are not simulated; remove them if they move no axis", "ID IDS WHEN WHENEVER EVERY FROM DO SYNFCT"),
     **_group(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system put out the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
     **_group(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL"),
-    **_group(REFUSED, "coupled axes are not simulated", "TRAILON TRAILOF COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
+    **_group(REFUSED, "coupled axes are not simulated", "TRAILON COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
+    **_group(REFUSED, "soft approach; write the moves", "DISCL DISR DISRP FAD"),
+    **_group(REFUSED, "the way back to an interrupted contour; write the moves", "REPOS REPOSA REPOSL REPOSQ REPOSH REPOSQA REPOSHA"),
     **_group(REFUSED, "stamping and oscillating are not simulated", "SON PON SPN SPP WAITOSC OSP1 OSP2"),
 }  # fmt: skip
 """Names of SINUMERIK programs."""

@@ -78,7 +78,7 @@ class Tools:
 
     def _sinumerik(self, words: Mapping[str, tuple[Value, int]], spindle: float, changed: bool) -> float:
         if "H" in words:
-            self.out.notes["H: understood, without effect on the motion"] = None
+            self.out.notes["H: understood, no effect on the motion"] = None
         if "D" in words:
             return spindle if self._edge(words["D"]) else 0.0
         return spindle if changed else self.out.modes.tool_length

@@ -141,7 +141,7 @@ def end_of_expression(line: str, at: int) -> int:
                 at = closing(line, at) + 1
         elif (match := _SIGNS.match(line, behind)) or (match := _WORD_OPERATOR.match(line, behind)):
             at, operand = match.end(), True
-        elif char == ":" and re.match(r":\s*C(?:TRANS|ROT|SCALE|MIRROR|FINE)\b", line[behind:]):
+        elif char == ":" and re.match(r":\s*[$A-Z_]", line[behind:]):  # frames in a chain
             at, operand = behind + 1, True
         else:
             return at

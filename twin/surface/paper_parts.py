@@ -223,7 +223,7 @@ class Dome:
             "; Paper, part 3: a five-axis path with large rotations, ball-end d10.",
             f"; Chosen: spiral over a dome of radius {self.radius:g} mm, {self.azimuth_deg:g} degrees around, {self.polar_deg[0]:g} to "
             f"{self.polar_deg[1]:g} from the pole, axis {self.lean_deg:g} degrees to the pole's side of the normal.",
-            HEAD + f"CYCLE832({self.tolerance:g},3,0.05)",
+            HEAD + f"CYCLE832({self.tolerance:g},13,0.05)",
         ]
         for k in range(-(self.passes // 2), self.passes - self.passes // 2 + 1):
             first, last = (0.0, self.azimuth_deg) if k == 0 else self.zone_deg

@@ -1,0 +1,214 @@
+"""What the words of an ISO block switch: G and M codes, feeds, tools, the modes that M70 to M73 of LinuxCNC keep."""
+
+from __future__ import annotations
+
+from abc import ABC
+from pathlib import Path
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program.control_state import INCH, LINEAR, Item
+from twin.program.expressions import WordError
+from twin.program.iso_calls import IsoCalls
+from twin.program.source import Unit
+from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
+
+_NOT_IN_LINUXCNC: dict[float, str] = {
+    76: "threading is not simulated",
+    88: "boring with a halt for the hand is not simulated",
+    87: "LinuxCNC itself does not carry it out",
+    100: "LinuxCNC has no such code",
+    101: "LinuxCNC has no such code",
+}
+_ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is not simulated")
+_WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK", 60: ""}
+
+
+_MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
+"""What M70 and M73 of LinuxCNC keep besides unit and feed."""
+
+
+class IsoModes(IsoCalls, ABC):
+    """Modes of one block."""
+
+    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
+        super().__init__(path, machine, unit, linuxcnc=linuxcnc)
+        self.with_m19 = False
+        self.stored_modes: dict[int, tuple[list, float, int, float]] = {}
+
+    def _known_g(self, number: float, column: int) -> tuple[float, int]:
+        entry = ISO_G.get(number)
+        if number in (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC):
+            entry = (REFUSED, (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC)[number])
+        if entry is None:
+            raise WordError(f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", column)
+        if entry[0] == REFUSED:
+            raise WordError(f"G{number:g} is not supported: {entry[1]}", column)
+        return number, column
+
+    def _known_m(self, number: float, column: int) -> int:
+        if number != int(number) or not 0 <= number <= 99999:
+            raise WordError(f"M{number:g} is not an M code", column)
+        entry = ISO_M.get(int(number))
+        if entry is not None and entry[0] == REFUSED:
+            raise WordError(f"M{number:g} is not supported: {entry[1]}", column)
+        return int(number)
+
+    def _feed_and_tool(self, codes: set[float], g: list, m: list[int], w: dict[str, Item]) -> None:
+        for number in (93, 94, 95):
+            if number in codes:
+                self.set_feed_mode(number)
+        for number in (20, 21, 70, 71):
+            if number in codes:
+                self.set_unit(INCH if number in (20, 70) else 1e-3, feed=True)
+        if "F" in w and 65 not in codes:
+            item = w.pop("F")
+            self.set_feed(item.value, item.column)
+        elif self.out.modes.feed_mode == 93 and self.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
+            raise WordError("under G93 every block needs its own F; add it", 1)
+        if "S" in w:
+            self.set_spindle(w.pop("S").value)
+        tool: dict[str, tuple] = {}
+        for name in ("T", "H"):
+            if name in w and (name == "T" or codes & {43, 43.1, 43.4, 43.5, 44, 234}):
+                item = w.pop(name)
+                tool[name] = item.value, item.column
+        if "H" in w and not codes & {10}:
+            tool["H"] = w["H"].value, w.pop("H").column
+        if 6 in m:
+            tool["M6"] = 6.0, 1
+        elif 61 in m and "Q" in w:
+            tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
+        if 44 in codes:
+            if self.out.modes.traori:
+                raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
+            self.note("G44: taken as G43; without G43.4 X Y Z are positions of the axes whatever the length")
+        if codes & {43, 43.4, 43.5, 44, 234}:
+            tool["G43"] = 43.0, 1
+        if 49 in codes:
+            tool["G49"] = 49.0, 1
+            if self.swivelled is None:
+                self.transform(False)
+        if tool:
+            self.tools.block(tool)
+        if codes & {43.4, 43.5, 234}:
+            self.transform(True)
+        if "E" in w and not codes & {187}:
+            raise WordError("E has no use in this block; remove it", w["E"].column)
+
+    def _g(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
+        """A G code that is no motion."""
+        kind, meaning = ISO_G[number]
+        if kind == NOTE:
+            self.note(f"G{number:g}: {meaning}")
+            for name in _WORDS_OF_NOTES.get(number, ""):
+                w.pop(name, None)
+        elif number == 5:
+            if "P" not in w or w.keys() & set("XYZIJQ"):
+                raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", column)
+            w.pop("P")
+            self.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
+        elif number in (17, 18, 19):
+            self.plane = int(number)
+        elif number in (90, 91):
+            self.absolute = number == 90
+            self.settle_plain()
+        elif number in (90.1, 91.1):
+            self.centre_absolute = number == 90.1
+        elif number == 4:
+            self._dwell(w)
+        elif number in (40, 41, 42, 41.1, 42.1):
+            self._compensation(number, w, column)
+        elif 54 <= number <= 59.3 or number == 154 or 110 <= number < 130:
+            self._choose_system(number, w, column)
+        elif number == 10:
+            self._g10(w, column)
+        elif number == 11:
+            pass
+        elif number == 10.9:
+            if "X" in w and w.pop("X").value:
+                raise WordError("G10.9 X1 is not supported: diameters are programmed on lathes; this machine mills", column)
+            self.note("G10.9 X0: lengths are radii, as here")
+        elif number == 92:
+            self._g92(w, column)
+        elif number in (92.1, 92.2, 92.3):
+            if number == 92.1:
+                self.shift_kept = np.zeros(5)
+            self.shift_on = number == 92.3
+            self.shift = self.shift_kept if self.shift_on else np.zeros(5)
+            self.set_frames()
+        elif number == 52:
+            self._g52(w)
+        elif number in (68, 69, 51, 51.1, 50, 50.1, 100, 101):
+            if number == 69:
+                self._unswivel()
+            self._map(number, w, column)
+        elif number == 68.2:
+            self._tilt(w)
+        elif number in (15, 16):
+            self.polar, self.polar_place = number == 16, None
+        elif number in (61, 61.1, 64):
+            self._path_mode(number, w, self.with_m19)
+        elif number in (28.1, 30.1):
+            self.home[int(number)] = np.array([*self.out.position[:3], *self._place()[3:]])
+        elif number == 80:
+            self.cycle = None
+            if self.linuxcnc:
+                self.motion = None
+        elif number in (98, 99):
+            self.retract_to_start = number == 98
+        elif number == 43.1:
+            for name in LINEAR:
+                w.pop(name, None)
+            self.note("G43.1: its length counts as that of the tool in the spindle")
+        return False
+
+    def _m_before(self, m: list[int], w: dict[str, Item]) -> float | None:
+        pause = None
+        for number in m:
+            entry = ISO_M.get(number)
+            if number in (0, 1, 6, 60):
+                self.note(f"M{number}: the program goes on after an exact stop")
+                pause = 0.0
+            elif number in (2, 30):
+                continue
+            elif number in (70, 71, 72, 73) and self.linuxcnc:
+                self._modes(number)
+            else:
+                self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
+                for name in ("P", "Q", "R", "E", "L", "D", "K") if entry is None or number in (19, 62, 63, 64, 65, 66, 67, 68, 29) else ():
+                    w.pop(name, None)
+            if number in (48, 49, 50, 51, 52, 53):
+                w.pop("P", None)
+        return pause
+
+    def _modes(self, number: int) -> None:
+        """M70 stores the modes, M71 forgets them, M72 brings them back; M73 does so at the end of the subprogram."""
+        frame = self.flow.frame
+        stored = [getattr(self, n) for n in _MODES], self.unit, self.out.modes.feed_mode, self.feed
+
+        def restore(kept: tuple[list, float, int, float]) -> None:
+            values, unit, mode, feed = kept
+            for name, value in zip(_MODES, values):
+                setattr(self, name, value)
+            self.set_unit(unit, feed=True)
+            self.set_feed_mode(mode)
+            self.feed = feed
+            self.round_corners()
+            self.set_frames()
+
+        if number in (70, 73):
+            self.stored_modes[id(frame)] = stored
+        if number == 73:
+            frame.on_return = lambda: restore(stored)
+        elif number == 71:
+            self.stored_modes.pop(id(frame), None)
+        elif number == 72:
+            if id(frame) not in self.stored_modes:
+                raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
+            restore(self.stored_modes[id(frame)])
+
+    def _m_after(self, m: list[int]) -> None:
+        if 2 in m or 30 in m:
+            self.flow.ended = True

@@ -1,0 +1,174 @@
+"""The nodes on which the time law is planned: close where the speed may change, far apart where the feed alone decides it.
+
+They are the breaks of the spline, divided near stops and slow corners. From there the distance of the nodes grows by DIVIDE per
+length; the first node lies 1/1000 of the run-up to feed from the stop.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.compiled_functions import compiled
+from twin.program import axis_path, elements
+
+DIVIDE = 0.06
+BEND = 0.1  # change of direction [rad] within an interval
+FINEST = 65.0  # nodes at least over a run-up
+AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
+
+
+class Limits(NamedTuple):
+    """Speed, acceleration and jerk limits of X Y Z A C (5,) in SI."""
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+
+class Feeds(NamedTuple):
+    """Feed per element (E,): greatest speed [m/s or rad/s] (infinite: rapid), and whether it is that of the rotary axes."""
+
+    speed: np.ndarray
+    rotary: np.ndarray
+
+
+@compiled(allocates=True)
+def _run_up(s, j, f, limits, feed, rotary):
+    """Way [m of u] from rest to feed in the direction of piece j under the jerk and acceleration limits."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    axis_path.spline_jet(s, j, s.t[j], w)
+    axis_path.axis_jet(f, w, work, q)
+    speed, jerk, acceleration = along(w, feed, rotary), np.inf, np.inf
+    for k in range(5):
+        size = abs(q[1, k])
+        if size > 1e-12:
+            speed = min(speed, limits.speed[k] / size)
+            acceleration = min(acceleration, limits.acceleration[k] / size)
+            jerk = min(jerk, limits.jerk[k] / size)
+    return speed * max(np.sqrt(speed / jerk), 0.5 * speed / acceleration)
+
+
+@compiled(allocates=True)
+def along(w, feed, rotary):
+    """Path speed du/dt that gives the feed at a point with jets w."""
+    square = w[1, 3] ** 2 + w[1, 4] ** 2 if rotary else w[1, 0] ** 2 + w[1, 1] ** 2 + w[1, 2] ** 2
+    size = np.sqrt(square)
+    return feed / size if size > 1e-9 else np.inf
+
+
+@compiled(allocates=True)
+def _at_ease(s, j, f, limits, feed, rotary):
+    """Whether all axes follow piece j at its feed within the share AT_EASE of every limit; the feed alone then decides the speed."""
+    w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
+    step = 0.5 * (s.t[j + 1] - s.t[j])
+    a = np.empty(3)
+    for part in range(3):
+        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
+        a[part] = along(w, feed, rotary) ** 2
+    if not np.isfinite(a).all():
+        return False
+    bend = (a[0] - 2.0 * a[1] + a[2]) / step**2
+    for part in range(3):
+        axis_path.spline_jet(s, j, s.t[j] + part * step, w)
+        axis_path.axis_jet(f, w, work, q)
+        slope = (a[2] - a[0]) / (2.0 * step) + bend * (part - 1.0) * step
+        for k in range(5):
+            speed = abs(q[1, k]) * np.sqrt(a[part])
+            acceleration = abs(0.5 * q[1, k] * slope + q[2, k] * a[part])
+            jerk = abs(0.5 * q[1, k] * bend + 1.5 * q[2, k] * slope + q[3, k] * a[part]) * np.sqrt(a[part])
+            if max(speed / limits.speed[k], acceleration / limits.acceleration[k], jerk / limits.jerk[k]) > AT_EASE:
+                return False
+    return True
+
+
+@compiled(allocates=True)
+def _slope_change(s, j):
+    """How much the direction of the path changes within piece j (rad, for small changes)."""
+    h = s.t[j + 1] - s.t[j]
+    square = 0.0
+    for d in range(5):
+        change = h * (2.0 * s.c[j, 2, d] + 3.0 * h * s.c[j, 3, d])
+        square += (change if d < 3 else elements.REFERENCE_RADIUS * change) ** 2
+    return np.sqrt(square)
+
+
+@compiled(allocates=True)
+def run_ups(s, e, f, limits, feeds):
+    """Run-up way of each piece, at most half the stretch."""
+    pieces = s.t.shape[0] - 1
+    way = np.empty(pieces)
+    i = 0
+    for j in range(pieces):
+        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
+        way[j] = min(_run_up(s, j, f, limits, feeds.speed[i], feeds.rotary[i]), 0.5 * s.t[pieces])
+    return way
+
+
+@compiled(allocates=True)
+def grid(s, e, f, limits, feeds):
+    """Nodes of the time law, the piece of the spline in which each interval lies, and the run-up way of each piece."""
+    pieces = s.t.shape[0] - 1
+    step = np.empty(pieces + 1)  # node distance wanted at the breaks
+    far = np.full(pieces + 1, np.inf)  # way to the next place where the speed may have to change
+    way = run_ups(s, e, f, limits, feeds)
+    i = 0
+    for j in range(pieces):
+        before = i
+        i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
+        change = _slope_change(s, j)
+        size = (s.t[j + 1] - s.t[j]) / min(8.0, max(1.0, np.ceil(change / BEND)))
+        step[j] = min(step[j], size) if j else size
+        step[j + 1] = size
+        bent = (change > 0.05 * BEND or f.active) and not _at_ease(s, j, f, limits, feeds.speed[i], feeds.rotary[i])
+        if bent or feeds.speed[i] != feeds.speed[before]:
+            far[j] = 0.0
+            far[j + 1] = 0.0
+    # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
+    first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
+    step[0] = DIVIDE * first_step
+    step[pieces] = DIVIDE * last_step
+    far[0] = 0.0
+    far[pieces] = 0.0
+    for j in range(1, pieces + 1):
+        step[j] = min(step[j], step[j - 1] + DIVIDE * (s.t[j] - s.t[j - 1]))
+        far[j] = min(far[j], far[j - 1] + (s.t[j] - s.t[j - 1]))
+    for j in range(pieces - 1, -1, -1):
+        step[j] = min(step[j], step[j + 1] + DIVIDE * (s.t[j + 1] - s.t[j]))
+        far[j] = min(far[j], far[j + 1] + (s.t[j + 1] - s.t[j]))
+    nodes = np.empty(4 * pieces + 4096)
+    piece = np.empty(4 * pieces + 4096, np.int64)
+    nodes[0] = 0.0
+    count = 1
+    for j in range(pieces):
+        first = count - 1
+        at = s.t[j]
+        while at < s.t[j + 1] * (1.0 - 1e-14):
+            left, right = at - s.t[j], s.t[j + 1] - at
+            clear = min(far[j] + left, far[j + 1] + right)
+            # fine while the speed changes; once the feed is reached nothing happens
+            longest = max(way[j] / FINEST, DIVIDE * (clear - 2.0 * way[j]))
+            size = min(longest, step[j] + DIVIDE * left)
+            size = min(size, step[j + 1] + DIVIDE * max(0.0, right - size))
+            size = max(size, 1e-4 * (s.t[j + 1] - s.t[j]))
+            if j == 0 and left == 0.0:
+                size = min(first_step, 0.5 * right)
+            elif j == pieces - 1 and right < 1.5 * last_step:
+                size = right
+            if right < 2.0 * size:
+                size = right if right < 1.3 * size else 0.5 * right
+            at += size
+            if count + 1 >= nodes.shape[0]:
+                more_nodes, more_piece = np.empty(2 * count), np.empty(2 * count, np.int64)
+                more_nodes[:count], more_piece[:count] = nodes[:count], piece[:count]
+                nodes, piece = more_nodes, more_piece
+            nodes[count] = at
+            piece[count - 1] = j
+            count += 1
+        # even out: the last step may have been longer
+        factor = (s.t[j + 1] - s.t[j]) / (nodes[count - 1] - s.t[j])
+        for k in range(first + 1, count):
+            nodes[k] = s.t[j] + (nodes[k] - s.t[j]) * factor
+        nodes[count - 1] = s.t[j + 1]
+    return nodes[:count].copy(), piece[: count - 1].copy(), way
