@@ -15,7 +15,7 @@ from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
 from twin.machine import model_limits
 from twin.machine.machine import load_machine, write_machine
-from twin.machine.model_file import check_mjcf, check_safe, files_of
+from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
 from twin.machine.new import new_machine
 from twin.machine.urdf_file import check_urdf
@@ -154,6 +154,22 @@ def test_meshes_and_includes_are_copied_with_a_machine(tmp_path: Path) -> None:
     write_machine(load_machine(file), tmp_path / "copy" / "m.toml")
     assert (tmp_path / "copy" / "meshes" / "plate.stl").is_file()
     build_plant(load_machine(tmp_path / "copy" / "m.toml"))
+
+
+def test_the_state_of_a_model_follows_the_files_of_its_includes(tmp_path: Path) -> None:
+    """Also those that an include names only since it was edited."""
+    part = '<mujoco><asset><mesh name="m" file="{}.stl"/></asset></mujoco>'
+    (tmp_path / "m.xml").write_text('<mujoco><include file="part.xml"/></mujoco>', encoding="utf-8")
+    (tmp_path / "part.xml").write_text(part.format("a"), encoding="utf-8")
+    for name in "ab":
+        (tmp_path / f"{name}.stl").write_text("solid", encoding="utf-8")
+    states = [state_of_model(tmp_path / "m.xml")]
+    (tmp_path / "part.xml").write_text(part.format("b"), encoding="utf-8")
+    states.append(state_of_model(tmp_path / "m.xml"))
+    (tmp_path / "b.stl").write_text("another solid", encoding="utf-8")
+    states.append(state_of_model(tmp_path / "m.xml"))
+    assert len(set(states)) == 3
+    assert state_of_model(tmp_path / "m.xml") == states[-1]
 
 
 def test_a_model_made_for_something_else_runs_as_a_machine(tmp_path: Path) -> None:

@@ -134,34 +134,26 @@ def files_of(path: Path) -> list[Path]:
 
 
 def state_of_model(path: Path) -> bytes:
-    """Digest of an MJCF and of all that it names: equal as long as no content changed. Meshes count by their size and time."""
-    text = _read(path) if path.is_file() else b""
-    digest = hashlib.sha256(text)
-    for file in _named_in(path, text):
-        whole = path.parent / file
-        if file.suffix.lower() == ".xml" and whole.is_file():
-            digest.update(_read(whole))
-        elif whole.is_file():
-            about = whole.stat()
+    """Digest of an MJCF and of the files that it names: equal while none of them changes. Meshes count by size and time of change."""
+    texts: tuple[bytes, ...] = ()
+    while True:  # an included file may include or name others: until the list of files belongs to the texts as they are now
+        files = (Path(path.name), *_named_in(path, texts))
+        now = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
+        if now == texts:
+            break
+        texts = now
+    digest = hashlib.sha256(b"\0".join(texts))
+    for file in files:
+        if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
+            about = (path.parent / file).stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
     return digest.digest()
 
 
-def _read(path: Path) -> bytes:
-    """The content of a file; read again where size, time or place of it changed. A fit asks for it at every simulation."""
-    about = path.stat()
-    return _content(path, about.st_mtime_ns, about.st_size, about.st_ino)
-
-
 @functools.lru_cache(maxsize=32)
-def _content(path: Path, changed_ns: int, size: int, place: int) -> bytes:
-    return path.read_bytes()
-
-
-@functools.lru_cache(maxsize=32)
-def _named_in(path: Path, text: bytes) -> tuple[Path, ...]:
-    """Files that an MJCF with this text names; where an included one changes what is named, it is read again because its text changed."""
-    if b"file" not in text:
+def _named_in(path: Path, texts: tuple[bytes, ...]) -> tuple[Path, ...]:
+    """Files that an MJCF names; `texts` are its content and that of the XML files that it includes."""
+    if not any(b"file" in text for text in texts):
         return ()
     try:
         return tuple(files_of(path))
