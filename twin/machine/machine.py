@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import copy
 from dataclasses import InitVar, dataclass, field
 import functools
 from pathlib import Path
@@ -194,7 +193,7 @@ class Machine:
         if feedforward not in FEEDFORWARD:
             raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}")
         values = {}
-        for axis in self.axes:
+        for _, axis in self._axis_of.values():  # also those that are not driven
             for word in ("velocity", "torque"):
                 now = getattr(axis.loops, f"{word}_feedforward")
                 wanted = (now or 1.0) if word in feedforward else 0.0
@@ -246,16 +245,6 @@ def default_machine_path() -> Path:
     return inside if inside.is_file() else Path(__file__).parents[2] / "models" / DEFAULT_MACHINE
 
 
-def _read_document(path: Path) -> dict[str, Any]:
-    about = path.stat()
-    return _parsed(path, about.st_mtime_ns, about.st_size, about.st_ino)
-
-
-@functools.lru_cache(maxsize=8)
-def _parsed(path: Path, changed_ns: int, size: int, place: int) -> dict[str, Any]:
-    return read_toml(path)
-
-
 @functools.lru_cache(maxsize=8)
 def _check_model(path: Path, _state: bytes) -> None:
     check_mjcf(path)
@@ -266,13 +255,13 @@ def load_machine(path: str | Path | None = None) -> Machine:
     path = default_machine_path() if path is None else Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such machine file; give a .toml with the keys of {DEFAULT_MACHINE}")
-    document = _read_document(path)
+    document = read_toml(path)
     model = document.get("model")
     if not isinstance(model, str):
         raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
     model_path = named_file(model, path.parent, f"{path}: model")
     _check_model(model_path, state_of_model(model_path))
-    return Machine(copy.deepcopy(document), model_path, path)
+    return Machine(document, model_path, path)
 
 
 def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
