@@ -15,7 +15,8 @@ from twin.cli import main
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
-from twin.machine.check import assumed_values, check_machine
+from twin.machine.check import check_machine
+from twin.machine.commented import assumed_values
 from twin.machine.machine import Machine, load_machine
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
 from twin.recordings.campaign import read_campaign

@@ -15,7 +15,6 @@ spindle. Skew axes and offsets of any kind are covered, slides that a rotary axi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-import functools
 
 import numpy as np
 
@@ -67,32 +66,19 @@ class Kinematics:
         """The same machine with a tool of another length [m], measured along the tool axis from the spindle nose."""
         return replace(self, tool_tip=self.tool_tip - (length - self.tool_length) * self.tool_axis, tool_length=length)
 
-    def with_placement(self, offset: np.ndarray, rotation: np.ndarray | None = None) -> Kinematics:
-        """The part frame moved by `offset` (3,) [m] and turned by `rotation` (3, 3), both given in the present part frame."""
-        axes = self.part_axes if rotation is None else self.part_axes @ rotation
-        return replace(self, part_origin=self.part_origin + self.part_axes @ np.asarray(offset, float), part_axes=axes)
-
     def _turns(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotations (sample, 3, 3) by the tilting and the turning axis."""
         return rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
 
-    def part_rotation(self, axes: np.ndarray) -> np.ndarray:
-        """bed_from_workpiece rotations (sample, 3, 3)."""
-        axes = np.atleast_2d(axes)
-        return self._part_rotation(*self._turns(axes))
-
     def _part_rotation(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """bed_from_workpiece rotations (sample, 3, 3)."""
         out = np.broadcast_to(self.part_axes, turn.shape)
         if self.turn_on_table:
             out = turn @ out
         return tilt @ out if self.tilt_on_table else out
 
-    def part_position(self, axes: np.ndarray) -> np.ndarray:
-        """Origin of the part frame in the bed frame (sample, 3)."""
-        axes = np.atleast_2d(axes)
-        return self._part_position(*self._turns(axes))
-
     def _part_position(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Origin of the part frame in the bed frame (sample, 3)."""
         point = np.broadcast_to(self.part_origin, (len(turn), 3))
         if self.turn_on_table:
             point = _about(turn, self.turn_anchor, point)
@@ -200,26 +186,17 @@ def kinematics_of(machine: Machine, *, sites_needed: bool = True) -> Kinematics:
 
     A machine of slides alone may do without the sites tool and workpiece where `sites_needed` is False.
     """
-    told = repr((machine.geometry, machine.document.get("program"), machine.axis_names, list(machine.document["axis"])))
-    return _known(_Key(machine, state_of_model(machine.model_path), told), tuple(axis.travel for axis in machine.axes), sites_needed)
+    travels = {axis.name: axis.travel for axis in machine.axes}
+    tables = repr((machine.geometry, machine.document.get("program"), travels, list(machine.document["axis"])))
+    key = (machine.model_path, state_of_model(machine.model_path), tables, sites_needed)
+    if key not in _KNOWN:
+        frames = frames_at_rest(machine, sites_needed)
+        if len(_KNOWN) >= MOST_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[key] = Kinematics(**frames, travel=np.array([travels.get(name, (0.0, 0.0)) for name in frames["names"]]))
+    return _KNOWN[key]
 
 
-class _Key:
-    """A machine that is known by what its frames come from."""
-
-    def __init__(self, machine: Machine, model: bytes, told: str) -> None:
-        self.machine, self.content = machine, (machine.model_path, model, told)
-
-    def __hash__(self) -> int:
-        return hash(self.content)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other.content == self.content
-
-
-@functools.lru_cache(maxsize=16)
-def _known(key: _Key, _travel: tuple, sites_needed: bool) -> Kinematics:
-    frames = frames_at_rest(key.machine, sites_needed)
-    known = {axis.name: axis.travel for axis in key.machine.axes}
-    travel = np.array([known.get(name, (0.0, 0.0)) for name in frames["names"]])
-    return Kinematics(**frames, travel=travel)
+_KNOWN: dict[object, Kinematics] = {}
+MOST_KNOWN = 16
+"""Kinematics that are kept, by all that they depend on."""

@@ -17,7 +17,6 @@ from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
 from twin.iso230.positioning import Readings
 from twin.recordings.trace import Trace
 
-POSITIONING = ("direction", "position", "cycle", "target", "measured")
 BALLBAR = ("direction", "angle_deg", "deviation_um")
 SHORTEST_REST = 0.2
 """A standstill shorter than this is no measurement of a position [s]."""

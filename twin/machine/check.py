@@ -11,16 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-import tomlkit
-
 from twin.effects.change import held_force, load_inertia
+from twin.machine.commented import ASSUMED, assumed_values
 from twin.machine.loops import Loop, Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
 from twin.units import AXIS_UNITS
-
-ASSUMED = "assumed"
-"""The word in the comment behind a value that `twin machine new` made up."""
 
 LEAST_PHASE_DEG = {"current": 40.0, "speed": 40.0, "position": 50.0}
 LEAST_GAIN = 2.0
@@ -238,23 +234,6 @@ def _of_encoder(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
                 "unusual",
                 f"one step of the encoder, differentiated over {n} cycles, makes {share:.1f} times the Coulomb friction: the axis hums at rest",
             )
-
-
-def assumed_values(machine: Machine) -> list[str]:
-    """Paths of the values whose comment in the file says that they were assumed."""
-    if machine.path is None or not machine.path.is_file():
-        return []
-    found: list[str] = []
-
-    def walk(table: object, path: tuple[str, ...]) -> None:
-        for key, value in getattr(table, "items", tuple)():
-            if hasattr(value, "items"):
-                walk(value, (*path, key))
-            elif ASSUMED in getattr(getattr(value, "trivia", None), "comment", ""):
-                found.append(".".join((*path, key)))
-
-    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8")), ())
-    return found
 
 
 def _reached(c: AxisCheck) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.axis import Axis, axis_of_table
+from twin.machine.axis import Axis
 from twin.machine.parameters import si_from_key, typed_from_file
 
 TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
@@ -218,8 +218,3 @@ def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str
         return document
     plain = sinumerik.completed(table, f"[axis.{axis}]")
     return {**document, "axis": {**document["axis"], axis: plain}}
-
-
-def axis_in(document: Mapping[str, Any], name: str, where: str, checked: bool) -> Axis:
-    """The typed view of `[axis.NAME]`."""
-    return axis_of_table(name, document["axis"][name], f"{where}: [axis.{name}]", checked)

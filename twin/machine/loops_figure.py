@@ -39,10 +39,9 @@ def _draw(magnitude: Axes, phase: Axes, loop: Loop, margins: Margins) -> None:
     nyquist = 0.5 / loop.period
     f = np.geomspace(max(centre / 100.0, 1e-2), nyquist * 0.995, 1500)
     response = loop.open_response(f)
-    closed = response / (1.0 + response)
     magnitude.axhline(0.0, color=SOFT, linewidth=0.8)
     magnitude.semilogx(f, 20.0 * np.log10(np.abs(response)), color=BLUE, label="open")
-    magnitude.semilogx(f, 20.0 * np.log10(np.abs(closed)), color=AMBER, label="closed")
+    magnitude.semilogx(f, 20.0 * np.log10(np.abs(loop.closed_response(f))), color=AMBER, label="closed")
     angle = np.degrees(np.unwrap(np.angle(response)))
     angle -= 360.0 * np.round((angle[np.argmin(np.abs(f - centre))] + 120.0) / 360.0)
     phase.semilogx(f, angle, color=BLUE)

@@ -8,10 +8,11 @@ import json
 import math
 from pathlib import Path
 import re
+from xml.sax.saxutils import escape
 
 from twin.files import write_whole
-from twin.machine.check import ASSUMED
-from twin.machine.lumps import AxisLumps, Mechanics
+from twin.machine.commented import ASSUMED, commented, number_line
+from twin.machine.lumps import AxisLumps
 
 LUMP = "lump"
 BY_LOAD = "measured against the recorded outside load"
@@ -82,11 +83,11 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
         f"axis_order = [{', '.join(json.dumps(one.name) for one in lumps)}]",
         "",
         "[control]",
-        _line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
-        _line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
+        number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
+        number_line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
     ]
     if measured:
-        lines.append(_aligned('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
+        lines.append(commented('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
     return lines
 
 
@@ -96,7 +97,7 @@ def _part_of(period: float, longest: float) -> float:
 
 
 def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
-    linear, m = one.kind == "linear", _forces(one)
+    linear, m = one.kind == "linear", one.forces
     known = m is not None and m.force_per_unit is not None
     table = f"axis.{_key(one.name)}"
     unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
@@ -104,10 +105,10 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     lumped = BY_LOAD if known else LUMP
     structure = "P/PI" if one.law.integral else "P/P"
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
-    lines.append(_aligned(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
+    lines.append(commented(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
     if linear:
-        lines.append(_aligned('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
-    lines.append(_aligned(f'encoder = "{one.encoder}"', "closes the position loop"))
+        lines.append(commented('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
+    lines.append(commented(f'encoder = "{one.encoder}"', "closes the position loop"))
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
     low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
@@ -116,37 +117,36 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     if linear:
         weight = m.constant / G if vertical and m else inertia
         lines += [
-            _aligned(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel and {TRAVEL_ROOM_M:g} m on both sides"),
-            _line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
-            _line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            _line("max_jerk_m_per_s3", 50.0 * acceleration),
-            _line("moving_mass_kg", weight, f"{lump}; as heavy as it hangs" if vertical else lump),
+            commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel and {TRAVEL_ROOM_M:g} m on both sides"),
+            number_line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
+            number_line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            number_line("max_jerk_m_per_s3", 50.0 * acceleration),
+            number_line("moving_mass_kg", weight, f"{lump}; as heavy as it hangs" if vertical else lump),
         ]
         if vertical:
-            lines.append(_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
+            lines.append(number_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
         lines += [
-            _line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
+            number_line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            number_line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
         ]
     else:
         turn = 2.0 * math.pi
         lines += [
-            _aligned('travel_deg = "endless"', ASSUMED),
-            _line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
-            _line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            _line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
-            _line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
-            _line("rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"),
-            _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED),
+            commented('travel_deg = "endless"', ASSUMED),
+            number_line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
+            number_line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            number_line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
+            number_line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
+            number_line(
+                "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"
+            ),
+            number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            number_line(
+                "viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED
+            ),
         ]
     lines += [] if vertical else _constant(one, unit)
     return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
-
-
-def _forces(one: AxisLumps) -> Mechanics | None:
-    """Mechanics of an axis as the file counts them: in newtons where a known load fixes them, else lumps."""
-    return one.mechanics.forces if one.mechanics else None
 
 
 def _actuator(one: AxisLumps, table: str) -> list[str]:
@@ -154,17 +154,17 @@ def _actuator(one: AxisLumps, table: str) -> list[str]:
     lines = [f"[{table}.actuator]"]
     if m is None:
         peak = 20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1)
-        return [*lines, 'command = "torque"', _line("peak_force_n" if linear else "peak_torque_nm", peak)]
-    lines.append(_aligned(f'command = "{m.effort}"', "as recorded"))
+        return [*lines, 'command = "torque"', number_line("peak_force_n" if linear else "peak_torque_nm", peak)]
+    lines.append(commented(f'command = "{m.effort}"', "as recorded"))
     letter = {"current": "a", "voltage": "v"}.get(m.effort)
     if letter:
         key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
         said = f"{LUMP}: stands for all between command and motion" if m.force_per_unit is None else BY_LOAD
-        lines.append(_line(key, m.scale, said))
-        return [*lines, _line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
+        lines.append(number_line(key, m.scale, said))
+        return [*lines, number_line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
     return [
         *lines,
-        _line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
+        number_line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
     ]
 
 
@@ -176,26 +176,28 @@ def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[s
     said = "measured" if law.measured else ASSUMED
     lines = [
         f"[{table}.loops]",
-        _line("position_gain_per_s", law.gain, said),
-        _line(
+        number_line("position_gain_per_s", law.gain, said),
+        number_line(
             key,
             law.speed_gain or inertia / tuning.lag,
             "measured" if law.speed_gain else f"tried: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
         ),
     ]
     if law.integral:
-        lines.append(_line("speed_integral_time_s", tuning.integral, "tried"))
+        lines.append(number_line("speed_integral_time_s", tuning.integral, "tried"))
     elif law.mean_cycles:
         lines.append(
-            _aligned(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions so many cycles apart")
+            commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions so many cycles apart")
         )
     lines += [
-        _line("velocity_feedforward", law.feedforward, said),
-        _line("position_delay_s", tuning.delay, said),
-        _line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
+        number_line("velocity_feedforward", law.feedforward, said),
+        number_line("position_delay_s", tuning.delay, said),
+        number_line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
     ]
     if law.dsc_delay:
-        lines.append(_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop, the command reaches it so late"))
+        lines.append(
+            number_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop, the command reaches it so late")
+        )
     return lines
 
 
@@ -205,7 +207,7 @@ _BODY_PART = 0.1
 
 def _hangs(one: AxisLumps) -> bool:
     """Is the constant force of a slide its weight? Only where both directions show it apart from friction, and inertia allows it."""
-    m = _forces(one)
+    m = one.forces
     if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
         return False
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
@@ -213,12 +215,12 @@ def _hangs(one: AxisLumps) -> bool:
 
 def _constant(one: AxisLumps, unit: str) -> list[str]:
     """The steady load of an axis that does not hang."""
-    m = _forces(one)
+    m = one.forces
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
     key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
     return [
-        _line(
+        number_line(
             key,
             m.constant,
             f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them",
@@ -228,7 +230,7 @@ def _constant(one: AxisLumps, unit: str) -> list[str]:
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:
     """A slide or a hinge with a box to look at."""
-    m, place = _forces(one), f"0 {0.4 * i:.3g} 0"
+    m, place = one.forces, f"0 {0.4 * i:.3g} 0"
     inertia = m.inertia if m else UNKNOWN_MASS
     shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
     if one.kind == "linear":
@@ -256,7 +258,7 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
     lines = ["", "[measurement]                              # noise: of single samples, in the quietest part of the recording"]
-    lines.append(_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
+    lines.append(number_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
     for kind, scale, motor in (
         ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
         ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),
@@ -264,9 +266,9 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
         own = [one for one in lumps if one.kind == kind]
         for key, encoder in ((scale, "scale"), (motor, "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
-                lines.append(_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
+                lines.append(number_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
-    return [*lines, *([_line("current_noise_a", max(currents), "measured")] if currents else [])]
+    return [*lines, *([number_line("current_noise_a", max(currents), "measured")] if currents else [])]
 
 
 def _key(name: str) -> str:
@@ -274,13 +276,4 @@ def _key(name: str) -> str:
 
 
 def _xml(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;").replace("--", "- -")
-
-
-def _line(key: str, value: float, comment: str = ASSUMED) -> str:
-    number = f"{float(value):.9g}"
-    return _aligned(f"{key} = {number if any(c in number for c in '.en') else number + '.0'}", comment)
-
-
-def _aligned(text: str, comment: str) -> str:
-    return f"{text:42} # {comment}"
+    return escape(text, {'"': "&quot;", "--": "- -"})

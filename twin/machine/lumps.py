@@ -104,6 +104,11 @@ class AxisLumps:
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
 
+    @property
+    def forces(self) -> Mechanics | None:
+        """Mechanics in N and kg or Nm and kg m2 where a known load gives the scale, else the lumps; None where they are unknown."""
+        return self.mechanics.forces if self.mechanics else None
+
 
 @dataclass(frozen=True)
 class _Run:

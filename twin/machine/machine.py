@@ -17,8 +17,8 @@ from twin.documents import named_file, read_toml
 from twin.errors import InputError, nearest
 from twin.files import write_whole
 from twin.machine import keys
-from twin.machine.axis import Axis
-from twin.machine.document import axis_in, changed, check_cycles, check_document, cycles_of, place
+from twin.machine.axis import Axis, axis_of_table
+from twin.machine.document import changed, check_cycles, check_document, cycles_of, place
 from twin.machine.model_file import check_mjcf, copy_model, state_of_model
 from twin.machine.parameters import file_from_typed, key_of, si_from_key
 
@@ -90,7 +90,7 @@ class Machine:
         for name in document.get("axis_order", document["axis"]):
             table = document["axis"][name]
             same = known[name][1] if name in known and known[name][0] is table else None
-            parsed[name] = (table, same or axis_in(document, name, where, checked))
+            parsed[name] = (table, same or axis_of_table(name, table, f"{where}: [axis.{name}]", checked))
         if checked:
             check_cycles(document, tuple(axis for _, axis in parsed.values()), where)
         driven = document.get("driven_axes", list(parsed))

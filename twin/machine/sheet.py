@@ -7,7 +7,7 @@ import math
 
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
-from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data
+from twin.machine.sinumerik import CYCLE_UNIT_US, completed, machine_data
 from twin.simulation.summary import table
 from twin.units import AXIS_UNITS, deg_from_rad
 
@@ -79,7 +79,8 @@ def sinumerik_sheet(machine: Machine) -> str:
         if not axis.has_current_loop:
             lines.append(f"# {axis.structure} on a {axis.effort}: no such drive behind a Sinumerik")
             continue
-        data = machine_data(_plain_table(axis))
+        plain = machine.document["axis"][axis.name]
+        data = machine_data(completed(plain, f"[axis.{axis.name}]") if "sinumerik" in plain else plain)
         width = max(len(f"{d.label} = {v:.10g}") for d, v in data)
         lines += [f"{f'{d.label} = {v:.10g}':{width}}  # {d.name} [{d.unit}]" for d, v in data]
     return "\n".join(lines)
@@ -123,31 +124,6 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
     else:
         parts.append("nothing is missing, impossible or unusual")
     return "\n\n".join(parts)
-
-
-def _plain_table(axis: Axis) -> dict:  # type: ignore[type-arg]
-    """The axis as the table of a machine file in plain keys, from its SI values."""
-    linear = axis.kind == "linear"
-    per_turn = 2.0 * math.pi
-    if linear:
-        own = {
-            "screw_lead_m_per_rev": axis.ratio * per_turn,
-            "max_velocity_m_per_min": axis.max_velocity * 60.0,
-            "max_acceleration_m_per_s2": axis.max_acceleration,
-            "max_jerk_m_per_s3": axis.max_jerk,
-        }
-    else:
-        own = {
-            "gear_ratio": 1.0 / axis.ratio,
-            "max_velocity_rev_per_min": axis.max_velocity * 60.0 / per_turn,
-            "max_acceleration_rev_per_s2": axis.max_acceleration / per_turn,
-            "max_jerk_rev_per_s3": axis.max_jerk / per_turn,
-        }
-    travel = {}
-    if math.isfinite(axis.travel[0]):
-        travel = {"travel_m": list(axis.travel)} if linear else {"travel_deg": [deg_from_rad(v) for v in axis.travel]}
-    commissioned = {"inertia_kg_m2": axis.commissioned_inertia} if axis.commissioned_inertia is not None else {}
-    return {"kind": axis.kind, **own, **travel, "motor": vars(axis.motor), "loops": vars(axis.loops), "commissioned": commissioned}
 
 
 def _travel(axis: Axis) -> str:

@@ -34,6 +34,8 @@ GEAR_DENOMINATOR = Datum(31050, "DRIVE_AX_RATIO_DENOM", "1", "", 1.0)
 GEAR_NUMERATOR = Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "", 1.0)
 FFW_MODE = Datum(32620, "FFW_MODE", "-", "", 1.0)
 DSC_ENABLE = Datum(32640, "STIFFNESS_CONTROL_ENABLE", "-", "", 1.0)
+WITHOUT_KEY = (GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE, DSC_ENABLE)
+"""Machine data of an axis that act through the keys of others."""
 CYCLES = {
     1000: "CURRCTRL_CYCLE_TIME",
     1001: "SPEEDCTRL_CYCLE_TIME",
@@ -51,12 +53,11 @@ _ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
     """Machine data of one axis by number, whether the file has their numbers or names."""
-    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE, DSC_ENABLE)}
-    names = {name: number for number, name in (known | CYCLES).items()}
+    known = {d.number: d.name for d in (*DATA[kind], *WITHOUT_KEY)}
+    names = [*known.values(), *CYCLES.values()]
     out: dict[int, float] = {}
     for key, value in table.items():
-        match = _KEY.match(key)
-        number = int(match[1]) if match else names.get(key.upper())
+        number = _number_of(key, kind)
         if number in CYCLES:
             raise InputError(
                 f"{where}: {key} belongs to the whole control, not to an axis; give the cycle in [control] of the machine file"
@@ -70,6 +71,14 @@ def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, floa
             raise InputError(f"{where}: MD{number} stands twice, by number and by name; keep one")
         out[number] = float(value)
     return out
+
+
+def _number_of(key: str, kind: str) -> int | None:
+    """Number of a machine datum of an axis of that kind, which the file names by number or by name; None where it is not known."""
+    if match := _KEY.match(key):
+        return int(match[1])
+    names = {d.name: d.number for d in (*DATA[kind], *WITHOUT_KEY)} | {name: number for number, name in CYCLES.items()}
+    return names.get(key.upper())
 
 
 def _check_divisor(number: int, value: float, where: str) -> None:
@@ -134,19 +143,17 @@ def datum_place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, An
     given = table.get("sinumerik")
     if not isinstance(given, Mapping) or table.get("kind") not in DATA:
         return None
-    for datum in DATA[table["kind"]]:
-        for written in given:
-            match = _KEY.match(written)
-            same = int(match[1]) == datum.number if match else written.upper() == datum.name
-            alone = datum.number != GEAR_NUMERATOR.number and not (key.endswith("_feedforward") and _has(given, FFW_MODE))
-            alone = alone and not (key == "screw_lead_m_per_rev" and (_has(given, GEAR_NUMERATOR) or _has(given, GEAR_DENOMINATOR)))
-            if datum.key == key and same and alone and isinstance(value, int | float):
-                return f"sinumerik.{written}", value / datum.factor
-    return None
-
-
-def _has(given: Mapping[str, Any], datum: Datum) -> bool:
-    return any(int(m[1]) == datum.number if (m := _KEY.match(w)) else w.upper() == datum.name for w in given)
+    written = {_number_of(name, table["kind"]): name for name in given}
+    datum = next((d for d in DATA[table["kind"]] if d.key == key and d.number in written), None)
+    gear = GEAR_NUMERATOR.number, GEAR_DENOMINATOR.number
+    shared = (
+        (key == "gear_ratio")
+        or (key.endswith("_feedforward") and FFW_MODE.number in written)
+        or (key == "screw_lead_m_per_rev" and any(number in written for number in gear))
+    )
+    if datum is None or shared or not isinstance(value, int | float):
+        return None
+    return f"sinumerik.{written[datum.number]}", value / datum.factor
 
 
 def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
@@ -219,11 +226,7 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
                 of_index[f"AX{int(index[0]) + 1}"] = same[0]
             continue
         axis = of_index.get(index[-1], index[-1] if index[-1] in axes else "")
-        known = (
-            set(CYCLES)
-            if not axis
-            else {d.number for d in DATA[axes[axis]]} | {GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number, FFW_MODE.number, DSC_ENABLE.number}
-        )
+        known = {d.number for d in (*DATA[axes[axis]], *WITHOUT_KEY)} if axis else set(CYCLES)
         first = len(index) < 2 or index[0] in ("", "0")  # parameter set 0, the one that is active
         try:
             number_value = float(value)

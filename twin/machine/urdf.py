@@ -18,6 +18,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine.model_limits import quiet_engine
 from twin.machine.urdf_file import check_urdf, read_urdf
+from twin.machine.urdf_visuals import MOVING, add_tree, quaternion_of, read_visuals
 
 MOST_FACES = 2000
 """A finer mesh stands in the MJCF as its convex hull."""
@@ -28,7 +29,6 @@ _GEOMS = {
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-_MOVING = ("prismatic", "revolute", "continuous")
 
 
 @dataclass(frozen=True)
@@ -45,25 +45,15 @@ def spec_of_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, JointLimits]]:
     """The MJCF of a URDF and the limits of its joints; every fault is an InputError in one line."""
     check_urdf(path)
     robot = read_urdf(path)
-    joints, links = robot.joint_map, robot.link_map
-    _check_moving_masses(joints, links, path)
+    joints = robot.joint_map
+    _check_moving_masses(joints, robot.link_map, path)
     quiet_engine()
     spec = mujoco.MjSpec()
     spec.modelname = robot.robot.name or path.stem
     spec.compiler.degree = False
-    bodies: dict[str, Any] = {}
-    children = {joint.child for joint in joints.values()}
-    for name, link in links.items():
-        if name not in children:
-            bodies[name] = spec.worldbody if name == "world" else _add_body(spec.worldbody, link, np.eye(4))
-    waiting = list(joints.values())
-    while waiting:
-        for joint in [j for j in waiting if j.parent in bodies]:
-            bodies[joint.child] = _add_body(bodies[joint.parent], links[joint.child], joint.origin)
-            _add_joint(bodies[joint.child], joint)
-            waiting.remove(joint)
+    bodies = add_tree(spec, robot, _add_body)
     _add_shapes(spec, bodies, path)
-    limits = {joint.name: _limits(joint) for joint in joints.values() if joint.type in _MOVING}
+    limits = {joint.name: _limits(joint) for joint in joints.values() if joint.type in MOVING}
     return spec, limits
 
 
@@ -71,7 +61,7 @@ def _check_moving_masses(joints: Mapping[str, Any], links: Mapping[str, Any], pa
     """A link behind a moving joint needs a mass, its own or that of what is fixed to it."""
     fixed: dict[str, list[str]] = {}
     for joint in joints.values():
-        if joint.type not in _MOVING:
+        if joint.type not in MOVING:
             fixed.setdefault(joint.parent, []).append(joint.child)
 
     def mass(link: str) -> float:
@@ -80,13 +70,12 @@ def _check_moving_masses(joints: Mapping[str, Any], links: Mapping[str, Any], pa
         return own + sum(mass(child) for child in fixed.get(link, ()))
 
     for joint in joints.values():
-        if joint.type in _MOVING and mass(joint.child) <= 0.0:
+        if joint.type in MOVING and mass(joint.child) <= 0.0:
             raise InputError(f"{path}: link '{joint.child}' moves with joint '{joint.name}' and has no <inertial>; give mass and inertia")
 
 
-def _add_body(parent: Any, link: Any, origin: np.ndarray | None) -> Any:
-    place = np.eye(4) if origin is None else origin
-    body = parent.add_body(name=link.name, pos=place[:3, 3], quat=_quaternion(place[:3, :3]))
+def _add_body(parent: Any, link: Any, parent_from_link: np.ndarray) -> Any:
+    body = parent.add_body(name=link.name, pos=parent_from_link[:3, 3], quat=quaternion_of(parent_from_link[:3, :3]))
     if link.inertial is not None and link.inertial.mass:
         at = np.eye(4) if link.inertial.origin is None else link.inertial.origin
         inertia = np.zeros((3, 3)) if link.inertial.inertia is None else np.asarray(link.inertial.inertia, float)
@@ -95,29 +84,10 @@ def _add_body(parent: Any, link: Any, origin: np.ndarray | None) -> Any:
             axes[:, 0] = -axes[:, 0]
         body.mass = float(link.inertial.mass)
         body.ipos = at[:3, 3]
-        body.iquat = _quaternion(at[:3, :3] @ axes)
+        body.iquat = quaternion_of(at[:3, :3] @ axes)
         body.inertia = np.maximum(principal, 1e-9 * body.mass)
         body.explicitinertial = True
     return body
-
-
-def _add_joint(body: Any, joint: Any) -> None:
-    if joint.type not in _MOVING:
-        return
-    axis = np.asarray(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
-    slide = joint.type == "prismatic"
-    kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
-    added = body.add_joint(name=joint.name, type=kind, axis=axis / np.linalg.norm(axis))
-    limit = joint.limit
-    if (
-        joint.type != "continuous"
-        and limit is not None
-        and limit.lower is not None
-        and limit.upper is not None
-        and limit.lower < limit.upper
-    ):
-        added.range = [limit.lower, limit.upper]
-        added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _limits(joint: Any) -> JointLimits:
@@ -137,8 +107,6 @@ def _limits(joint: Any) -> JointLimits:
 def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> None:
     """The visible shapes, without mass."""
     import trimesh
-
-    from twin.machine.urdf_visuals import read_visuals
 
     visuals = read_visuals(path)
     for i, shape in enumerate(visuals.shapes):
@@ -166,9 +134,3 @@ def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> N
             group=2,
             **more,
         )
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
-    return quaternion

@@ -6,6 +6,7 @@ read: masses and collision shapes are not needed to replay a motion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from twin.machine.model_limits import compiled_spec, quiet_engine
 from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 
 _GREY = (160, 164, 170, 255)
-_KINDS = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
+MOVING = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
 _MASS = 1.0
 """Every body needs a mass to compile; nothing here is simulated."""
 
@@ -43,20 +44,7 @@ def read_visuals(path: Path) -> Visuals:
     quiet_engine()
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    children = {joint.child for joint in robot.joint_map.values()}
-    roots = [name for name in robot.link_map if name not in children]
-    bodies: dict[str, Any] = {}
-    for root in roots:
-        bodies[root] = spec.worldbody if root == "world" else _add_body(spec.worldbody, root, np.eye(4))
-    # parents before children, whatever the order of the file
-    waiting = list(robot.joint_map.values())
-    while waiting:
-        ready = [joint for joint in waiting if joint.parent in bodies]
-        for joint in ready:
-            body = _add_body(bodies[joint.parent], joint.child, joint.origin if joint.origin is not None else np.eye(4))
-            _add_joint(body, joint)
-            bodies[joint.child] = body
-        waiting = [joint for joint in waiting if joint not in ready]
+    add_tree(spec, robot, _massless_body)
     model = compiled_spec(spec, str(path))
     shapes = [shape for name, link in robot.link_map.items() for shape in _shapes(link, model.body(name).id, robot, path)]
     mimics = {
@@ -67,25 +55,37 @@ def read_visuals(path: Path) -> Visuals:
     return Visuals(robot.robot.name or path.stem, model, tuple(shapes), mimics)
 
 
-def _add_body(parent: Any, name: str, parent_from_child: np.ndarray) -> Any:
-    return parent.add_body(
-        name=name,
-        pos=parent_from_child[:3, 3],
-        quat=_quaternion(parent_from_child[:3, :3]),
-        mass=_MASS,
-        inertia=[_MASS] * 3,
-        explicitinertial=True,
-    )
+def add_tree(spec: mujoco.MjSpec, robot: Any, add_body: Callable[[Any, Any, np.ndarray], Any]) -> dict[str, Any]:
+    """Add the links and joints of a robot to a spec; returns the bodies by link. `add_body(parent, link, parent_from_link)` makes one body."""
+    children = {joint.child for joint in robot.joint_map.values()}
+    bodies: dict[str, Any] = {}
+    for name, link in robot.link_map.items():
+        if name not in children:
+            bodies[name] = spec.worldbody if name == "world" else add_body(spec.worldbody, link, np.eye(4))
+    waiting = list(robot.joint_map.values())
+    while waiting:  # parents before children, whatever the order of the file
+        for joint in [j for j in waiting if j.parent in bodies]:
+            origin = np.eye(4) if joint.origin is None else joint.origin
+            bodies[joint.child] = add_body(bodies[joint.parent], robot.link_map[joint.child], origin)
+            if joint.type in MOVING:
+                _add_joint(bodies[joint.child], joint)
+            waiting.remove(joint)
+    return bodies
+
+
+def _massless_body(parent: Any, link: Any, parent_from_link: np.ndarray) -> Any:
+    """A body with the mass that the engine demands."""
+    position, orientation = parent_from_link[:3, 3], quaternion_of(parent_from_link[:3, :3])
+    return parent.add_body(name=link.name, pos=position, quat=orientation, mass=_MASS, inertia=[_MASS] * 3, explicitinertial=True)
 
 
 def _add_joint(body: Any, joint: Any) -> None:
-    if joint.type not in _KINDS:
-        return
     axis = np.asarray(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
-    added = body.add_joint(name=joint.name, type=_KINDS[joint.type], axis=axis / np.linalg.norm(axis))
-    if joint.limit is not None and joint.limit.lower is not None and joint.limit.upper is not None and joint.type != "continuous":
-        added.range = [joint.limit.lower, joint.limit.upper]
-        added.limited = True
+    added = body.add_joint(name=joint.name, type=MOVING[joint.type], axis=axis / np.linalg.norm(axis))
+    low, high = (None, None) if joint.limit is None or joint.type == "continuous" else (joint.limit.lower, joint.limit.upper)
+    if low is not None and high is not None and low < high:
+        added.range = [low, high]
+        added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
@@ -105,7 +105,7 @@ def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
         else:
             continue
         colour = _colour(visual.material, robot)
-        shapes.append(Shape(body, name, kind, place[:3, 3].copy(), _quaternion(place[:3, :3]), colour, size, vertices, faces))
+        shapes.append(Shape(body, name, kind, place[:3, 3].copy(), quaternion_of(place[:3, :3]), colour, size, vertices, faces))
     return shapes
 
 
@@ -133,7 +133,8 @@ def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:
     return red, green, blue, alpha
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
     return quaternion

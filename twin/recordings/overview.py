@@ -61,20 +61,6 @@ def listing(recording: Recording) -> str:
     return table(["column", "description", "unit", "samples", "interval", "range"], rows, left=3)
 
 
-def stub_of(recordings: Sequence[Recording]) -> str:
-    """The beginning of a map for these files."""
-    lines = ["# map.toml: keep the columns that matter, say what they are", 'feedforward = "off"  # off | velocity | velocity+torque']
-    seen: set[str] = set()
-    for recording in recordings:
-        for signal in recording.signals.values():
-            if signal.name not in seen and len(signal.values):
-                seen.add(signal.name)
-                unit = f'unit = "{signal.unit}"' if signal.unit else 'unit = "?"'
-                name = signal.name.replace("\\", "\\\\").replace('"', '\\"')
-                lines += ["", "[[column]]", f'name = "{name}"', 'axis = "X"', 'signal = "?"', unit]
-    return "\n".join(lines)
-
-
 def draw_run(known: Understood, trace: Written, path: Path) -> None:
     """Position and set point, following error, speed, current (or torque, voltage) of each axis over time."""
     from matplotlib import rc_context

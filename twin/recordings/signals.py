@@ -214,17 +214,17 @@ def _runs(time: np.ndarray) -> bool:
     return len(time) > 1 and bool(np.all(np.diff(np.asarray(time, float)) > 0.0))
 
 
-def no_file(path: Path) -> InputError | None:
-    """The error of a file that cannot be opened, or None."""
+def check_readable(path: Path) -> None:
+    """Refuse a file that is missing, empty or not readable."""
     if not path.is_file():
-        return InputError(f"{path}: no such file; give a recorded trace")
+        raise InputError(f"{path}: no such file; give a recorded trace")
     try:
         with open(path, "rb") as file:
-            if not file.read(1):
-                return InputError(f"{path}: the file is empty; export the recording again")
+            empty = not file.read(1)
     except OSError as error:
-        return InputError(f"{path}: cannot be read ({error.strerror}); check its permissions")
-    return None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    if empty:
+        raise InputError(f"{path}: the file is empty; export the recording again")
 
 
 def starts_with(path: Path, *magic: bytes) -> bool:

@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 
 from twin.errors import InputError, nearest
-from twin.recordings.signals import How, Recording, no_file
+from twin.recordings.signals import How, Recording, check_readable
 
 READERS = {
     ".csv": "delimited",
@@ -27,8 +27,7 @@ READERS = {
 def read_recording(path: str | Path, how: How) -> Recording:
     """Read a recorded file of any known format."""
     path = Path(path)
-    if error := no_file(path):
-        raise error
+    check_readable(path)
     suffix = path.suffix.lower()
     if suffix not in READERS:
         raise InputError(f"{path}: no reader for '{suffix or 'a file without ending'}'; {nearest(suffix, READERS)}")
