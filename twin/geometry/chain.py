@@ -48,21 +48,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
     sites = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in ("tool", "workpiece")}
-    if min(sites.values()) < 0:
-        if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
-            missing = next(name for name, number in sites.items() if number < 0)
-            raise InputError(f"{model_path}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
-        joints = _all_joints(model, data, machine)
-    else:
-        part, tool = (_chain(model, data, sites[name], machine, on_table=name == "workpiece") for name in ("workpiece", "tool"))
-        for side in (part, tool):
-            kinds = [joint.turns for joint in side]  # from the part or the tool towards the bed
-            if kinds != sorted(kinds, reverse=True):
-                raise InputError(
-                    f"{model_path}: a slide is carried by a rotary axis ({', '.join(j.name for j in side)} from the "
-                    f"{'part' if side is part else 'tool'} on), which the transformation does not cover; hang the rotary axes on the slides"
-                )
-        joints = [*part, *reversed(tool)]  # from the part to the tool
+    joints = _joints(model, data, sites, machine, sites_needed)
     slides, turns = [j for j in joints if not j.turns], [j for j in joints if j.turns]
     if len(slides) > 3 or len(turns) > 2:
         raise InputError(
@@ -78,26 +64,55 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     turn = turns[0] if turns else None  # the one nearer to the part; a single rotary axis is the turning one
     tilt = turns[1] if len(turns) == 2 else None
     names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
-    tool_body = int(model.site_bodyid[sites["tool"]]) if sites["tool"] >= 0 else 0
-    with_sites = min(sites.values()) >= 0
-    tool_axis = data.site_xmat[sites["tool"]].reshape(3, 3)[:, 2] if with_sites else np.array([0.0, 0.0, 1.0])
-    # where the file does not say how long the tool is, the body that carries it begins at the spindle nose
-    carrier_to_tip = float((data.xpos[tool_body] - data.site_xpos[sites["tool"]]) @ tool_axis) if with_sites else 0.0
     return {
         "slides": columns,
-        "tool_tip": data.site_xpos[sites["tool"]].copy() if with_sites else np.zeros(3),
-        "tool_axis": tool_axis.copy(),
         "tilt_axis": tilt.axis if tilt else np.array([1.0, 0.0, 0.0]),
         "tilt_anchor": tilt.anchor if tilt else np.zeros(3),
         "turn_axis": turn.axis if turn else np.array([0.0, 0.0, 1.0]),
         "turn_anchor": turn.anchor if turn else np.zeros(3),
-        "part_origin": data.site_xpos[sites["workpiece"]].copy() if with_sites else np.zeros(3),
-        "part_axes": data.site_xmat[sites["workpiece"]].reshape(3, 3).copy() if with_sites else np.eye(3),
-        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
         "tilt_on_table": tilt is None or tilt.on_table,
         "turn_on_table": turn is None or turn.on_table,
         "names": tuple(names),
         "letters": _five_letters(letters, slides, tilt, turn),
+        **_tool_and_part(model, data, sites, machine),
+    }
+
+
+def _joints(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine, sites_needed: bool) -> list[Joint]:
+    """Joints of axes in order from the part to the tool."""
+    where = machine.model_path
+    if min(sites.values()) < 0:
+        if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
+            missing = next(name for name, number in sites.items() if number < 0)
+            raise InputError(f"{where}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
+        found = [_joint(model, data, j, False) for j in range(model.njnt)]
+        return [j for j in found if j.name in machine.axis_names]
+    part, tool = (_chain(model, data, sites[name], machine, on_table=name == "workpiece") for name in ("workpiece", "tool"))
+    for side in (part, tool):
+        kinds = [joint.turns for joint in side]  # from the part or the tool towards the bed
+        if kinds != sorted(kinds, reverse=True):
+            raise InputError(
+                f"{where}: a slide is carried by a rotary axis ({', '.join(j.name for j in side)} from the "
+                f"{'part' if side is part else 'tool'} on), which the transformation does not cover; hang the rotary axes on the slides"
+            )
+    return [*part, *reversed(tool)]
+
+
+def _tool_and_part(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine) -> dict[str, Any]:
+    """Tool tip, tool axis and length, and the part frame, at rest; where the model lacks a site, those of a tool along z at the origin."""
+    tip, tool_axis, part_origin, part_axes, carrier_to_tip = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3), 0.0
+    if min(sites.values()) >= 0:
+        tool, part = sites["tool"], sites["workpiece"]
+        tip, tool_axis = data.site_xpos[tool].copy(), data.site_xmat[tool].reshape(3, 3)[:, 2].copy()
+        part_origin, part_axes = data.site_xpos[part].copy(), data.site_xmat[part].reshape(3, 3).copy()
+        # where the file does not give the length of the tool, the body that carries it begins at the spindle nose
+        carrier_to_tip = float((data.xpos[model.site_bodyid[tool]] - tip) @ tool_axis)
+    return {
+        "tool_tip": tip,
+        "tool_axis": tool_axis,
+        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
+        "part_origin": part_origin,
+        "part_axes": part_axes,
     }
 
 
@@ -111,11 +126,6 @@ def _chain(model: mujoco.MjModel, data: mujoco.MjData, site: int, machine: Machi
     found = [_joint(model, data, j, on_table) for j in numbers]
     own = [j for j in found if j.name in machine.document["axis"]]
     return own or found  # a spindle or a door of the model is no axis of programs
-
-
-def _all_joints(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> list[Joint]:
-    """The joints of the axes of a machine whose model has no sites: three slides, however they hang."""
-    return [j for j in (_joint(model, data, k, False) for k in range(model.njnt)) if j.name in machine.axis_names]
 
 
 def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -> Joint:

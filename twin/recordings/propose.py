@@ -158,7 +158,6 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     rows = _longest(found["setpoint"][1])
     time = _head(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
     values = {signal: _at(one, time) for signal, (_, one) in found.items()}
-    setpoint = values["setpoint"]
     kind, sure = _kind(found, label)
     unit = {s: meaning.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (meaning, _) in found.items()}
     to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
@@ -169,11 +168,21 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     if (turns := _turns(full * to_si, kind, sure)) is not None:
         out.left_out.append(f"{called} spins ({turns:.0f} turns one way): no feed axis ({names})")
         return
-    assumed = (
-        ""
-        if found["setpoint"][0].unit
-        else f"assumed: the file says no unit; {'deg for a rotary' if kind == 'linear' else 'mm for a linear'} axis"
-    )
+    out.columns += _columns(axis, kind, found, values, unit, time)
+
+
+def _columns(
+    axis: str,
+    kind: str,
+    found: Mapping[str, tuple[Meaning, Signal]],
+    values: Mapping[str, np.ndarray],
+    unit: Mapping[str, str],
+    time: np.ndarray,
+) -> list[Proposed]:
+    """Columns of a moving axis with units, signs and doubts; `values` (sample,) of each signal at `time` [s], in the recorded units."""
+    setpoint = values["setpoint"]
+    other = "deg for a rotary" if kind == "linear" else "mm for a linear"
+    assumed = "" if found["setpoint"][0].unit else f"assumed: the file says no unit; {other} axis"
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{found['setpoint'][1].name}': its time stands still; repair it, or give [time] interval_ms in a map")
@@ -181,9 +190,7 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     if position is None and "following_error" in values:
         position = setpoint - values["following_error"]
     columns: list[Proposed] = []
-    for signal in _ORDER:
-        if signal not in found:
-            continue
+    for signal in (s for s in _ORDER if s in found):
         meaning, one = found[signal]
         column = Proposed(one.name, axis, signal, unit[signal])
         if signal in ("setpoint", "position", "motor_position", "following_error"):
@@ -200,10 +207,10 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
         columns.append(column)
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
     if any(not c.doubt for c in measured):
-        columns = [replace(c, doubt="the position itself is recorded") if c.signal == "following_error" else c for c in columns]
-    elif measured and not any(c.signal == "following_error" for c in columns):
-        columns = [replace(c, doubt=c.doubt or "no measured position of this axis can be used") for c in columns]
-    out.columns += columns
+        return [replace(c, doubt="the position itself is recorded") if c.signal == "following_error" else c for c in columns]
+    if measured and not any(c.signal == "following_error" for c in columns):
+        return [replace(c, doubt=c.doubt or "no measured position of this axis can be used") for c in columns]
+    return columns
 
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapping[str, str]) -> str:

@@ -5,7 +5,7 @@ What is returned still reads from the recordings block by block: nothing as long
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -79,99 +79,137 @@ class Understood:
 
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
     """Everything that is known of a run before it is written. Raises InputError where the map does not fit or units contradict."""
-    notes = [note for recording in recordings for note in recording.notes]
-    channels, missing = [], []
-    for column in mapping.columns:
-        found = _find(column, recordings, str(mapping.path))
-        if found is None:
-            missing.append(column)
-            continue
-        recording, signal = found
-        where = f"{recording.path}: column '{signal.name}'"
-        if signal.time is None:
-            raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
-        conversion = conversion_of(column, signal, str(recording.path))
-        if column.signal in BY_UNIT:
-            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
-        channels.append((column, recording, signal, conversion))
-    keys = [c.key for c, *_ in channels]
-    if twice := next((k for k in keys if keys.count(k) > 1), None):
-        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
-    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
-    axes = dict.fromkeys(c.axis for c, *_ in channels)
-    for axis in axes:
-        own = {c.signal for c, *_ in channels if c.axis == axis}
-        if "setpoint" not in own:
-            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
-    kinds = kinds_of([c for c, *_ in channels], [x[3] for x in channels], str(mapping.path))
-    timings: dict[int, Timing] = {}
-    made = []
-    for column, recording, signal, conversion in channels:
-        _check_numbers(recording, signal)
-        assert signal.time is not None
-        timing = timings.get(id(signal.time))
-        if timing is None:
-            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
-            notes += [n for n in timing.notes if n not in notes]
-        made.append(Channel(column, Source(signal, timing, column.skew_s), conversion, recording.path.name))
-    lead = next(c for c in made if c.column.signal == "setpoint")  # the grid is that of the first set point
-    period = mapping.period_s or _tidy(lead.source.timing.interval)
-    notes += _interval_notes(made, period)
-    begin = min(s.begin for c in made for s in c.source.timing.stretches)
+    channels, kinds, notes = _channels(mapping, run, recordings)
     fill = mapping.gaps == "fill"
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} begins anew in each part; use gaps = "split"')
-    notes += _gap_notes(made, mapping, run)
-
-    def cut(channels: Sequence[Channel]) -> list[Piece]:
-        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
-        start = begin + run.from_s if np.isfinite(run.from_s) else -np.inf
-        stop = begin + run.to_s if np.isfinite(run.to_s) else np.inf
-        return [p for p in pieces_of(sources, period, start, stop, fill) if p.count * period >= min(SHORTEST_S, 20 * period)]
-
-    pieces = cut(made)
+    lead = next(c for c in channels if c.column.signal == "setpoint")  # the grid is that of the first set point
+    period = mapping.period_s or _tidy(lead.source.timing.interval)
+    notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
+    begin = min(s.begin for c in channels for s in c.source.timing.stretches)
+    grid = _Grid(lead.key, period, begin + run.from_s, begin + run.to_s, fill)
+    pieces = grid.pieces(channels)
     if not pieces:
         raise InputError(
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
-    known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings), begin)
+    known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin)
     longest = max(pieces, key=lambda p: p.count)
-    rows = liveliest(lead.source, longest, fill)
-    window = known.block(longest, *rows)
+    window = known.block(longest, *liveliest(lead.source, longest, fill))
+    notes += _doubts(window, period, kinds, mapping, run)
+    late = later_ones(late_channels(window, period, kinds))
+    unsigned = _unsigned(window, period, kinds)
+    notes += _still(window)
+    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
+    notes += [f"{axis}.{signal}: only its size is recorded, without a sign" for axis, signal in sorted(unsigned)]
+    correct = _corrected(late, mapping.skew)
+    notes += _skew_notes(late, correct)
+    if correct:
+        channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
+        pieces = grid.pieces(channels)
+    known = replace(known, channels=channels, pieces=pieces, late=tuple(late), unsigned=unsigned)
+    offsets, centred = _offsets(known), mapping.offsets == "correct"
+    notes += _offset_notes(offsets, kinds, centred)
+    events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
+    labels = _labels(mapping.labels, recordings, pieces)
+    return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """The grid of a run: the channel whose samples it goes through, period [s], first and last time [s], whether gaps are filled."""
+
+    lead: tuple[str, str]
+    period: float
+    begin: float
+    end: float
+    fill: bool
+
+    def pieces(self, channels: Sequence[Channel]) -> tuple[Piece, ...]:
+        """Pieces in which all channels have samples, without those that are too short."""
+        sources = [c.source for c in sorted(channels, key=lambda c: c.key != self.lead)]
+        pieces = pieces_of(sources, self.period, self.begin, self.end, self.fill)
+        return tuple(p for p in pieces if p.count * self.period >= min(SHORTEST_S, 20 * self.period))
+
+
+def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tuple[tuple[Channel, ...], dict[str, str], list[str]]:
+    """The mapped columns with conversion and timing, the kinds of the axes, and notes. Refuses a map that does not fit."""
+    notes = [note for recording in recordings for note in recording.notes]
+    found, missing = [], []
+    for column in mapping.columns:
+        place = _find(column, recordings, str(mapping.path))
+        if place is None:
+            missing.append(column)
+            continue
+        recording, signal = place
+        if signal.time is None:
+            where = f"{recording.path}: column '{signal.name}'"
+            raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
+        conversion = conversion_of(column, signal, str(recording.path))
+        if column.signal in BY_UNIT:
+            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
+        found.append((column, recording, signal, conversion))
+    keys = [column.key for column, *_ in found]
+    if twice := next((k for k in keys if keys.count(k) > 1), None):
+        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
+    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
+    for axis in dict.fromkeys(axis for axis, _ in keys):
+        if (axis, "setpoint") not in keys:
+            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
+    kinds = kinds_of([column for column, *_ in found], [x[3] for x in found], str(mapping.path))
+    timings: dict[int, Timing] = {}
+    channels = []
+    for column, recording, signal, conversion in found:
+        _check_numbers(recording, signal)
+        assert signal.time is not None
+        if id(signal.time) not in timings:
+            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
+            notes += [n for n in timing.notes if n not in notes]
+        source = Source(signal, timings[id(signal.time)], column.skew_s)
+        channels.append(Channel(column, source, conversion, recording.path.name))
+    return tuple(channels), kinds, notes
+
+
+def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
+    """Units that cannot be right: refused, or notes where the map asks for that."""
     doubts = doubts_of(window, period, kinds, mapping.machine)
     if doubts and mapping.units == "refuse":
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
         raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "say" in the map imports it nevertheless')
-    notes += [d.text for d in doubts]
-    late = later_ones(late_channels(window, period, kinds))
-    notes += _still(window)
-    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
-    unsigned = _unsigned(window, period, kinds)
-    notes += [f"{axis}.{signal}: only its size is recorded, without a sign" for axis, signal in sorted(unsigned)]
-    correct = {
-        (item.axis, item.signal): item.seconds
-        for item in late
-        if item.clear and (mapping.skew == "correct" or (mapping.skew == "encoders" and item.signal in (*POSITIONS, "velocity")))
-    }
+    return [d.text for d in doubts]
+
+
+def _corrected(late: Sequence[Late], skew: str) -> dict[tuple[str, str], float]:
+    """Skew [s] of the channels for which the map asks to take it back."""
+    encoders = (*POSITIONS, "velocity")
+    return {(i.axis, i.signal): i.seconds for i in late if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))}
+
+
+def _skew_notes(late: Sequence[Late], correct: Collection[tuple[str, str]]) -> list[str]:
+    """Each clear skew with its interval, and what was done about it."""
+    notes = []
     for item in late:
         if item.clear:
-            skew_text = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
-            remedy = "left as it is: skew = 'correct' or skew_ms in the map takes it back"
-            notes.append(f"{skew_text}; {'taken back' if (item.axis, item.signal) in correct else remedy}")
-    if correct:
-        made = [replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in made]
-        pieces = cut(made)
-    known = replace(known, channels=tuple(made), pieces=tuple(pieces), late=tuple(late), unsigned=unsigned)
-    offsets = _offsets(known)
-    notes += _offset_notes(offsets, kinds, mapping.offsets == "correct")
-    events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
+            size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
+            done = (
+                "taken back"
+                if (item.axis, item.signal) in correct
+                else "left as it is: skew = 'correct' or skew_ms in the map takes it back"
+            )
+            against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
+            notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
+    return notes
+
+
+def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Sequence[Piece]) -> dict[tuple[Piece, str], float]:
+    """Values of the label columns that hold still in a piece."""
     labels = {}
-    for name in mapping.labels:
+    for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
         for piece in pieces:
             if labelled is not None and (value := _label(labelled, piece)) is not None:
                 labels[piece, name] = value
-    return replace(known, notes=tuple(notes), offsets=offsets, centred=mapping.offsets == "correct", events=events, labels=labels)
+    return labels
 
 
 def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> frozenset[tuple[str, str]]:

@@ -248,61 +248,30 @@ def _stream(
 ) -> tuple[dict[int, _Spool], Stored, int]:
     """Pass the file in blocks; wanted columns and the time go to disk. Also counts the rows where the time begins anew."""
     import pyarrow as pa
-    import pyarrow.csv as pc
 
     folder = how.scratch / path.name
     folder.mkdir(parents=True, exist_ok=True)
-    # every column is read, so that a row that is cut off is seen
-    keys = [f"c{i}" for i in range(len(dialect.names))]
-    kinds = {keys[i]: pa.float64() for i in chosen}
-    if at is not None:
-        kinds[keys[at]] = pa.timestamp("ns") if dialect.timestamps else pa.float64()
     bad: list[tuple[int | None, int, int, str]] = []
-
-    def invalid(row: Any) -> str:
-        bad.append((row.number, row.actual_columns, row.expected_columns, row.text))
-        return "error"
-
-    source: Any = path
-    if dialect.delimiter == " ":  # several spaces are one: text is squeezed on its way
-        source = _Squeezed(path, dialect.encoding)
     time_path = folder / "time"
     spools = {i: _Spool(folder / f"column{i}", open(folder / f"column{i}", "wb")) for i in chosen}  # noqa: SIM115
-    rows, restart = 0, Restarts()
+    rows, restart, origin = 0, Restarts(), None
     try:
-        reader = pc.open_csv(
-            source,
-            read_options=pc.ReadOptions(
-                column_names=keys,
-                skip_rows=dialect.first,
-                block_size=BLOCK_BYTES,
-                encoding="utf-8" if dialect.delimiter == " " else dialect.encoding,
-                use_threads=False,
-            ),
-            parse_options=pc.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=invalid),
-            convert_options=pc.ConvertOptions(
-                column_types=kinds, include_columns=list(kinds), decimal_point=dialect.decimal, null_values=[""], strings_can_be_null=True
-            ),
-        )
-        origin: int | None = None
         with open(time_path, "wb") as time_file:
-            for batch in reader:
+            for batch in _reader(path, dialect, at, chosen, bad):
                 if at is None:
                     time = (rows + np.arange(batch.num_rows)) * float(how.clock.interval_s or 0.0)
                 elif dialect.timestamps:
-                    stamps = batch.column(keys[at]).cast(pa.int64()).to_numpy(zero_copy_only=False)
+                    stamps = batch.column(f"c{at}").cast(pa.int64()).to_numpy(zero_copy_only=False)
                     origin = int(stamps[0]) if origin is None else origin
                     time = (stamps - origin) * 1e-9
                 else:
-                    time = batch.column(keys[at]).to_numpy(zero_copy_only=False) * factor
+                    time = batch.column(f"c{at}").to_numpy(zero_copy_only=False) * factor
                 if not np.all(np.isfinite(time)):
-                    row = int(np.argmin(np.isfinite(time)))
-                    raise InputError(
-                        f"{path}: column '{dialect.names[at or 0]}': line {dialect.first + rows + row + 1} holds no time; repair it"
-                    )
+                    row = dialect.first + rows + int(np.argmin(np.isfinite(time))) + 1
+                    raise InputError(f"{path}: column '{dialect.names[at or 0]}': line {row} holds no time; repair it")
                 time = restart(np.asarray(time, float))
                 for i, spool in spools.items():
-                    _append(spool, batch.column(keys[i]), time, time_file, f"{path}: column '{dialect.names[i]}'", dialect.first + rows)
+                    _append(spool, batch.column(f"c{i}"), time, time_file, f"{path}: column '{dialect.names[i]}'", dialect.first + rows)
                 time.astype(float).tofile(time_file)
                 rows += batch.num_rows
     except pa.ArrowException as error:
@@ -317,6 +286,36 @@ def _stream(
     if rows < 2:
         raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
     return spools, Stored(time_path), restart.count
+
+
+def _reader(path: Path, dialect: Dialect, at: int | None, chosen: list[int], bad: list[tuple[int | None, int, int, str]]) -> Any:
+    """A reader of the file in batches, columns named c0, c1, ...; rows of another width are added to `bad`."""
+    import pyarrow as pa
+    import pyarrow.csv as pc
+
+    kinds = {f"c{i}": pa.float64() for i in chosen}
+    if at is not None:
+        kinds[f"c{at}"] = pa.timestamp("ns") if dialect.timestamps else pa.float64()
+
+    def invalid(row: Any) -> str:
+        bad.append((row.number, row.actual_columns, row.expected_columns, row.text))
+        return "error"
+
+    spaces = dialect.delimiter == " "  # several spaces are one delimiter
+    return pc.open_csv(
+        _Squeezed(path, dialect.encoding) if spaces else path,
+        read_options=pc.ReadOptions(
+            column_names=[f"c{i}" for i in range(len(dialect.names))],  # all of them, so that a row that is cut off is seen
+            skip_rows=dialect.first,
+            block_size=BLOCK_BYTES,
+            encoding="utf-8" if spaces else dialect.encoding,
+            use_threads=False,
+        ),
+        parse_options=pc.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=invalid),
+        convert_options=pc.ConvertOptions(
+            column_types=kinds, include_columns=list(kinds), decimal_point=dialect.decimal, null_values=[""], strings_can_be_null=True
+        ),
+    )
 
 
 def _append(spool: _Spool, column: Any, time: np.ndarray, time_file: IO[bytes], where: str, line: int) -> None:
