@@ -141,7 +141,7 @@ MACHINES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     ),
     "a cycle of hours": (
         lambda t: t.replace("position_cycle_us = 2000", "position_cycle_us = 2e12"),
-        ("position_cycle_us", "no cycle of a control"),
+        ("position_cycle_us", "no control has such a cycle"),
     ),
     "infinite gain": (lambda t: t.replace("speed_gain_nm_s_per_rad = 3.4", "speed_gain_nm_s_per_rad = inf"), ("impossible",)),
     "text for a number": (lambda t: t.replace("kg = 700.0", 'kg = "heavy"'), ("moving_mass_kg = 'heavy'", "a number")),
@@ -188,7 +188,7 @@ def test_machine_file_missing_or_no_mjcf(tmp_path: Path, capsys: pytest.CaptureF
     shutil.copy(default_machine_path(), tmp_path / "machine.toml")
     (tmp_path / "mikron_ucp710.xml").write_text("<mujoco><worldbody><body></worldbody></mujoco>")
     line = refused(capsys, "run", str(tmp_path / "trace.csv"), "--machine", str(tmp_path / "machine.toml"))
-    assert "no readable XML" in line
+    assert "not readable XML" in line
 
 
 def test_feedforward_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

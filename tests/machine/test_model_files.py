@@ -37,7 +37,7 @@ def mjcf(old: str, new: str) -> str:
 BAD_MJCF = {
     "XML bomb": (BOMB + "]>" + MJCF, "a document type"),
     "external entity": (f'<!DOCTYPE m [<!ENTITY x SYSTEM "file:///etc/hostname">]>{mjcf("slides", "&x;")}', "a document type"),
-    "no XML": ("<mujoco><worldbody></mujoco>", "no readable XML"),
+    "no XML": ("<mujoco><worldbody></mujoco>", "not readable XML"),
     "another root": ("<robot/>", "twin machine new"),
     "free joint": (mjcf(CARRIAGE, CARRIAGE.replace('type="slide" axis="1 0 0"', 'type="free"')), "body 'carriage' is free"),
     "freejoint element": (mjcf(CARRIAGE, '<inertial pos="0 0 0" mass="90" diaginertia="1 1 1"/><freejoint name="X"/>'), "is free"),
@@ -46,10 +46,10 @@ BAD_MJCF = {
         mjcf("</worldbody>", '</worldbody><equality><connect body1="carriage" body2="arm" anchor="0 0 0"/></equality>'),
         "closes a loop of bodies",
     ),
-    "tied joints": (mjcf("</worldbody>", '</worldbody><equality><joint joint1="X" joint2="Z"/></equality>'), "ties joints together"),
+    "tied joints": (mjcf("</worldbody>", '</worldbody><equality><joint joint1="X" joint2="Z"/></equality>'), "couples joints"),
     "negative mass": (mjcf('mass="90"', 'mass="-90"'), "mass = -90 is impossible"),
     "no mass": (mjcf('mass="90"', 'mass="0"'), "mass = 0 is impossible"),
-    "mass no number": (mjcf('mass="90"', 'mass="heavy"'), "'heavy' is no number"),
+    "mass no number": (mjcf('mass="90"', 'mass="heavy"'), "'heavy' is not a number"),
     "negative inertia": (mjcf('diaginertia="1 1 1"', 'diaginertia="1 -1 1"'), "diaginertia = -1 is impossible"),
     "mesh missing": (mjcf("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'), "'none.stl': no such file"),
     "mesh elsewhere": (
@@ -64,7 +64,7 @@ BAD_MJCF = {
     ),
     "include elsewhere": (mjcf("<worldbody>", '<include file="/etc/hostname"/><worldbody>'), "leaves the folder"),
     "include of itself": (mjcf("<worldbody>", '<include file="slides.xml"/><worldbody>'), "includes itself"),
-    "plugin": (mjcf("<worldbody>", '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>'), "code from elsewhere"),
+    "plugin": (mjcf("<worldbody>", '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>'), "foreign code"),
     "two joints of a name": (mjcf('name="Z" type', 'name="X" type'), "two joints are named 'X'"),
 }
 
@@ -212,7 +212,7 @@ HOSTILE_MJCF = {
         f"<worldbody>{'<body><joint/></body>' * 3000}</worldbody>",
         "joints, the limit is",
     ),
-    "depth": (f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>", "inside each other more than"),
+    "depth": (f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>", "nested more than"),
     "not a number": ('<worldbody><body pos="nan 0 0"/></worldbody>', "NaN"),
     "builtin mesh": ('<asset><mesh name="m" builtin="torus" params="99999 99999"/></asset>', "corners, the limit is"),
 }

@@ -1,4 +1,4 @@
-"""Machine data of a Sinumerik: units converted, both ways, and told where they contradict the plain keys."""
+"""Machine data of a SINUMERIK: units converted, both ways, and told where they contradict the plain keys."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_an_archive_of_the_control(tmp_path: Path) -> None:
     [
         ("x.toml", "[X]\nPOSCTRL_GAINS = 3", "did you mean 'POSCTRL_GAIN'"),
         ("x.toml", "[X]\nMD32200 = 'much'", "expected a number"),
-        ("x.toml", "[X]\nMD32200 = 3\nPOSCTRL_GAIN = 3", "stands twice"),
+        ("x.toml", "[X]\nMD32200 = 3\nPOSCTRL_GAIN = 3", "is given twice"),
         ("x.toml", "[Q]\nMD32200 = 3", "no such axis"),
         ("x.toml", "[X", "not a valid TOML file"),
         ("x.tea", "nothing here", "no line like N32200"),

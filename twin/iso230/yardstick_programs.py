@@ -27,7 +27,7 @@ class Circle:
     feed: float = 3000.0
 
     def program(self) -> str:
-        """Sinumerik G-code: half a turn in, a turn that counts, half a turn out, each way."""
+        """SINUMERIK G-code: half a turn in, a turn that counts, half a turn out, each way."""
         r = self.radius
         lines = [
             f"; ISO 230-4: circle of radius {r:g} mm in XY at {self.feed:g} mm/min, both directions, half a turn before and after.",
@@ -65,7 +65,7 @@ class FlankMilling:
         raise NotImplementedError
 
     def program(self) -> str:
-        """Sinumerik G-code in chords, approached with A and C named, on the solution with A < 0."""
+        """SINUMERIK G-code in chords, approached with A and C named, on the solution with A < 0."""
         poses = list(self.poses())
         (x, y, z), axis = poses[0]
         tilt, turn = -math.degrees(math.acos(axis[2])), math.degrees(math.atan2(-axis[0], -axis[1]))

@@ -1,4 +1,4 @@
-"""The file of a machine made from a recording alone: each number with a comment that says whether it was measured, is a lump, or was assumed."""
+"""Machine file from a recording alone. The comment of each number says whether it was measured, lumped, tried or assumed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from twin.machine.commented import ASSUMED, commented, number_line
 from twin.machine.lumps import AxisLumps
 
 LUMP = "lump"
-BY_LOAD = "measured against the recorded outside load"
+BY_LOAD = "measured by the recorded external load"
 ROOM = 1.5
-"""Speeds and accelerations of the file are this much above the recorded ones."""
+"""Factor from recorded to permitted speed and acceleration."""
 PEAK_ROOM = 4.0
-"""The same of the peak command: the recording need not show the limit, and a limit set too low would be a fault of its own."""
+"""Factor from the recorded peak command to its limit. The recording need not reach the limit, and a limit set too low adds a fault."""
 TRAVEL_ROOM_M = 2.0
 LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
-"""Speed that every axis of the file may reach at least [m/s, rad/s]: another recording may be quicker than this one."""
+"""Least permitted speed of an axis [m/s, rad/s], because another recording may be faster."""
 SMALL_FORCE = 0.02
-"""A constant force below this part of the peak command is left out."""
+"""A constant force below this share of the peak command is omitted."""
 UNKNOWN_MASS = 10.0
 _COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
 G = 9.81
@@ -32,7 +32,7 @@ G = 9.81
 
 @dataclass(frozen=True)
 class Tuning:
-    """Speed controller and delay of one axis, as tried."""
+    """Speed controller and delay of one axis, found by trial."""
 
     lag: float
     integral: float
@@ -54,7 +54,7 @@ def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping
 
 
 _MODEL = """<mujoco model="{name}">
-  <!-- Lumped axes of the recording {source}, side by side: how they stand on each other the recording does not say. -->
+  <!-- Lumped axes of the recording {source}, side by side: the recording does not show how they carry each other. -->
   <compiler angle="radian" inertiafromgeom="false"/>
   <worldbody>
 {bodies}
@@ -71,15 +71,15 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     speed = cycle if whole else _part_of(cycle, 125e-6)
     lines = [
         f"# Machine of the recording {source}, made by: twin machine new --from-recording",
-        "# No data sheet is behind it. Drive and load are lumps: a number with the word 'lump' is counted at the axis in units of the recorded",
-        "# command, with a torque constant of 1 that stands for all between command and motion (torque constant, gear, lead). Its absolute",
-        "# value means nothing, its ratio to the other lumps does. 'measured' follows from the recording alone, 'tried' was chosen so that the",
-        f"# simulated axis follows like the recorded one, '{ASSUMED}' was made up: replace what you know better.",
+        "# There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",
+        "# constant of 1 in place of torque constant, gear and lead. Only ratios between lumped parameters are meaningful, not their values.",
+        "# 'measured' comes from the recording alone. 'tried' was chosen so that the simulated axis follows like the recorded one.",
+        f"# '{ASSUMED}' is an assumption: replace it if you know better.",
         "",
         f"name = {json.dumps(out.stem)}",
         f"model = {json.dumps(model.name)}",
         f"gravity_m_per_s2 = {G}",
-        f"parameter_tolerance = 0.05                 # {ASSUMED}; the lumps of another recording lie this close",
+        f"parameter_tolerance = 0.05                 # {ASSUMED}; tolerance of the lumped parameters between recordings",
         f"axis_order = [{', '.join(json.dumps(one.name) for one in lumps)}]",
         "",
         "[control]",
@@ -92,7 +92,7 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
 
 
 def _part_of(period: float, longest: float) -> float:
-    """The longest whole part of a period that is not above `longest`."""
+    """The longest integer fraction of a period that does not exceed `longest`."""
     return period / math.ceil(period / longest - 1e-9)
 
 
@@ -105,9 +105,9 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     lumped = BY_LOAD if known else LUMP
     structure = "P/PI" if one.law.integral else "P/P"
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
-    lines.append(commented(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
+    lines.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
     if linear:
-        lines.append(commented('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
+        lines.append(commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"))
     lines.append(commented(f'encoder = "{one.encoder}"', "closes the position loop"))
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
@@ -117,11 +117,11 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     if linear:
         weight = m.constant / G if vertical and m else inertia
         lines += [
-            commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel and {TRAVEL_ROOM_M:g} m on both sides"),
+            commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end"),
             number_line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
             number_line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
             number_line("max_jerk_m_per_s3", 50.0 * acceleration),
-            number_line("moving_mass_kg", weight, f"{lump}; as heavy as it hangs" if vertical else lump),
+            number_line("moving_mass_kg", weight, f"{lump}; from its weight" if vertical else lump),
         ]
         if vertical:
             lines.append(number_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
@@ -136,9 +136,9 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
             number_line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
             number_line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
             number_line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
-            number_line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
+            number_line("gear_ratio", 1.0, "the gear is unknown: all numbers refer to the axis"),
             number_line(
-                "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"
+                "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
             ),
             number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
             number_line(
@@ -159,7 +159,7 @@ def _actuator(one: AxisLumps, table: str) -> list[str]:
     letter = {"current": "a", "voltage": "v"}.get(m.effort)
     if letter:
         key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
-        said = f"{LUMP}: stands for all between command and motion" if m.force_per_unit is None else BY_LOAD
+        said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
         lines.append(number_line(key, m.scale, said))
         return [*lines, number_line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
     return [
@@ -187,7 +187,7 @@ def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[s
         lines.append(number_line("speed_integral_time_s", tuning.integral, "tried"))
     elif law.mean_cycles:
         lines.append(
-            commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions so many cycles apart")
+            commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions this many cycles apart")
         )
     lines += [
         number_line("velocity_feedforward", law.feedforward, said),
@@ -196,17 +196,17 @@ def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[s
     ]
     if law.dsc_delay:
         lines.append(
-            number_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop, the command reaches it so late")
+            number_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop and gets the command this late")
         )
     return lines
 
 
 _BODY_PART = 0.1
-"""Part of a rotary lump that stands in the model."""
+"""Share of a rotary inertia that is in the model."""
 
 
 def _hangs(one: AxisLumps) -> bool:
-    """Is the constant force of a slide its weight? Only where both directions show it apart from friction, and inertia allows it."""
+    """True if the constant force of a slide is its weight: motion both ways separates it from friction, and the inertia permits it."""
     m = one.forces
     if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
         return False
@@ -214,7 +214,7 @@ def _hangs(one: AxisLumps) -> bool:
 
 
 def _constant(one: AxisLumps, unit: str) -> list[str]:
-    """The steady load of an axis that does not hang."""
+    """The constant load of an axis that is not vertical."""
     m = one.forces
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
@@ -223,13 +223,13 @@ def _constant(one: AxisLumps, unit: str) -> list[str]:
         number_line(
             key,
             m.constant,
-            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them",
+            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; one recording cannot separate weight, counterbalance and one-way friction",
         )
     ]
 
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:
-    """A slide or a hinge with a box to look at."""
+    """A slide or a hinge with a box as its shape."""
     m, place = one.forces, f"0 {0.4 * i:.3g} 0"
     inertia = m.inertia if m else UNKNOWN_MASS
     shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
@@ -242,7 +242,7 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
             f'      <inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{side:.6g} {side:.6g} {side:.6g}"/>\n'
             f'      <joint name="{_xml(one.name)}" type="slide" axis="{axis}"/>\n{shape}'
         )
-    # weight that turns with the axis: a mass off the axis whose own inertia is a small part of the lump
+    # gravity that turns with the axis: a mass off the axis, with a small part of the inertia
     own = _BODY_PART * inertia
     cosine, sine = m.gravity if m and math.hypot(*m.gravity) > SMALL_FORCE * m.peak else (0.0, 0.0)
     weight = math.hypot(cosine, sine) / G
@@ -257,7 +257,7 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 
 
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
-    lines = ["", "[measurement]                              # noise: of single samples, in the quietest part of the recording"]
+    lines = ["", "[measurement]                              # noise of single samples in the quietest part of the recording"]
     lines.append(number_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
     for kind, scale, motor in (
         ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),

@@ -1,8 +1,8 @@
-"""A commented machine file from an MJCF or a URDF: what the model knows is computed, the rest assumed and marked so.
+"""A commented machine file from an MJCF or a URDF: data of the model are computed, the other numbers are marked as assumed.
 
-Assumed numbers make an axis that runs: a screw of 10 mm (a gear of 100) with a rotor as heavy as its load, loops at 8, 50 and
-400 Hz, friction of a few per cent, and a motor with twice the current of full acceleration. `twin machine check` names them
-until somebody replaces them and takes the word out of the comment.
+The assumed numbers give an axis that runs: a screw of 10 mm (a gear of 100), a rotor as heavy as its load, loops at 8, 50 and
+400 Hz, friction of a few per cent, and a motor with twice the current for full acceleration. `twin machine check` lists them
+until you replace them and delete the word from the comment.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ SPARE_CURRENT = 2.0
 
 @dataclass(frozen=True)
 class JointFacts:
-    """What a model says of one joint, SI at the axis."""
+    """Data of one joint in a model, SI at the axis."""
 
     name: str
     linear: bool
     travel: tuple[float, float] | None
     inertia: float  # of the load, home pose
     mass: float  # all that it moves
-    weight: float  # force against gravity, home pose
+    weight: float  # force that holds it against gravity, home pose
     limits: JointLimits
 
 
 def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_data: Path | None = None) -> tuple[list[str], list[str]]:
-    """Write the machine file (and its MJCF beside it); returns its axes and the machine data that were left alone.
+    """Write the machine file, and its MJCF beside it. Returns the axes, and the machine data that the file has no place for.
 
-    Raises InputError where the model is no tree of slides and hinges with masses, or a file would be overwritten.
+    Raises InputError if the model is not a tree of slides and hinges with masses, or if a file would be overwritten.
     """
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
@@ -85,12 +85,12 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
 
 
 def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Path) -> list[JointFacts]:
-    """Slides and hinges of a model with what they move, in the order of the tree."""
+    """Slides and hinges of a model with their load, in the order of the tree."""
     model = compiled_spec(spec, str(path))
     if model.njnt == 0:
-        raise InputError(f"{path}: no slide and no hinge; a machine has at least one axis")
+        raise InputError(f"{path}: no slide and no hinge; a machine needs at least one axis")
     model.opt.gravity[:] = (0.0, 0.0, -9.81)
-    model.dof_armature[:], model.actuator_armature[:] = 0.0, 0.0  # rotors are the machine file's
+    model.dof_armature[:], model.actuator_armature[:] = 0.0, 0.0  # rotors belong to the machine file
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
@@ -104,7 +104,7 @@ def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Pa
         if not name:
             raise InputError(f"{path}: joint {j + 1} (body '{model.body(model.jnt_bodyid[j]).name}') has no name; an axis needs one")
         if "." in name or " " in name:
-            raise InputError(f"{path}: joint '{name}': the name of an axis has neither dots nor spaces; rename it")
+            raise InputError(f"{path}: joint '{name}': the name of an axis must not contain dots or spaces; rename it")
         dof = int(model.jnt_dofadr[j])
         linear = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
         limited = bool(model.jnt_limited[j])
@@ -143,14 +143,14 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
     names = ", ".join(f'"{f.name}"' for f in facts)
     lines = [
         f"# Machine file of {model.name}, begun by: twin machine new",
-        "# A number with the word 'assumed' behind it was made up so that the machine runs: replace it by the data sheet's or your own",
-        "# measurement, and write there where it comes from. What is missing, impossible or unusual:  twin machine check FILE",
-        "# Units stand in the keys; the model's own numbers are computed for all joints at zero.",
+        "# 'assumed' marks a number that was assumed so that the machine runs: replace it by a value of the data sheet or your own measurement,",
+        "# and state its source there. For missing, impossible or unusual values run:  twin machine check FILE",
+        "# Units are part of the keys. Numbers from the model hold with all joints at zero.",
         "",
         f'name = "{beside.stem}"',
         f'model = "{beside.name}"',
         "gravity_m_per_s2 = 9.81",
-        f"parameter_tolerance = 0.01                 # {ASSUMED}; parameters of the real machine lie this close to those below",
+        f"parameter_tolerance = 0.01                 # {ASSUMED}; tolerance of the parameters below",
         f"axis_order = [{names}]",
         "",
         "[control]                                  # cycles of the controllers",
@@ -164,13 +164,13 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
 
 @dataclass
 class MachineData:
-    """Plain values of an axis that machine data of the file `source` give; a line takes its value out, the rest has no place in the file."""
+    """Plain values of an axis from machine data of the file `source`. `line` removes what it uses; the rest has no place in the file."""
 
     values: dict[str, float]
     source: str
 
     def line(self, key: str, number: float, comment: str = ASSUMED) -> str:
-        """Line of a key: with the value of the machine data, else with this number and comment."""
+        """Line of a key, with the value of the machine data if there is one, else with this number and comment."""
         if key in self.values:
             number, comment = self.values.pop(key), f"from {self.source}"
         return number_line(key.rpartition(".")[2], number, comment)
@@ -201,7 +201,7 @@ def _axis(f: JointFacts, structure: str, data: MachineData) -> list[str]:
 
 
 def _motion_lines(f: JointFacts, ratio: float, rotor: float, data: MachineData) -> list[str]:
-    """Limits of the motion, ratio and masses."""
+    """Limits of motion, ratio and masses."""
     speed, acceleration, jerk = _motion(f)
     turn = 2.0 * math.pi
     of_speed = "from the model" if f.limits.speed else ASSUMED
@@ -225,7 +225,7 @@ def _motion_lines(f: JointFacts, ratio: float, rotor: float, data: MachineData) 
 
 
 def _drive(f: JointFacts, structure: str, peak: float, motor_speed: float, data: MachineData) -> list[str]:
-    """The motor, or the ideal actuator of a structure without a current loop; `peak` torque [Nm], highest speed of the motor [rad/s]."""
+    """The motor, or the ideal actuator of a structure without a current loop. `peak` torque [Nm], highest `motor_speed` [rad/s]."""
     of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
     if structure != STRUCTURES[0]:
         return [
@@ -271,14 +271,14 @@ def _loops(f: JointFacts, structure: str, inertia: float, data: MachineData) -> 
 
 
 def _motion(f: JointFacts) -> tuple[float, float, float]:
-    """Speed, acceleration, jerk that an axis of this kind may have."""
+    """Assumed speed, acceleration and jerk of an axis."""
     speed = f.limits.speed or (0.5 if f.linear else 2.0)
     acceleration = 2.0 if f.linear else 5.0
     return speed, acceleration, 20.0 * acceleration
 
 
 def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:
-    """Axis units per motor radian: of the machine data, else of a screw of 10 mm or a gear of 100."""
+    """Axis units per motor radian: from machine data, else of a 10 mm screw or a gear of 100."""
     if "gear_ratio" in known:
         return 1.0 / known["gear_ratio"]
     return known.get("screw_lead_m_per_rev", 0.010) / (2.0 * math.pi) if f.linear else 0.01
@@ -313,5 +313,5 @@ def _measurement(facts: Iterable[JointFacts]) -> list[str]:
 
 
 def _round(value: float) -> float:
-    """Two significant digits: no more is known of an assumed number."""
+    """Two significant digits, since an assumed number is not known better."""
     return float(f"{value:.2g}")

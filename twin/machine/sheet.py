@@ -1,4 +1,4 @@
-"""The data sheet of a machine as text: what each axis is, its drive, its loops, its measuring systems."""
+"""The data sheet of a machine as text: axes, drives, loops, measuring systems."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.units import AXIS_UNITS, deg_from_rad
 
 
 def sheet(machine: Machine) -> str:
-    """All axes side by side, one number a row."""
+    """All axes side by side, one number per row."""
     kinds = {axis.structure for axis in machine.axes}
     rows: list[list[str]] = []
 
@@ -68,16 +68,16 @@ def sheet(machine: Machine) -> str:
 
 
 def sinumerik_sheet(machine: Machine) -> str:
-    """Machine data of all axes as a TOML that `twin machine new --sinumerik` and `[axis.X.sinumerik]` read."""
+    """Machine data of all axes as a TOML for `twin machine new --sinumerik` and `[axis.X.sinumerik]`."""
     lines = [
-        f"# {machine.name}: machine data of a Sinumerik 840D with 611D drives",
+        f"# {machine.name}: machine data of a SINUMERIK 840D with 611D drives",
         f"# MD1000 CURRCTRL_CYCLE_TIME = {machine.current_cycle * 1e6 / CYCLE_UNIT_US:g}, MD1001 SPEEDCTRL_CYCLE_TIME = "
         f"{machine.speed_cycle * 1e6 / CYCLE_UNIT_US:g} (in 31.25 us); position cycle {machine.position_cycle * 1e3:g} ms",
     ]
     for axis in machine.axes:
         lines += ["", f"[{axis.name}]"]
         if not axis.has_current_loop:
-            lines.append(f"# {axis.structure} on a {axis.effort}: no such drive behind a Sinumerik")
+            lines.append(f"# {axis.structure} on a {axis.effort}: not a drive of a SINUMERIK")
             continue
         plain = machine.document["axis"][axis.name]
         data = machine_data(completed(plain, f"[axis.{axis.name}]") if "sinumerik" in plain else plain)
@@ -87,7 +87,7 @@ def sinumerik_sheet(machine: Machine) -> str:
 
 
 def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
-    """Margins of all loops, numbers of the drives, and what there is to say."""
+    """Margins of all loops, numbers of the drives, and the findings."""
     rows = []
     for c in checks:
         for loop, m in zip(c.loops, c.margins):

@@ -1,7 +1,7 @@
-"""A URDF as the MJCF of a machine: links become bodies with their masses, moving joints slides and hinges, the rest is rigid.
+"""A URDF as the MJCF of a machine: links become bodies with their masses, moving joints become slides and hinges.
 
-What a URDF knows of a drive (limits of travel, speed and effort, damping, friction) is no matter of the model: `JointLimits`
-hands it to the machine file. Shapes are kept for pictures, meshes inside the MJCF, so that one file holds the machine.
+`JointLimits` passes the drive data of a URDF (limits of travel, speed and effort, damping, friction) on to the machine file. Shapes
+are kept for pictures; meshes are stored inside the MJCF, so that one file holds the machine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.machine.urdf_file import check_urdf, read_urdf
 from twin.machine.urdf_visuals import MOVING, add_tree, quaternion_of, read_visuals
 
 MOST_FACES = 2000
-"""A finer mesh stands in the MJCF as its convex hull."""
+"""Most faces of a mesh in the MJCF; a finer mesh is stored as its convex hull."""
 
 _GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -33,7 +33,7 @@ _GEOMS = {
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What a model says of the drive of a joint, SI at the axis (None: nothing)."""
+    """Drive data of a joint in a URDF, SI at the axis (None: not given)."""
 
     speed: float | None = None
     effort: float | None = None
@@ -42,7 +42,7 @@ class JointLimits:
 
 
 def spec_of_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, JointLimits]]:
-    """The MJCF of a URDF and the limits of its joints; every fault is an InputError in one line."""
+    """The MJCF of a URDF and the limits of its joints. Raises InputError in one line."""
     check_urdf(path)
     robot = read_urdf(path)
     joints = robot.joint_map
@@ -58,7 +58,7 @@ def spec_of_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, JointLimits]]:
 
 
 def _check_moving_masses(joints: Mapping[str, Any], links: Mapping[str, Any], path: Path) -> None:
-    """A link behind a moving joint needs a mass, its own or that of what is fixed to it."""
+    """Refuse a moving joint whose link, with all that is fixed to it, has no mass."""
     fixed: dict[str, list[str]] = {}
     for joint in joints.values():
         if joint.type not in MOVING:
@@ -105,7 +105,7 @@ def _limits(joint: Any) -> JointLimits:
 
 
 def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> None:
-    """The visible shapes, without mass."""
+    """Add the visible shapes, without mass."""
     import trimesh
 
     visuals = read_visuals(path)
@@ -116,7 +116,7 @@ def _add_shapes(spec: mujoco.MjSpec, bodies: Mapping[str, Any], path: Path) -> N
             if shape.vertices is None or shape.faces is None:
                 continue
             name = f"{body.name}_{i}"
-            merged = trimesh.Trimesh(shape.vertices, shape.faces)  # an STL has each corner once a triangle
+            merged = trimesh.Trimesh(shape.vertices, shape.faces)  # an STL repeats each corner in every triangle
             mesh = spec.add_mesh(name=name, uservert=np.asarray(merged.vertices, float).ravel())
             if len(merged.faces) <= MOST_FACES:
                 mesh.userface = np.asarray(merged.faces, np.int32).ravel()

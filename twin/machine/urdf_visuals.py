@@ -1,7 +1,7 @@
-"""What is seen of any robot or machine described by a URDF: its tree brought to the engine's form, its meshes read.
+"""The visible parts of any robot or machine in a URDF: its tree as a MuJoCo model, its meshes read.
 
-Links become bodies, revolute and continuous joints hinges, prismatic ones slides, the others are rigid. Only what is seen is
-read: masses and collision shapes are not needed to replay a motion.
+Links become bodies, revolute and continuous joints become hinges, prismatic ones slides; other joints are rigid. Masses and collision
+shapes are not read, because a replay does not need them.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 _GREY = (160, 164, 170, 255)
 MOVING = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
 _MASS = 1.0
-"""Every body needs a mass to compile; nothing here is simulated."""
+"""Mass of every body; MuJoCo needs one to compile, and nothing here is simulated."""
 
 
 @dataclass(frozen=True)
 class Visuals:
-    """The tree of a URDF as a model without masses of its own, the shapes on its bodies, and joints that follow others.
+    """The tree of a URDF as a model with dummy masses, the shapes on its bodies, and the joints that follow others.
 
-    `mimics`: joint -> (other, factor, offset).
+    `mimics`: joint -> (other joint, factor, offset).
     """
 
     name: str
@@ -39,7 +39,7 @@ class Visuals:
 
 
 def read_visuals(path: Path) -> Visuals:
-    """Read a URDF file; one that cannot be read or lacks a mesh is an InputError."""
+    """Read a URDF file. Raises InputError if it cannot be read or lacks a mesh."""
     robot = read_urdf(path)
     quiet_engine()
     spec = mujoco.MjSpec()
@@ -63,7 +63,7 @@ def add_tree(spec: mujoco.MjSpec, robot: Any, add_body: Callable[[Any, Any, np.n
         if name not in children:
             bodies[name] = spec.worldbody if name == "world" else add_body(spec.worldbody, link, np.eye(4))
     waiting = list(robot.joint_map.values())
-    while waiting:  # parents before children, whatever the order of the file
+    while waiting:  # parents before children, independent of the order in the file
         for joint in [j for j in waiting if j.parent in bodies]:
             origin = np.eye(4) if joint.origin is None else joint.origin
             bodies[joint.child] = add_body(bodies[joint.parent], robot.link_map[joint.child], origin)
@@ -74,7 +74,7 @@ def add_tree(spec: mujoco.MjSpec, robot: Any, add_body: Callable[[Any, Any, np.n
 
 
 def _massless_body(parent: Any, link: Any, parent_from_link: np.ndarray) -> Any:
-    """A body with the mass that the engine demands."""
+    """A body with the mass that MuJoCo requires."""
     position, orientation = parent_from_link[:3, 3], quaternion_of(parent_from_link[:3, :3])
     return parent.add_body(name=link.name, pos=position, quat=orientation, mass=_MASS, inertia=[_MASS] * 3, explicitinertial=True)
 
@@ -120,7 +120,7 @@ def _mesh(mesh: Any, link: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:
-    """Colour of a material, given there or by name at the top of the file."""
+    """Colour of a material: its own, or that of the file's material of the same name."""
     if material is None:
         return _GREY
     colour = material.color
