@@ -92,7 +92,7 @@ def test_times_printed_with_few_digits(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = TIME + 1e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, len(TIME))
     (trace,) = imported(tmp_path, recorded(tmp_path, time)).values()
-    assert "the clock is off by" in capsys.readouterr().out
+    assert "the clock deviates by" in capsys.readouterr().out
     # 100 mm/s by 0.1 ms would be 10 um; the times themselves are used
     start = timing_of(time, "here").stretches[0].begin
     assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5

@@ -70,7 +70,7 @@ def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureF
         ("position", "ENC_POS|1", 1e3),
         ("velocity_setpoint", "CMD_SPEED|1", 1e3),
         ("velocity_feedforward", "VEL_FFW|1", 1e3),
-        ("current", "CURRENT|1", -1.0),  # it pushes against the motion: turned round
+        ("current", "CURRENT|1", -1.0),  # it pushes against the motion: its sign is reversed
     ):
         assert np.allclose(second.trace.get("1", signal) * factor, columns[name][1500:], rtol=0, atol=1e-9)
     assert first.fact("1", "current").sign == -1
@@ -135,7 +135,7 @@ def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: P
             )
     (tmp_path / "strokes.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     runs = imported(tmp_path, tmp_path / "strokes.csv")
-    assert "columns of words, passed over: profile" in capsys.readouterr().out
+    assert "columns of words, ignored: profile" in capsys.readouterr().out
     assert list(runs) == [f"strokes_{i}" for i in (1, 2, 3, 4)]
     assert [run.labels for run in runs.values()] == [{"load": 20.0 if i < 3 else 40.0, "trial": float(i)} for i in (1, 2, 3, 4)]
     assert all(len(run.trace.time) == 320 for run in runs.values())

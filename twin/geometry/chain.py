@@ -1,8 +1,8 @@
-"""The chain of a machine's axes as its model has it: which joint carries the tool, which the part, and the letters of programs.
+"""The kinematic chain of a machine from its model: the joints that carry the tool and the part, and the axis letters of programs.
 
-Nothing is taken from names but what a machine file leaves open: the order of the joints between workpiece and tool says whether
-a rotary axis turns the part (table) or the tool (head). A program's letters are the first letters of the axes' names, or what
-[program.axes] of the machine file says: `B = "TILT"`.
+The order of the joints between workpiece and tool decides whether a rotary axis turns the part (table) or the tool (head); names do
+not matter. The axis letters of programs are the first letters of the axis names, or those in [program.axes] of the machine file:
+`B = "TILT"`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LINEAR_LETTERS, ROTARY_LETTERS = "XYZ", "ABC"
 
 
 class Joint(NamedTuple):
-    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), whether it turns, whether it moves the part."""
+    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), rotary or not, on the table side or not."""
 
     number: int
     name: str
@@ -33,12 +33,12 @@ class Joint(NamedTuple):
 
 
 def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, Any]:
-    """The fields of `Kinematics` but its travel, from the model with all axes at zero; slides alone may do without sites.
+    """The fields of `Kinematics` except its travel, from the model with all axes at zero. A machine of slides alone may lack the sites.
 
     Raises:
-        InputError: the joints between workpiece and tool are not three slides with up to two hinges behind them.
+    InputError: the joints between workpiece and tool are not up to three slides followed by up to two hinges on either side.
     """
-    import mujoco  # only here: usage and what moves need no engine
+    import mujoco  # imported here, because command-line help needs no engine
 
     from twin.simulation.plant_spec import frames_of_model
 
@@ -53,7 +53,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     if len(slides) > 3 or len(turns) > 2:
         raise InputError(
             f"{model_path}: not a machine of up to three slides and two rotary axes between part and tool: "
-            f"found {', '.join(j.name for j in joints)}; lock what is no axis of programs"
+            f"found {', '.join(j.name for j in joints)}; lock joints that programs do not move"
         )
     letters = _letters(joints, machine)
     columns, names = np.eye(3), [""] * 5
@@ -61,7 +61,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
         i = _slot(joint, letters, slides)
         columns[:, i] = -joint.axis if joint.on_table else joint.axis
         names[i] = joint.name
-    turn = turns[0] if turns else None  # the one nearer to the part; a single rotary axis is the turning one
+    turn = turns[0] if turns else None  # nearest to the part; a single rotary axis is the turning axis
     tilt = turns[1] if len(turns) == 2 else None
     names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
     return {
@@ -79,7 +79,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
 
 
 def _joints(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine, sites_needed: bool) -> list[Joint]:
-    """Joints of axes in order from the part to the tool."""
+    """Joints of axes, in order from the part to the tool."""
     where = machine.model_path
     if min(sites.values()) < 0:
         if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
@@ -99,13 +99,13 @@ def _joints(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int]
 
 
 def _tool_and_part(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine) -> dict[str, Any]:
-    """Tool tip, tool axis and length, and the part frame, at rest; where the model lacks a site, those of a tool along z at the origin."""
+    """Tool tip, tool axis and length, and the part frame, at rest. Without the sites: a tool along z, all at the origin."""
     tip, tool_axis, part_origin, part_axes, carrier_to_tip = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3), 0.0
     if min(sites.values()) >= 0:
         tool, part = sites["tool"], sites["workpiece"]
         tip, tool_axis = data.site_xpos[tool].copy(), data.site_xmat[tool].reshape(3, 3)[:, 2].copy()
         part_origin, part_axes = data.site_xpos[part].copy(), data.site_xmat[part].reshape(3, 3).copy()
-        # where the file does not give the length of the tool, the body that carries it begins at the spindle nose
+        # if the file omits the tool length, the origin of the tool's body is the spindle nose
         carrier_to_tip = float((data.xpos[model.site_bodyid[tool]] - tip) @ tool_axis)
     return {
         "tool_tip": tip,
@@ -125,7 +125,7 @@ def _chain(model: mujoco.MjModel, data: mujoco.MjData, site: int, machine: Machi
         body = model.body_parentid[body]
     found = [_joint(model, data, j, on_table) for j in numbers]
     own = [j for j in found if j.name in machine.document["axis"]]
-    return own or found  # a spindle or a door of the model is no axis of programs
+    return own or found  # programs do not move a spindle or a door
 
 
 def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -> Joint:
@@ -136,7 +136,7 @@ def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -
 
 
 def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
-    """The letter of each axis in programs; those of [program.axes] first, then first letters of names, then directions."""
+    """Letter of each axis in programs: from [program.axes], else the first letter of the name, else by direction."""
     program = machine.document.get("program", {})
     given = program.get("axes", {}) if isinstance(program, Mapping) else {}
     where = f"{machine.where}: [program.axes]"
@@ -157,7 +157,7 @@ def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
             if first in own and first not in letters.values() and sum(j.name[0].upper() == first for j in rest) == 1:
                 letters[joint.name] = first
         for joint in rest:
-            if joint.name not in letters:  # by what it moves along or turns about
+            if joint.name not in letters:  # by its direction
                 order = np.argsort(-np.abs(joint.axis))
                 free = [own[i] for i in order if own[i] not in letters.values()]
                 letters[joint.name] = free[0]
@@ -165,7 +165,7 @@ def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
 
 
 def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
-    """Which of X Y Z a slide is: by its letter, or by its direction where the letters are others."""
+    """Index 0, 1, 2 (X, Y, Z) of a slide: by its letter, or by its direction if its letter is another one."""
     letter = letters[joint.name]
     if letter in LINEAR_LETTERS:
         return LINEAR_LETTERS.index(letter)
@@ -180,7 +180,7 @@ def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
 
 
 def _five_letters(letters: dict[str, str], slides: list[Joint], tilt: Joint | None, turn: Joint | None) -> tuple[str, ...]:
-    """Letters of X Y Z, tilting and turning axis; a rotary axis that is not there gets one that is left."""
+    """Letters of X, Y, Z, tilting and turning axis. A missing rotary axis gets an unused letter."""
     out = list(LINEAR_LETTERS)
     for joint in slides:
         out[_slot(joint, letters, slides)] = letters[joint.name]

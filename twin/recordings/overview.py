@@ -1,4 +1,4 @@
-"""What was understood, for people: a table on the terminal, a picture of each trace."""
+"""Overview of an import: a table on the terminal, a picture of each trace."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_AXES = 8
 
 
 def understood_table(known: Understood, traces: Sequence[Written]) -> str:
-    """One line a column: where it comes from, what it became, its interval and range."""
+    """One line per column: source, meaning, interval, range."""
     rows = []
     for channel in known.channels:
         key = channel.key if channel.key in traces[0].units else (channel.key[0], "position")
@@ -40,7 +40,7 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
 
 
 def listing(recording: Recording) -> str:
-    """What a file holds, before there is a map."""
+    """Content of a file, before there is a map."""
     rows = []
     for signal in recording.signals.values():
         if not len(signal.values):
@@ -62,7 +62,7 @@ def listing(recording: Recording) -> str:
 
 
 def draw_run(known: Understood, trace: Written, path: Path) -> None:
-    """Position and set point, following error, speed, current (or torque, voltage) of each axis over time."""
+    """Draw position and set point, following error, speed, and current (or torque, voltage) of each axis over time."""
     from matplotlib import rc_context
 
     with rc_context(STYLE):

@@ -1,6 +1,6 @@
-"""One run from its recordings and the map: columns found and converted, brought on one grid, units and skew judged.
+"""One run from its recordings and the map: columns found, converted and resampled; units and skew checked.
 
-What is returned still reads from the recordings block by block: nothing as long as the run is held in memory.
+The result reads from the recordings block by block, so a run is never held in memory as a whole.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from twin.recordings.trace import BY_UNIT, POSITIONS
 from twin.units import AXIS_UNITS
 
 SHORTEST_S = 0.2
-"""A piece between two gaps shorter than this is left out."""
+"""Shorter pieces between two gaps are left out."""
 SAME_INTERVAL = 1e-3
 SMALL_OFFSET = 2e-6
-"""A constant difference between two encoders is said from here on [m or rad]."""
+"""Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A mapped column: where it comes from, how it is converted, its timing."""
+    """A mapped column: its source, conversion and timing."""
 
     column: ColumnMap
     source: Source
@@ -46,7 +46,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Understood:
-    """A run as it was understood; `notes` are said to the user, `late` are the skews that were estimated."""
+    """All information about a run. `notes` are shown to the user; `late` are the estimated skews."""
 
     run: RunMap
     channels: tuple[Channel, ...]
@@ -56,14 +56,14 @@ class Understood:
     notes: tuple[str, ...]
     late: tuple[Late, ...]
     started: datetime | None
-    begin: float  # of the recordings [s]
+    begin: float  # start of the recordings [s]
     events: tuple[Event, ...] = ()
     labels: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
-    """What columns that hold still say of a piece."""
+    """Value of each label column in each piece where it is constant."""
     unsigned: frozenset[tuple[str, str]] = frozenset()
     offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
-    """Position minus motor position [m or rad] by piece and axis, where both are recorded."""
-    centred: bool = False  # offsets are taken out of the positions
+    """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
+    centred: bool = False  # offsets are removed from the positions
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
@@ -78,12 +78,12 @@ class Understood:
 
 
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
-    """Everything that is known of a run before it is written. Raises InputError where the map does not fit or units contradict."""
+    """Analyse a run before it is written. Raises InputError if the map does not fit or units are contradictory."""
     channels, kinds, notes = _channels(mapping, run, recordings)
     fill = mapping.gaps == "fill"
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
-        raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} begins anew in each part; use gaps = "split"')
-    lead = next(c for c in channels if c.column.signal == "setpoint")  # the grid is that of the first set point
+        raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
+    lead = next(c for c in channels if c.column.signal == "setpoint")  # its samples define the grid
     period = mapping.period_s or _tidy(lead.source.timing.interval)
     notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
@@ -101,7 +101,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     unsigned = _unsigned(window, period, kinds)
     notes += _still(window)
     notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
-    notes += [f"{axis}.{signal}: only its size is recorded, without a sign" for axis, signal in sorted(unsigned)]
+    notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
     correct = _corrected(late, mapping.skew)
     notes += _skew_notes(late, correct)
     if correct:
@@ -117,7 +117,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
 
 @dataclass(frozen=True)
 class _Grid:
-    """The grid of a run: the channel whose samples it goes through, period [s], first and last time [s], whether gaps are filled."""
+    """Grid of a run: the channel whose samples define it, period [s], first and last time [s], whether gaps are filled."""
 
     lead: tuple[str, str]
     period: float
@@ -126,7 +126,7 @@ class _Grid:
     fill: bool
 
     def pieces(self, channels: Sequence[Channel]) -> tuple[Piece, ...]:
-        """Pieces in which all channels have samples, without those that are too short."""
+        """Pieces of sufficient length in which all channels have samples."""
         sources = [c.source for c in sorted(channels, key=lambda c: c.key != self.lead)]
         pieces = pieces_of(sources, self.period, self.begin, self.end, self.fill)
         return tuple(p for p in pieces if p.count * self.period >= min(SHORTEST_S, 20 * self.period))
@@ -144,7 +144,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         recording, signal = place
         if signal.time is None:
             where = f"{recording.path}: column '{signal.name}'"
-            raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
+            raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
         conversion = conversion_of(column, signal, str(recording.path))
         if column.signal in BY_UNIT:
             column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
@@ -171,7 +171,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
 
 
 def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
-    """Units that cannot be right: refused, or notes where the map asks for that."""
+    """Implausible units: notes if the map permits them, else InputError."""
     doubts = doubts_of(window, period, kinds, mapping.machine)
     if doubts and mapping.units == "refuse":
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
@@ -180,21 +180,19 @@ def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: 
 
 
 def _corrected(late: Sequence[Late], skew: str) -> dict[tuple[str, str], float]:
-    """Skew [s] of the channels for which the map asks to take it back."""
+    """Skew [s] of the channels that the map asks to correct."""
     encoders = (*POSITIONS, "velocity")
     return {(i.axis, i.signal): i.seconds for i in late if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))}
 
 
 def _skew_notes(late: Sequence[Late], correct: Collection[tuple[str, str]]) -> list[str]:
-    """Each clear skew with its interval, and what was done about it."""
+    """Notes on each clear skew, with its interval and whether it was corrected."""
     notes = []
     for item in late:
         if item.clear:
             size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
             done = (
-                "taken back"
-                if (item.axis, item.signal) in correct
-                else "left as it is: skew = 'correct' or skew_ms in the map takes it back"
+                "taken back" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
             )
             against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
@@ -202,7 +200,7 @@ def _skew_notes(late: Sequence[Late], correct: Collection[tuple[str, str]]) -> l
 
 
 def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Sequence[Piece]) -> dict[tuple[Piece, str], float]:
-    """Values of the label columns that hold still in a piece."""
+    """Values of the label columns in the pieces where they are constant."""
     labels = {}
     for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
@@ -213,7 +211,7 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
 
 
 def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> frozenset[tuple[str, str]]:
-    """Forces of which only the size is recorded."""
+    """Forces of which only the magnitude is recorded."""
     out = set()
     for (axis, signal), values in window.items():
         position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
@@ -223,7 +221,7 @@ def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds
 
 
 def _label(signal: Signal, piece: Piece) -> float | None:
-    """Value of a column that holds still in a piece; None where it changes."""
+    """Value of a column in a piece where it is constant, else None."""
     if signal.time is None:
         return None
     time = np.asarray(signal.time[0 : len(signal.time)], float)
@@ -232,7 +230,7 @@ def _label(signal: Signal, piece: Piece) -> float | None:
 
 
 def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
-    """Median of position minus motor position of each piece."""
+    """Median of position minus motor position in each piece."""
     out = {}
     for piece in known.pieces:
         block = known.block(piece, 0, min(piece.count, BLOCK))
@@ -243,7 +241,7 @@ def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
 
 
 def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
-    """Offsets that can be seen, one line an axis."""
+    """Notes on offsets above SMALL_OFFSET, one per axis."""
     notes = []
     for axis, kind in kinds.items():
         own = [value for (_, a), value in offsets.items() if a == axis]
@@ -257,7 +255,7 @@ def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str
 
 
 def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:
-    """The column in one of a run's recordings: by its name, or by the last part of 'group/channel' where that is unique."""
+    """The column in one of a run's recordings: by name, or by a unique last part of 'group/channel'; None if it is optional and absent."""
     for recording in recordings:
         names = [n for n in recording.signals if n == column.name] or [n for n in recording.signals if n.rpartition("/")[2] == column.name]
         if len(names) > 1:
@@ -274,9 +272,9 @@ def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tup
 
 
 def _check_numbers(recording: Recording, signal: Signal) -> None:
-    """Refuses NaN and infinity, with their place."""
+    """Refuse NaN and infinity, with their place."""
     if recording.format == "CSV":
-        return  # the reader has looked at every cell
+        return  # the reader has checked every cell
     for first, values in signal.blocks():
         bad = ~(np.abs(values) < NO_MEASUREMENT)
         if bad.any():
@@ -290,7 +288,7 @@ def _check_numbers(recording: Recording, signal: Signal) -> None:
 
 
 def _tidy(interval: float) -> float:
-    """An interval without the rounding of printed times: 1 ms instead of 1.00000004 ms."""
+    """An interval without rounding errors of printed times: 1 ms instead of 1.00000004 ms."""
     for digits in (2, 3, 4, 5):
         rounded = float(f"{interval:.{digits}g}")
         if abs(rounded - interval) < 2e-7 * interval:
@@ -299,7 +297,7 @@ def _tidy(interval: float) -> float:
 
 
 def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
-    """Which signals come from another interval."""
+    """Notes on signals with another interval."""
     groups: dict[float, list[str]] = {}
     for channel in channels:
         interval = channel.source.timing.interval
@@ -312,7 +310,7 @@ def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
 
 
 def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[str]:
-    """Where samples are missing, each gap once."""
+    """A note on missing samples; refused if the map asks for that."""
     gaps = {
         (round(a.end, 6), round(b.begin, 6)) for c in channels for a, b in zip(c.source.timing.stretches, c.source.timing.stretches[1:])
     }
@@ -326,7 +324,7 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
 
 
 def _still(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
-    """Channels that never change although the axis moves."""
+    """Notes on channels that never change although the axis moves."""
     return [
         f"{axis}.{signal} never changes while the set point moves: is it the right column?"
         for (axis, signal), values in window.items()

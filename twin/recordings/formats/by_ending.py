@@ -1,4 +1,4 @@
-"""The table of readers, by the file's ending. A new format: one module beside these with `read(path, how)`, and its line here."""
+"""The table of readers by file ending. To add a format, add a module with `read(path, how)` and a line here."""
 
 from __future__ import annotations
 

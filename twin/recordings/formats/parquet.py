@@ -1,4 +1,4 @@
-"""Parquet: columns of numbers, units from the headings ('X.position [mm]')."""
+"""Parquet: columns of numbers, with units from the headings ('X.position [mm]')."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TDMS (LabVIEW, DAQ systems): every channel with its own waveform start and increment; else a time channel from the map."""
+"""TDMS (LabVIEW, DAQ systems): each channel with its own waveform start and increment, else a time channel from the map."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read(path: Path, how: How) -> Recording:
         raise InputError(f"{path}: TDMS needs the package npTDMS; install it with: pip install 'twin[tdms]'") from None
     if not starts_with(path, b"TDSm"):
         raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
-    log_manager.set_level(logging.CRITICAL)  # what it warns of is reported below
+    log_manager.set_level(logging.CRITICAL)  # its warnings are reported below
     try:
         with TdmsFile.open(path) as file:
             if file.file_status.incomplete_final_segment:
@@ -30,7 +30,7 @@ def read(path: Path, how: How) -> Recording:
             raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
     except InputError:
         raise
-    except Exception as error:  # what the package raises on a damaged file is not one class
+    except Exception as error:  # the package raises many classes for damaged files
         raise InputError(
             f"{path}: a damaged TDMS file ({str(error).splitlines()[0] if str(error) else type(error).__name__}); export it again"
         ) from None
