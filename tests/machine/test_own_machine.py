@@ -217,7 +217,7 @@ def test_no_machine_datum_is_lost(
     code, out, _ = command(capsys, "machine", "new", model, "--out", file, "--sinumerik", tmp_path / "md.toml", "--structure", structure)
     assert code == 0
     assert load_machine(file).axis("X").commissioned_inertia == told
-    assert re.findall(r"left alone: (.*)", out) == ([left] if left else [])
+    assert re.findall(r"ignored: (.*)", out) == ([left] if left else [])
 
 
 def test_cycles_of_an_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

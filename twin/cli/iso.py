@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--diagnosis",
         metavar="DIR",
-        help="230-4: output folder of `twin diagnose`; adds the corrected twin and the effect of each fault on the circle",
+        help="230-4: output folder of `twin diagnose`; adds the corrected twin and the contribution of each effect",
     )
     parser.add_argument("--campaign", metavar="DIR", help="230-4: also write a ballbar table as a campaign for `twin diagnose`")
     add_machine(parser)
