@@ -90,7 +90,7 @@ def test_two_files_that_make_one_name(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[str, ...]]] = {
-    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "say"')),
+    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "report"')),
     "set point in um": (lambda c: {**c, "soll": c["soll"] * 1e3}, ("X.position moves 0.001 times",)),
     "speed in m/min": (lambda c: {**c, "speed": c["speed"] * 0.06}, ("X.velocity is 0.06 times", "recorded in m/min, taken as mm/s?")),
     "speed per minute": (lambda c: {**c, "speed": c["speed"] * 60.0}, ("X.velocity is 60 times", "per minute, taken as per second?")),
@@ -111,7 +111,7 @@ def test_swapped_units_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture
     file = write_csv(tmp_path / "run.csv", change({"t": TIME, **move(TIME)}))
     line = importing(capsys, tmp_path, file)
     assert all(part in line for part in expected), line
-    (tmp_path / "map.toml").write_text('units = "say"\n' + MAP, encoding="utf-8")
+    (tmp_path / "map.toml").write_text('units = "report"\n' + MAP, encoding="utf-8")
     assert main(["import", str(file), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     assert expected[0] in capsys.readouterr().out
 

@@ -11,7 +11,7 @@ from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
 from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
-from twin.recordings.skew import late_channels
+from twin.recordings.skew import skews_of
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import Trace, read_trace
 
@@ -71,7 +71,7 @@ def test_lost_samples_of_a_control_are_a_gap_and_held_values_are_none(tmp_path: 
     columns = move(time)
     columns["soll"][100:400] = columns["soll"][100]
     signals = {n: (0.0, 2e-3, v) for n, v in columns.items()}
-    text = 'units = "say"\n' + MAP
+    text = 'units = "report"\n' + MAP
     traces = imported(tmp_path, write_xml(tmp_path / "run.xml", signals), text)
     assert list(traces) == ["run.parquet"]
     lossy = write_xml(tmp_path / "run.xml", signals, drop=lambda name, k: name == "ist" and 500 <= k < 520)
@@ -131,7 +131,7 @@ def test_skew_is_estimated(late: float) -> None:
         ("X", "velocity"): shifted["speed"] * 1e-3 + 1e-4 * rng.standard_normal(len(TIME)),
         ("X", "current"): shifted["strom"] + 0.05 * rng.standard_normal(len(TIME)),
     }
-    found = {item.signal: item for item in late_channels(signals, 1e-3, {"X": "linear"})}
+    found = {item.signal: item for item in skews_of(signals, 1e-3, {"X": "linear"})}
     assert found["motor_position"].seconds == pytest.approx(late, abs=2e-5)
     assert found["velocity"].seconds == pytest.approx(late, abs=1e-4)
     assert found["current"].seconds == pytest.approx(late, abs=1e-3)
@@ -151,11 +151,11 @@ def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() ->
         ("X", "velocity"): np.gradient(motor, 1e-3),
         ("X", "current"): columns["strom"],
     }
-    found = late_channels(signals, 1e-3, {"X": "linear"})
+    found = skews_of(signals, 1e-3, {"X": "linear"})
     assert len(found) == 3
     assert not any(item.clear for item in found)
     assert not any(item.against for item in found)
-    wrong = late_channels({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
+    wrong = skews_of({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
     assert [item.signal for item in wrong if item.against] == ["current"]
 
 

@@ -104,7 +104,7 @@ def test_sinumerik_signals_have_their_own_intervals(tmp_path: Path) -> None:
     text = MAP.replace('"ist"', '"/Nck/!SEMA/measPos2 [u1, 1]"').replace('unit = "mm"', 'unit = "mm"')
     for short, name in names.items():
         text = text.replace(f'"{short}"', f'"{name}"')
-    trace = imported(tmp_path, [file], 'units = "say"\n' + text)
+    trace = imported(tmp_path, [file], 'units = "report"\n' + text)
     assert trace.period == pytest.approx(2e-3, rel=1e-9)
     rows = np.rint(slow / 2e-3).astype(int)
     first = round(slow[0] / 2e-3)

@@ -13,7 +13,7 @@ from twin.files import output_folder, write_whole
 from twin.progress import Progress
 from twin.recordings.formats.by_ending import READERS, read_recording
 from twin.recordings.mapping import Map, RunMap, read_map, runs_of
-from twin.recordings.signals import Clock, How, Recording
+from twin.recordings.signals import Clock, ReadOptions, Recording
 
 MOST_PICTURES = 6
 """Most pictures per recording, which may have a hundred strokes."""
@@ -88,7 +88,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 
 def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
     wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
-    return [read_recording(path, How(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
+    return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
 
 
 def _beginnings() -> Callable[[RunMap, datetime | None], float]:
@@ -109,7 +109,7 @@ def _beginnings() -> Callable[[RunMap, datetime | None], float]:
 
 def _read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
     """All columns of all files, without a map."""
-    return [read_recording(path, How(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
+    return [read_recording(path, ReadOptions(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
 
 
 def _list(files: Sequence[Path]) -> int:

@@ -60,7 +60,7 @@ def _new(args: argparse.Namespace) -> int:
 
 
 def _from_recording(args: argparse.Namespace, out: Path) -> int:
-    from twin.machine.from_recording import followed_text, machine_from_recording
+    from twin.machine.from_recording import machine_from_recording, reproduction_text
 
     if args.structure or args.sinumerik:
         raise InputError(
@@ -70,7 +70,7 @@ def _from_recording(args: argparse.Namespace, out: Path) -> int:
         made = machine_from_recording(Path(args.from_recording), out, bar.say)
     print(f"written: {out} and {out.with_suffix('.xml').name} with {len(made.lumps)} {'axis' if len(made.lumps) == 1 else 'axes'}")
     for one in made.lumps:
-        print(f"  {followed_text(one, made.followed[one.name])}")
+        print(f"  {reproduction_text(one, made.followed[one.name])}")
         for note in one.notes:
             print(f"    - {note}")
     print("drive and load are lumped parameters at the axis, in units of the recorded command; comments in the file state each origin")

@@ -31,7 +31,7 @@ FIRST_INTEGRAL_S = 0.02
 
 
 @dataclass(frozen=True)
-class Followed:
+class Reproduction:
     """How the machine reproduces an axis, SI: RMS gap of the position, RMS following error, RMS gap of the command and its range."""
 
     gap: float
@@ -47,14 +47,14 @@ class Followed:
 
 
 @dataclass(frozen=True)
-class Made:
+class NewMachine:
     """A machine that was written: the identified axes, and how well they reproduce the recording."""
 
     lumps: tuple[AxisLumps, ...]
-    followed: Mapping[str, Followed]
+    followed: Mapping[str, Reproduction]
 
 
-def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> Made:
+def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> NewMachine:
     """Write the machine file and its model. Raises InputError if no axis moves, or if no stable machine reproduces one."""
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
@@ -72,13 +72,13 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         lumps.append(lumps_of(runs, name))
     if not lumps:
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
-    tried = _liveliest(runs, common)
+    tried = _runs_with_most_travel(runs, common)
     if not tried:
         raise InputError(f"{folder}: no run has 40 samples; record a longer move")
     tunings = {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
-        def attempt(given: Mapping[str, Tuning]) -> dict[str, Followed]:
+        def attempt(given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
             file = Path(scratch) / "machine.toml"
             write_lumped_machine(file, lumps, given, folder.name)
             return _followed(load_machine(file), tried, lumps)
@@ -91,10 +91,10 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     out.parent.mkdir(parents=True, exist_ok=True)
     write_lumped_machine(out, lumps, tunings, folder.name)
     load_machine(out)
-    return Made(tuple(lumps), followed)
+    return NewMachine(tuple(lumps), followed)
 
 
-def _liveliest(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
+def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
     """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
 
     def way(run: MeasuredRun) -> float:
@@ -111,7 +111,7 @@ def _liveliest(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[Measure
     return out
 
 
-def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Followed]:
+def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
     """Gap of each axis; infinite if the simulation diverges."""
     rows: dict[str, list[np.ndarray]] = {one.name: [] for one in lumps}
     for run in runs:
@@ -120,7 +120,7 @@ def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[Axi
         except SimulationError as lost_one:
             lost = re.search(r"axis (\S+)", str(lost_one))
             named = {lost[1]} if lost else set(rows)
-            return {one.name: Followed(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
+            return {one.name: Reproduction(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
         skip = len(run.trace.time) // 20
         for one in lumps:
             where = "position" if one.encoder == "scale" else "motor_position"
@@ -134,7 +134,7 @@ def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[Axi
     out = {}
     for name, parts in rows.items():
         off, error, force_off, command = np.concatenate(parts).T
-        out[name] = Followed(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
+        out[name] = Reproduction(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
     return out
 
 
@@ -143,11 +143,11 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _tuned(
-    attempt: Callable[[Mapping[str, Tuning]], dict[str, Followed]],
+    attempt: Callable[[Mapping[str, Tuning]], dict[str, Reproduction]],
     tunings: dict[str, Tuning],
     lumps: Sequence[AxisLumps],
     say: Callable[[str], None],
-) -> tuple[dict[str, Tuning], dict[str, Followed]]:
+) -> tuple[dict[str, Tuning], dict[str, Reproduction]]:
     """Speed controller of each axis by trial. All axes are tried at once, since their gaps are independent."""
     best = attempt(tunings)
     for _ in range(4):  # a speed controller may be too stiff for its cycles
@@ -181,7 +181,7 @@ def _tuned(
     return kept, best
 
 
-def followed_text(one: AxisLumps, followed: Followed) -> str:
+def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     """One line that states how well the machine reproduces an axis."""
     unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
     text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS, {followed.gap / max(followed.following, 1e-12):.2%} of the following error"

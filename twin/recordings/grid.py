@@ -137,7 +137,7 @@ def _across(source: Source, times: np.ndarray) -> np.ndarray:
     return np.where(done, out, out[np.argmax(done)] if done.any() else 0.0)
 
 
-def liveliest(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
+def block_with_most_travel(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
     """Rows (first, last) of the block of a piece in which the signal travels farthest; the whole piece if it is short."""
     best, most = (0, min(piece.count, BLOCK)), -1.0
     for first in range(0, piece.count, BLOCK):

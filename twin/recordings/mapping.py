@@ -4,10 +4,10 @@ machine = "my_machine.toml"        # machine file beside the map, or a name for 
 feedforward = "velocity"           # feedforward in use: off | velocity | velocity+torque; a run may give its own
 period_ms = 1.0                    # period of the traces; default: that of the set points
 gaps = "split"                     # lost samples: split the run (default) | fill | refuse
-skew = "say"                       # late channels: say (default: only report) | correct | encoders (correct encoders only)
-offsets = "say"                    # constant difference between two encoders: say (default: only report) | correct
+skew = "report"                    # late channels: report (default) | correct | encoders (correct encoders only)
+offsets = "report"                 # constant difference between two encoders: report (default) | correct
 labels = ["load", "trial"]         # columns that are constant within a run and describe it; they go into campaign.toml
-units = "refuse"                   # implausible units: refuse (default) | say (only report)
+units = "refuse"                   # implausible units: refuse (default) | report
 
 [time]                             # for formats without times of their own; default: found by name
 column = "Time"                    # or interval_ms = 0.25
@@ -67,9 +67,9 @@ _COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms
 _RUN = ("file", "files", "name", "feedforward", "started_at_s", "from_s", "to_s")
 _CHOICES = {
     "gaps": ("split", "fill", "refuse"),
-    "skew": ("say", "correct", "encoders"),
-    "offsets": ("say", "correct"),
-    "units": ("refuse", "say"),
+    "skew": ("report", "correct", "encoders"),
+    "offsets": ("report", "correct"),
+    "units": ("refuse", "report"),
 }
 
 
@@ -154,7 +154,7 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
         )
     return Map(
         path, machine, name, _feedforward(document, where), None if period is None else period * 1e-3,
-        document.get("gaps", "split"), document.get("skew", "say"), document.get("offsets", "say"), _labels(document, where), document.get("units", "refuse"),
+        document.get("gaps", "split"), document.get("skew", "report"), document.get("offsets", "report"), _labels(document, where), document.get("units", "refuse"),
         Clock(_text(time, "column", f"{where}: [time]"), _text(time, "unit", f"{where}: [time]"), None if interval is None else interval * 1e-3),
         _table(document, "csv", where), columns,
         tuple(_run(table, f"{where}: run {i + 1}") for i, table in enumerate(_tables(document, "run", where))),

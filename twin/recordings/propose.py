@@ -14,7 +14,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings.force_sign import force_sign
 from twin.recordings.names import Meaning, meaning_of
-from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Recording, Signal
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Recording, Signal
 from twin.recordings.timing import timing_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
@@ -303,7 +303,7 @@ def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
 def _unsound(signal: Signal) -> str:
     """Text on the first NaN, infinite or impossible value of a column; "" if there is none."""
     for first, values in signal.blocks():
-        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
         if bad.any():
             row = int(np.argmax(bad))
             return f"holds {values[row]:g} at sample {first + row + 1}: repair it"

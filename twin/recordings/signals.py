@@ -1,6 +1,6 @@
 """What every reader returns: named signals, each with its own times, as in the file. The map adds units and axes.
 
-A new format is one module with `read(path, how) -> Recording` and one line in `formats.READERS`.
+A new format is one module with `read(path, options) -> Recording` and one line in `formats.READERS`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.units import RECORDED_UNITS, dimension_recorded
 
-NO_MEASUREMENT = 1e15
+IMPOSSIBLE_VALUE = 1e15
 """Values at or above this magnitude, NaN and infinity are not measurements in any unit."""
 BLOCK = 1 << 17
 """Samples of a stored signal that are in memory at a time."""
@@ -98,7 +98,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class How:
+class ReadOptions:
     """How to read: clock, wanted columns (None: all), folder for data that do not fit into memory, CSV dialect."""
 
     clock: Clock
@@ -206,7 +206,7 @@ def date_of(text: object) -> datetime | None:
 
 def is_count(value: object) -> TypeGuard[float]:
     """True for a finite number of a JSON file; false for true and false."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < NO_MEASUREMENT
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < IMPOSSIBLE_VALUE
 
 
 def _runs(time: np.ndarray) -> bool:

@@ -33,7 +33,7 @@ PER_BAND = 6.0
 
 
 @dataclass(frozen=True)
-class Late:
+class Skew:
     """A channel recorded `seconds` later than its reference (negative: earlier), with the standard deviation [s]."""
 
     axis: str
@@ -49,7 +49,7 @@ class Late:
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
 
 
-def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Late]:
+def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Skew]:
     """Skew of each channel of each axis that can be compared with a position. `signals` (sample,) [SI] on one even grid."""
     out = []
     for axis in dict.fromkeys(a for a, _ in signals):
@@ -65,15 +65,15 @@ def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, 
                 base = motor if signal == "velocity" else reference
                 found = _of_channel(own[signal], own[base], signal, period, kinds[axis])
                 if found is not None:
-                    late = Late(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
+                    late = Skew(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
                     behind = late.seconds if signal == "motor_position" and late.clear else behind
                     out.append(late)
     return out
 
 
-def later_ones(late: Sequence[Late]) -> list[Late]:
+def relative_to_first_encoder(late: Sequence[Skew]) -> list[Skew]:
     """The skews relative to the earlier encoder: motion reaches the motor before the load, so the later of two encoders is late."""
-    out: list[Late] = []
+    out: list[Skew] = []
     for axis in dict.fromkeys(item.axis for item in late):
         own = [item for item in late if item.axis == axis]
         motor = next((item for item in own if item.signal == "motor_position" and item.clear and item.seconds < 0.0), None)

@@ -14,11 +14,11 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.recordings.convert import Conversion, conversion_of, kinds_of
 from twin.recordings.force_sign import force_sign
-from twin.recordings.grid import Piece, Source, liveliest, on_grid, pieces_of
+from twin.recordings.grid import Piece, Source, block_with_most_travel, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
-from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Event, Recording, Signal
-from twin.recordings.skew import FORCES, Late, late_channels, later_ones
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Event, Recording, Signal
+from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
 from twin.recordings.trace import BY_UNIT, POSITIONS
 from twin.units import AXIS_UNITS
@@ -54,7 +54,7 @@ class Understood:
     pieces: tuple[Piece, ...]
     fill: bool
     notes: tuple[str, ...]
-    late: tuple[Late, ...]
+    skews: tuple[Skew, ...]
     started: datetime | None
     begin: float  # start of the recordings [s]
     events: tuple[Event, ...] = ()
@@ -95,19 +95,19 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         )
     known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin)
     longest = max(pieces, key=lambda p: p.count)
-    window = known.block(longest, *liveliest(lead.source, longest, fill))
+    window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
     notes += _doubts(window, period, kinds, mapping, run)
-    late = later_ones(late_channels(window, period, kinds))
+    skews = relative_to_first_encoder(skews_of(window, period, kinds))
     unsigned = _unsigned(window, period, kinds)
     notes += _still(window)
-    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
+    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in skews if item.against]
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
-    correct = _corrected(late, mapping.skew)
-    notes += _skew_notes(late, correct)
+    correct = _corrected(skews, mapping.skew)
+    notes += _skew_notes(skews, correct)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
         pieces = grid.pieces(channels)
-    known = replace(known, channels=channels, pieces=pieces, late=tuple(late), unsigned=unsigned)
+    known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
     offsets, centred = _offsets(known), mapping.offsets == "correct"
     notes += _offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
@@ -175,20 +175,22 @@ def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: 
     doubts = doubts_of(window, period, kinds, mapping.machine)
     if doubts and mapping.units == "refuse":
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
-        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "say" in the map imports it nevertheless')
+        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
     return [d.text for d in doubts]
 
 
-def _corrected(late: Sequence[Late], skew: str) -> dict[tuple[str, str], float]:
+def _corrected(skews: Sequence[Skew], skew: str) -> dict[tuple[str, str], float]:
     """Skew [s] of the channels that the map asks to correct."""
     encoders = (*POSITIONS, "velocity")
-    return {(i.axis, i.signal): i.seconds for i in late if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))}
+    return {
+        (i.axis, i.signal): i.seconds for i in skews if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))
+    }
 
 
-def _skew_notes(late: Sequence[Late], correct: Collection[tuple[str, str]]) -> list[str]:
+def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> list[str]:
     """Notes on each clear skew, with its interval and whether it was corrected."""
     notes = []
-    for item in late:
+    for item in skews:
         if item.clear:
             size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
             done = (
@@ -276,7 +278,7 @@ def _check_numbers(recording: Recording, signal: Signal) -> None:
     if recording.format == "CSV":
         return  # the reader has checked every cell
     for first, values in signal.blocks():
-        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
         if bad.any():
             row = first + int(np.argmax(bad))
             assert signal.time is not None

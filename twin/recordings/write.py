@@ -121,12 +121,12 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
 def _facts(known: Understood, trace: Written) -> list[str]:
     """[[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
     lines = []
-    late = {(item.axis, item.signal): item for item in known.late}
+    skews = {(item.axis, item.signal): item for item in known.skews}
     taken = {c.key: c.source.skew_s for c in known.channels}
     factors = {c.key: c.column.factor for c in known.channels}
     for axis, signal in trace.units:
         channel_keys: list[str] = []
-        item = late.get((axis, signal))
+        item = skews.get((axis, signal))
         back = taken.get((axis, signal), 0.0)
         if item is not None and (item.clear or back):
             channel_keys += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
@@ -183,7 +183,7 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
             for c in known.channels
         ],
         "skew": [
-            {"axis": s.axis, "signal": s.signal, "against": s.reference, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.late
+            {"axis": s.axis, "signal": s.signal, "against": s.reference, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.skews
         ],
         "notes": list(known.notes),
     }  # fmt: skip

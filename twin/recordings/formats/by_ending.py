@@ -1,4 +1,4 @@
-"""The table of readers by file ending. To add a format, add a module with `read(path, how)` and a line here."""
+"""The table of readers by file ending. To add a format, add a module with `read(path, options)` and a line here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 
 from twin.errors import InputError, nearest
-from twin.recordings.signals import How, Recording, check_readable
+from twin.recordings.signals import ReadOptions, Recording, check_readable
 
 READERS = {
     ".csv": "delimited",
@@ -24,14 +24,14 @@ READERS = {
 }
 
 
-def read_recording(path: str | Path, how: How) -> Recording:
+def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     """Read a recorded file of any known format."""
     path = Path(path)
     check_readable(path)
     suffix = path.suffix.lower()
     if suffix not in READERS:
         raise InputError(f"{path}: no reader for '{suffix or 'a file without ending'}'; {nearest(suffix, READERS)}")
-    recording = importlib.import_module(f"twin.recordings.formats.{READERS[suffix]}").read(path, how)
+    recording = importlib.import_module(f"twin.recordings.formats.{READERS[suffix]}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
     return recording

@@ -18,7 +18,17 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.recordings.restarts import Restarts
-from twin.recordings.signals import NO_MEASUREMENT, How, Recording, Signal, Stored, find_time_column, known_unit, split_heading, time_factor
+from twin.recordings.signals import (
+    IMPOSSIBLE_VALUE,
+    ReadOptions,
+    Recording,
+    Signal,
+    Stored,
+    find_time_column,
+    known_unit,
+    split_heading,
+    time_factor,
+)
 
 SAMPLE_BYTES = 1 << 16
 BLOCK_BYTES = 1 << 22
@@ -52,25 +62,29 @@ class _Spool:
     rows: int = 0
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Read the wanted columns (all without a map)."""
-    dialect = find_dialect(path, how.dialect)
+    dialect = find_dialect(path, options.dialect)
     where = str(path)
-    at = find_time_column(dialect.names, dialect.units, how.clock, where)
+    at = find_time_column(dialect.names, dialect.units, options.clock, where)
     plain = [split_heading(n)[0] for n in dialect.names]
     plain = [p if plain.count(p) == 1 else n for p, n in zip(plain, dialect.names)]
-    if how.wanted and (words := [dialect.names[i] for i in dialect.texts if dialect.names[i] in how.wanted or plain[i] in how.wanted]):
+    if options.wanted and (
+        words := [dialect.names[i] for i in dialect.texts if dialect.names[i] in options.wanted or plain[i] in options.wanted]
+    ):
         raise InputError(f"{path}: column '{words[0]}' contains words; leave it out of the map")
     kept = [i for i in range(len(dialect.names)) if i != at and i not in dialect.texts]
     chosen = [
-        i for i, name in enumerate(dialect.names) if i in kept and (how.wanted is None or name in how.wanted or plain[i] in how.wanted)
+        i
+        for i, name in enumerate(dialect.names)
+        if i in kept and (options.wanted is None or name in options.wanted or plain[i] in options.wanted)
     ]
     if not chosen:
         return Recording(path, "CSV", {plain[i]: Signal(plain[i], np.empty(0), None) for i in kept})
     factor = 1.0
     if at is not None and not dialect.timestamps:
-        factor = time_factor(dialect.names[at], dialect.units[at], how.clock, where)
-    spools, time, restarts = _stream(path, dialect, at, chosen, factor, how)
+        factor = time_factor(dialect.names[at], dialect.units[at], options.clock, where)
+    spools, time, restarts = _stream(path, dialect, at, chosen, factor, options)
     signals = {
         plain[i]: Signal(plain[i], Stored(spool.path), Stored(Path(spool.times.name)) if spool.times else time, dialect.units[i])
         for i, spool in spools.items()
@@ -244,12 +258,12 @@ def _looks_like_units(cells: list[str]) -> bool:
 
 
 def _stream(
-    path: Path, dialect: Dialect, at: int | None, chosen: list[int], factor: float, how: How
+    path: Path, dialect: Dialect, at: int | None, chosen: list[int], factor: float, options: ReadOptions
 ) -> tuple[dict[int, _Spool], Stored, int]:
     """Read the file in blocks and write wanted columns and time to disk. Also counts the rows where the time starts again."""
     import pyarrow as pa
 
-    folder = how.scratch / path.name
+    folder = options.scratch / path.name
     folder.mkdir(parents=True, exist_ok=True)
     bad: list[tuple[int | None, int, int, str]] = []
     time_path = folder / "time"
@@ -259,7 +273,7 @@ def _stream(
         with open(time_path, "wb") as time_file:
             for batch in _reader(path, dialect, at, chosen, bad):
                 if at is None:
-                    time = (rows + np.arange(batch.num_rows)) * float(how.clock.interval_s or 0.0)
+                    time = (rows + np.arange(batch.num_rows)) * float(options.clock.interval_s or 0.0)
                 elif dialect.timestamps:
                     stamps = batch.column(f"c{at}").cast(pa.int64()).to_numpy(zero_copy_only=False)
                     origin = int(stamps[0]) if origin is None else origin
@@ -322,7 +336,7 @@ def _append(spool: _Spool, column: Any, time: np.ndarray, time_file: IO[bytes], 
     """Write one block of a column to disk. NaN or infinity is an error, an empty cell is no sample."""
     values = column.to_numpy(zero_copy_only=False)
     valid = np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool) if column.null_count else None
-    fault = ~(np.abs(values) < NO_MEASUREMENT) & (valid if valid is not None else True)
+    fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & (valid if valid is not None else True)
     if fault.any():
         row = int(np.argmax(fault))
         held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"

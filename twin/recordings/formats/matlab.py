@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.recordings.signals import How, Recording, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, share_time, starts_with
 
 MOST_VALUES = 100_000_000
 """Most numbers in one file: 800 MB in memory."""
@@ -36,7 +36,7 @@ except MemoryError:
 """
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Vectors as signals on the map's time column or interval. Single numbers are reported, not imported."""
     columns: dict[str, np.ndarray] = {}
     if starts_with(path, b"MATLAB 7.3", b"\x89HDF"):
@@ -56,7 +56,7 @@ def read(path: Path, how: How) -> Recording:
         elif values.ndim <= 2:
             vectors[name] = (values.ravel().astype(float), "")
     notes = ["MATLAB: " + ", ".join([f"{len(vectors)} vectors", *(f"{name} = {value:g}" for name, value in numbers.items())])]
-    return Recording(path, "MATLAB", share_time(vectors, how.clock, str(path)), None, tuple(notes))
+    return Recording(path, "MATLAB", share_time(vectors, options.clock, str(path)), None, tuple(notes))
 
 
 def _older(path: Path, columns: dict[str, np.ndarray]) -> None:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import How, Recording, Signal, known_unit, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, starts_with
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Channels by name; a name that occurs in several groups becomes 'name (group 2)'."""
     try:
         from asammdf import MDF

@@ -27,7 +27,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.grid import MOST_ROWS
-from twin.recordings.signals import How, Recording, Signal, date_of, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, date_of, starts_with
 
 MOST_NUMBERED = 1e15
 """Most intervals between first and last sample."""
@@ -47,7 +47,7 @@ class _Samples:
     values: array[float] = field(default_factory=lambda: array("d"))
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Read all signals of the first data frame."""
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, iterparse

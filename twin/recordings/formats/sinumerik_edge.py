@@ -22,14 +22,14 @@ import numpy as np
 
 from twin.documents import read_json
 from twin.errors import InputError
-from twin.recordings.signals import Event, How, Recording, Signal, date_of, is_count, starts_with
+from twin.recordings.signals import Event, ReadOptions, Recording, Signal, date_of, is_count, starts_with
 
 COUNTER = "CYCLE"
 LONGEST_TEXT = 400
 """Most characters of a block's text."""
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Read the signals of the interpolation cycle and the events of the program."""
     if not starts_with(path, b"{", b" ", b"\n", b"\r", b"\t", b"\xef\xbb\xbf"):
         raise InputError(f"{path}: not a JSON file; give it the ending of its true format")
@@ -41,7 +41,7 @@ def read(path: Path, how: How) -> Recording:
         reason = f"no column {COUNTER}" if COUNTER not in names else f"two columns '{next(n for n in names if names.count(n) > 1)}'"
         raise InputError(f"{path}: Header.SignalListHFData has {reason}; this is not the layout of a SINUMERIK Edge recording")
     labels = {str(one.get("Name")): str(one.get("Axis") or "") for one in entries if isinstance(one, Mapping)}
-    cycle = how.clock.interval_s or _cycle(header, path)
+    cycle = options.clock.interval_s or _cycle(header, path)
     table = _rows(payload, len(names), path)
     at = names.index(COUNTER)
     counters = table[:, at]

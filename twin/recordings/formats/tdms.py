@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import How, Recording, Signal, known_unit, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, share_time, starts_with
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Channels as 'group/channel'."""
     try:
         from nptdms import TdmsFile
@@ -41,7 +41,7 @@ def read(path: Path, how: How) -> Recording:
     for channel, name, values in raw:
         unit = known_unit(str(channel.properties.get("unit_string", "")))
         increment = float(channel.properties.get("wf_increment", 0.0))
-        if increment > 0.0 and how.clock.column is None:
+        if increment > 0.0 and options.clock.column is None:
             begin = channel.properties.get("wf_start_time")
             if started is None and begin is not None:
                 started = begin.astype(datetime) if isinstance(begin, np.datetime64) else begin
@@ -51,7 +51,7 @@ def read(path: Path, how: How) -> Recording:
         else:
             without[name] = (values.astype(float), unit)
     if without and not signals:
-        signals = share_time(without, how.clock, str(path))
+        signals = share_time(without, options.clock, str(path))
     elif without:
         signals |= {name: Signal(name, values, None, unit) for name, (values, unit) in without.items()}
     return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",))
