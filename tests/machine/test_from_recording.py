@@ -1,4 +1,4 @@
-"""A machine made from a recording alone has the numbers of the machine that was recorded, counted at the axis."""
+"""A machine made from a recording alone has the numbers of the recorded machine, referred to the axis."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def recorded(folder: Path, machine: Machine, seconds: float = 3.0) -> Path:
     return folder
 
 
-def test_a_drive_with_a_voltage_command_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_with_a_voltage_command_is_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = load_machine(LAB_AXIS)
     folder = recorded(tmp_path / "campaign", machine)
     out = tmp_path / "machine" / "made.toml"
@@ -40,18 +40,18 @@ def test_a_drive_with_a_voltage_command_comes_back(tmp_path: Path, capsys: pytes
     assert made.structure == "P/P"
     assert made.loops.speed_mean_cycles == true.loops.speed_mean_cycles == 4
     assert made.loops.position_gain_per_s == pytest.approx(true.loops.position_gain_per_s, rel=0.01)
-    # the lumps are mass and friction over 18 N/V
+    # the lumped parameters are mass and friction over 18 N/V
     assert made.moving_mass_kg == pytest.approx(12.0 / 18.0, rel=0.03)
     assert made.coulomb_friction == pytest.approx(6.0 / 18.0, rel=0.1)
     text = out.read_text(encoding="utf-8")
     assert "lump" in text
     assert "assumed" in text
-    # the machine reproduces what it was made from
+    # the machine reproduces its recording
     assert main(["gap", str(folder), "--machine", str(out), "--json", str(tmp_path / "gap.json")]) == 0
 
 
 def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
-    """The Mikron's X with a position loop in the drive: gain, delay and Td come back from its signals."""
+    """Gain, delay and Td of a position loop in the drive are identified from its signals."""
     t = np.arange(4000) * 2e-3
     s = 0.1 * np.sin(1.3 * t) + 0.02 * np.sin(7.0 * t)
 
@@ -81,10 +81,10 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     law = lumps_of(read_campaign(tmp_path).runs, "X").law
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
-    assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # the command is held for a cycle: half of it is delay
+    assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
 
 
-def test_nothing_is_written_over_and_one_source_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_file_is_overwritten_and_a_source_is_required(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "m.toml"
     assert main(["machine", "new", "--out", str(out)]) == 2
     assert "give a MODEL, or --from-recording" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A machine has one truth, its document: any chain of changes, written and read again, is the same machine and simulates the same."""
+"""The document is the only source of a machine: after any chain of changes, writing and reading gives the same machine and simulation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def value_of(axis: Axis, field: str) -> Any:
 
 
 class Expected:
-    """What a machine must be after a chain of changes, kept beside it by the plainest means: driven axes and numbers by (axis, field)."""
+    """Expected state after a chain of changes, recorded independently: driven axes, numbers by (axis, field), effects, a body, a length."""
 
     def __init__(self, machine: Machine):
         self.machine = machine
@@ -205,7 +205,7 @@ def test_a_change_leaves_the_first_machine_alone(mikron: Machine) -> None:
 
 
 def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
-    """And nothing else: the typed view has no number that the table does not know."""
+    """The typed view has exactly the numbers of the table."""
     typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", "encoder"}
     typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
     assert {p.field for p in PARAMETERS} == typed

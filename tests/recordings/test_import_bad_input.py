@@ -1,4 +1,4 @@
-"""`twin import`: every bad file and every wrong map has its own line on standard error and exit code 2."""
+"""`twin import`: every bad file and every wrong map gives one line on standard error and exit code 2."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Gaps, rounded and jittering times, skew, other intervals: found, handled as the map says, and said."""
+"""Gaps, rounded and jittering times, skew and other intervals are detected, reported and handled as the map requires."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_a_gap_splits_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
-    """'run' is split, 'run_1' is a run of its own: each of the three traces has its file, whatever the order."""
+    """'run' is split and 'run_1' is another run: each of the three traces gets its own file, in any order."""
     kept = np.r_[0:1500, 1540:4000]
     other = write_csv(tmp_path / "run_1.csv", {"t": TIME[:1000], **move(TIME[:1000])})
     files = [recorded(tmp_path, TIME, kept), other]
@@ -93,7 +93,7 @@ def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     time = TIME + 1e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, len(TIME))
     (trace,) = imported(tmp_path, recorded(tmp_path, time)).values()
     assert "the clock deviates by" in capsys.readouterr().out
-    # 100 mm/s by 0.1 ms would be 10 um; the times themselves are used
+    # 0.1 ms at 100 mm/s would be 10 um; the recorded times are used
     start = timing_of(time, "here").stretches[0].begin
     assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5
 
@@ -143,7 +143,7 @@ def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() ->
     columns = move(TIME)
     speed = columns["speed"] * 1e-3
     position = columns["ist"] * 1e-3
-    # backlash 20 um and a wind-up with the acceleration: both go with the motion, none is a delay
+    # a backlash of 20 um and windup by acceleration are not a delay
     motor = position + 10e-6 * np.tanh(speed / 1e-3) + 1e-5 * np.gradient(speed, 1e-3)
     signals = {
         ("X", "position"): position,

@@ -1,4 +1,4 @@
-"""What controls write is imported by one command: names are understood, and units, signs and axes follow from the numbers."""
+"""Files of controls are imported with one command: names are known; units, signs and axes follow from the numbers."""
 
 import json
 from pathlib import Path
@@ -41,9 +41,9 @@ def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
     ],
 )
 def test_known_names(name: str, axis: str, signal: str, unit: str) -> None:
-    told = meaning_of(name)
-    assert told is not None
-    assert (told.axis, told.signal, told.unit) == (axis, signal, unit)
+    meaning = meaning_of(name)
+    assert meaning is not None
+    assert (meaning.axis, meaning.signal, meaning.unit) == (axis, signal, unit)
 
 
 @pytest.mark.parametrize("name", ["fault_type", "tau_c_all(1)", "m_all(2)", "Spindle speed", "run", "Kraft", "pid.x.output"])
@@ -61,7 +61,7 @@ def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureF
     assert list(runs) == ["rec_1", "rec_2"]
     first, second = runs["rec_1"], runs["rec_2"]
     assert first.feedforward == "velocity"
-    # counters are the time: the second part begins where they go on
+    # the cycle counters are the time, so the second part begins where they continue
     assert len(first.trace.time) == 1200
     assert second.started_at - first.started_at == pytest.approx(1500 * 2e-3)
     assert first.trace.axes == ("1",)
