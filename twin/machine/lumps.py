@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import lsq_linear
-from scipy.signal import butter, sosfiltfilt
 
 from twin.errors import InputError
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.force_sign import recorded_sign
+from twin.recordings.force_sign import low_passed, recorded_sign
+from twin.recordings.least_squares import solved
 
 BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
@@ -197,20 +197,16 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
             rows.append(np.column_stack([error, fed, np.ones_like(error)])[cut:])
             values.append(p.command[cut:])
         x, y = np.concatenate(rows), np.concatenate(values)
-        b = np.linalg.lstsq(x / (scale := np.maximum(np.abs(x).max(axis=0), 1e-300)), y, rcond=None)[0] / scale
+        b = solved(x, y)
         return float(np.sqrt(np.mean((y - x @ b) ** 2))), b
 
+    def best_of(delays: Sequence[float]) -> tuple[float, np.ndarray, float, float | None]:
+        return min(((*fit(d, f), d, f) for d in delays for f in ((None,) if own else (0.0, d))), key=lambda r: r[0])
+
     own = all(p.feedforward is not None for p in parts)
-    best = min(
-        ((*fit(d, f), d, f) for d in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4) for f in ((None,) if own else (0.0, d))),
-        key=lambda r: r[0],
-    )
+    best = best_of(_grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4))
     for step in (tp / 16, tp / 128):
-        span = 4.0 * step
-        best = min(
-            ((*fit(d, f), d, f) for d in _grid(max(best[2] - span, 0.0), best[2] + span, step) for f in ((None,) if own else (0.0, d))),
-            key=lambda r: r[0],
-        )
+        best = best_of(_grid(max(best[2] - 4.0 * step, 0.0), best[2] + 4.0 * step, step))
     left, (gain, weight, _), delay, ff_delay = best
     if not gain > 0.0 or left > LAW_HOLDS * size:
         return None
@@ -278,8 +274,7 @@ def _direct_law(parts: Sequence[_Run]) -> Law | None:
             [np.column_stack([p.setpoint - p.position, _difference(p.position, n) / (n * tp), np.ones_like(p.position)])[8:] for p in parts]
         )
         limited = np.abs(y) > 0.995 * np.abs(y).max()
-        scale = np.maximum(np.abs(x).max(axis=0), 1e-300)
-        b = np.linalg.lstsq(x[~limited] / scale, y[~limited], rcond=None)[0] / scale
+        b = solved(x[~limited], y[~limited])
         left = float(np.sqrt(np.mean((y - x @ b)[~limited] ** 2)))
         if best is None or left < best[0]:
             best = (left, n, b)
@@ -303,19 +298,11 @@ def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[st
         "no speed set point that follows a position controller is recorded: gain and delays cannot be separated, only their sum, the lag"
     )
     tp = parts[0].period
-    best = (np.inf, 0.0)
-    for lag in _grid(0.0, 0.3, max(tp / 8, 0.25e-3)):
-        best = min(
-            best,
-            (
-                sum(
-                    float(np.sum((p.position - _at(p.setpoint, tp, lag) - np.mean(p.position - _at(p.setpoint, tp, lag))) ** 2))
-                    for p in parts
-                ),
-                lag,
-            ),
-        )
-    lag = max(best[1], 1e-3)
+
+    def left(lag: float) -> float:
+        return sum(len(p.position) * float(np.var(p.position - _at(p.setpoint, tp, lag))) for p in parts)
+
+    lag = max(min(_grid(0.0, 0.3, max(tp / 8, 0.25e-3)), key=left), 1e-3)
     if feedforward_flag in ("velocity", "velocity+torque") or (feedforward_flag is None and lag < 12e-3):
         notes.append(
             f"the lag of the position, {lag * 1e3:.2f} ms, is taken as a delay under full velocity feedforward; the gain is assumed"
@@ -381,9 +368,7 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
 
 
 def _smooth(values: np.ndarray, period: float) -> np.ndarray:
-    """Zero-phase low-pass."""
-    band = min(BAND_HZ, 0.15 / period)
-    return np.asarray(sosfiltfilt(butter(2, band, fs=1.0 / period, output="sos"), values))
+    return low_passed(values, period, BAND_HZ)
 
 
 def _motion(p: _Run) -> tuple[float, float]:

@@ -5,6 +5,7 @@ Every reader of a URDF starts with `read_urdf`. `check_urdf` also refuses what c
 
 from __future__ import annotations
 
+from graphlib import CycleError, TopologicalSorter
 import logging
 import math
 from pathlib import Path
@@ -89,17 +90,10 @@ def checked_tree(path: Path) -> Element:
         if (mimic := joint.find("mimic")) is not None and mimic.get("joint", "") not in joints:
             raise InputError(f"{path}: joint '{name}' follows joint '{mimic.get('joint', '')}', which does not exist; correct it")
         parents[child] = parent
-    reached = {link for link in links if link not in parents}
-    children: dict[str, list[str]] = {}
-    for child, parent in parents.items():
-        children.setdefault(parent, []).append(child)
-    waiting = list(reached)
-    while waiting:
-        found = children.get(waiting.pop(), [])
-        reached.update(found)
-        waiting += found
-    if circle := next((link for link in links if link not in reached), None):
-        raise InputError(f"{path}: link '{circle}' hangs on itself: its joints form a circle; give one link no parent")
+    try:
+        TopologicalSorter({child: [parent] for child, parent in parents.items()}).prepare()
+    except CycleError as error:
+        raise InputError(f"{path}: link '{error.args[1][0]}' hangs on itself: its joints form a circle; give one link no parent") from None
     return root
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -57,19 +58,15 @@ def read_visuals(path: Path) -> Visuals:
 
 def add_tree(spec: mujoco.MjSpec, robot: Any, add_body: Callable[[Any, Any, np.ndarray], Any]) -> dict[str, Any]:
     """Add the links and joints of a robot to a spec; returns the bodies by link. `add_body(parent, link, parent_from_link)` makes one body."""
-    children = {joint.child for joint in robot.joint_map.values()}
+    above = {joint.child: joint for joint in robot.joint_map.values()}
     bodies: dict[str, Any] = {}
-    for name, link in robot.link_map.items():
-        if name not in children:
-            bodies[name] = spec.worldbody if name == "world" else add_body(spec.worldbody, link, np.eye(4))
-    waiting = list(robot.joint_map.values())
-    while waiting:  # parents before children, independent of the order in the file
-        for joint in [j for j in waiting if j.parent in bodies]:
-            origin = np.eye(4) if joint.origin is None else joint.origin
-            bodies[joint.child] = add_body(bodies[joint.parent], robot.link_map[joint.child], origin)
-            if joint.type in MOVING:
-                _add_joint(bodies[joint.child], joint)
-            waiting.remove(joint)
+    for name in TopologicalSorter({link: [above[link].parent] if link in above else [] for link in robot.link_map}).static_order():
+        if (joint := above.get(name)) is None:
+            bodies[name] = spec.worldbody if name == "world" else add_body(spec.worldbody, robot.link_map[name], np.eye(4))
+            continue
+        bodies[name] = add_body(bodies[joint.parent], robot.link_map[name], np.eye(4) if joint.origin is None else joint.origin)
+        if joint.type in MOVING:
+            _add_joint(bodies[name], joint)
     return bodies
 
 

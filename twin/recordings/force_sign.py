@@ -14,6 +14,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.least_squares import solved
 
 BAND_HZ = 30.0
 CLEAR = 0.25
@@ -39,7 +40,7 @@ def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str
     """Sign of a current, torque or voltage (sample,) relative to a position (sample,), in any units."""
     if len(force) < 60 or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
         return ForceSign()
-    motion, f = _smooth(position, period), _smooth(force, period)
+    motion, f = low_passed(position, period, BAND_HZ), low_passed(force, period, BAND_HZ)
     speed = np.gradient(motion, period)
     acceleration = np.gradient(speed, period)
     moving = np.abs(speed) > 0.02 * np.abs(speed).max()
@@ -73,13 +74,12 @@ def recorded_sign(run: MeasuredRun, axis: str, signal: str) -> ForceSign:
     return force_sign(trace.get(axis, signal), trace.get(axis, where), trace.period, trace.kinds[axis])
 
 
-def _smooth(values: np.ndarray, period: float) -> np.ndarray:
-    band = min(BAND_HZ, 0.15 / period)
-    return np.asarray(sosfiltfilt(butter(2, band, fs=1.0 / period, output="sos"), values))
+def low_passed(values: np.ndarray, period: float, band_hz: float) -> np.ndarray:
+    """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate."""
+    return np.asarray(sosfiltfilt(butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
 
 
 def _fit(columns: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
     """(unexplained share of the variance, coefficients)."""
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    b = np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
+    b = solved(columns, y)
     return float(np.var(y - columns @ b) / max(float(np.var(y)), 1e-300)), b

@@ -94,6 +94,12 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), count, seen)
 
 
+def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Least-squares coefficients (k,) of columns (row, k), scaled so that their units do not matter."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
+
+
 def _enough(stroke: np.ndarray, columns: int) -> np.ndarray:
     """Clusters (row,): the strokes, or equal pieces of them if there are too few strokes for the number of columns.
 

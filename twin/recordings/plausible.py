@@ -132,50 +132,31 @@ def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
 
 def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, machine: Machine | None) -> list[Doubt]:
     """Values that no machine axis reaches, or that exceed the limits of this machine."""
-    out = []
+    out: list[Doubt] = []
     known = machine.axis(axis) if machine else None
-    unit, metre = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
-    for signal in POSITIONS:
-        if signal not in own:
-            continue
-        low, high = float(own[signal].min()), float(own[signal].max())
+    unit, speed_unit = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
+    room = float(known.travel[1] - known.travel[0]) if known else math.inf
+
+    def doubt(signal: str, text: str) -> None:
+        out.append(Doubt(axis, signal, f"{axis}.{signal} {text}"))
+
+    for signal in (s for s in POSITIONS if s in own):
+        travel = float(np.ptp(own[signal]))
         step = max(1, round(0.02 / period))
         speed = float(np.abs(own[signal][step:] - own[signal][:-step]).max() / (step * period)) if len(own[signal]) > step else 0.0
-        if known is not None and signal == "setpoint" and np.isfinite(known.travel).all():
-            room = float(known.travel[1] - known.travel[0])
-            if high - low > 3.0 * room:
-                out.append(
-                    Doubt(
-                        axis,
-                        signal,
-                        f"{axis}.{signal} travels {high - low:.4g} {unit}, but the machine's axis {room:.4g}: wrong unit? correct unit or scale",
-                    )
-                )
-                continue
-        if high - low > _LONGEST[kind]:
-            out.append(Doubt(axis, signal, f"{axis}.{signal} travels {high - low:.4g} {unit}: no machine axis does; correct unit or scale"))
+        if signal == "setpoint" and travel > 3.0 * room:
+            doubt(signal, f"travels {travel:.4g} {unit}, but the machine's axis {room:.4g}: wrong unit? correct unit or scale")
+        elif travel > _LONGEST[kind]:
+            doubt(signal, f"travels {travel:.4g} {unit}: no machine axis does; correct unit or scale")
         elif speed > _FASTEST[kind] or (known is not None and speed > 10.0 * known.max_velocity):
             limit = f", the machine file allows {known.max_velocity:.3g}" if known else ""
-            out.append(
-                Doubt(
-                    axis, signal, f"{axis}.{signal} moves at {speed:.4g} {metre}{limit}: wrong unit, or wrong unit of time? correct the map"
-                )
-            )
-        elif 0.0 < high - low < _SHORTEST[kind] and signal == "setpoint":
-            out.append(Doubt(axis, signal, f"{axis}.{signal} moves only {high - low:.3g} {unit}: wrong unit? correct unit or scale"))
-    effort = known.effort if known else "current"
-    if effort in own:
-        peak = float(np.abs(own[effort]).max())
-        most = 3.0 * known.motor.peak_current_a if known else MOST_CURRENT
-        if peak > most:
-            limit_text = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
-            out.append(
-                Doubt(
-                    axis,
-                    effort,
-                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{limit_text}: wrong unit (mA?) or scale; correct the map",
-                )
-            )
+            doubt(signal, f"moves at {speed:.4g} {speed_unit}{limit}: wrong unit, or wrong unit of time? correct the map")
+        elif 0.0 < travel < _SHORTEST[kind] and signal == "setpoint":
+            doubt(signal, f"moves only {travel:.3g} {unit}: wrong unit? correct unit or scale")
+    effort, most = (known.effort, 3.0 * known.motor.peak_current_a) if known else ("current", MOST_CURRENT)
+    if effort in own and (peak := float(np.abs(own[effort]).max())) > most:
+        limit = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
+        doubt(effort, f"reaches {peak:.4g} {OTHER_UNITS[effort]}{limit}: wrong unit (mA?) or scale; correct the map")
     return out
 
 
