@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from twin.cli import main
-from twin.machine.lumps import lumps_of
+from twin.effects.change import total_inertia
+from twin.machine.holding import holding_of
+from twin.machine.lumped_file import Tuning, write_lumped_machine
+from twin.machine.lumps import AxisLumps, Law, Mechanics, lumps_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, write_trace
@@ -82,6 +85,19 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
     assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
+
+
+def test_gravity_turns_with_a_rotary_axis(tmp_path: Path) -> None:
+    """The model of a rotary axis has the identified inertia, and gravity of 4 cos q - 3 sin q."""
+    law = Law(50.0, 0.0, 0.0, 0.0, lag=2e-3)
+    mechanics = Mechanics("torque", 2.0, 1.0, 0.5, 0.0, (4.0, -3.0), 0.95, 40.0)
+    lumps = AxisLumps("C", "rotary", "motor", (-1.0, 1.0), 2.0, 5.0, 2e-3, law, mechanics, 1e-7, 0.0)
+    write_lumped_machine(tmp_path / "m.toml", [lumps], {"C": Tuning(2e-3, 0.02, 0.0)}, "test")
+    machine = load_machine(tmp_path / "m.toml")
+    holding = holding_of(machine)
+    q = holding.angles[:, 0]
+    assert holding.forces[:, 0] == pytest.approx(4.0 * np.cos(q) - 3.0 * np.sin(q), abs=1e-6)
+    assert total_inertia(machine, machine.axis("C")) == pytest.approx(2.0, rel=1e-6)
 
 
 def test_no_file_is_overwritten_and_a_source_is_required(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
