@@ -169,7 +169,7 @@ def test_skew_is_said_and_taken_back_when_asked(tmp_path: Path, capsys: pytest.C
     assert "left as it is" in out
     assert np.abs(trace.get("X", "velocity") * 1e3 - late["speed"]).max() < 1e-9
     (trace,) = imported(tmp_path, file, 'skew = "correct"\n' + MAP).values()
-    assert "taken back" in capsys.readouterr().out
+    assert "; corrected" in capsys.readouterr().out
     rows = len(trace.time)
     assert np.abs(trace.get("X", "velocity") * 1e3 - columns["speed"][:rows]).max() < 0.02  # 4 ms are 1.5 mm/s
     content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))

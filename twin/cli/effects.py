@@ -24,9 +24,9 @@ def _law_page(machine: Machine, picture: str | None) -> int:
     from twin.simulation.summary import table
 
     print("law (any block; any axis)\n\nThe output of a block as a function of one variable, y = f(x), that no other effect describes.\n")
-    print(table(["variable", "what it is"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
+    print(table(["variable", "meaning"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
     outputs = [[block, name, o.words] for block, of_block in OUTPUTS.items() for name, o in of_block.items()]
-    print(table(["block", "output", "what it is"], outputs, left=3) + "\n")
+    print(table(["block", "output", "meaning"], outputs, left=3) + "\n")
     print(
         table(
             ["formula", "equation", "numbers"],
@@ -53,7 +53,7 @@ def carry_out(args: argparse.Namespace) -> int:
         effects = sorted(EFFECTS.values(), key=lambda e: BLOCKS.index(e.block))
         rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in effects]
         rows.append(["law", "".join(machine.axis_names), "any", "A law that no listed effect describes, as a formula or a curve"])
-        print(table(["effect", "axes", "block", "what it is"], rows, left=4))
+        print(table(["effect", "axes", "block", "meaning"], rows, left=4))
         return 0
     if args.name == "law":
         return _law_page(machine, args.picture)

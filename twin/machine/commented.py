@@ -1,4 +1,4 @@
-"""Lines of a machine file with a comment behind each number, and the numbers whose comment calls them assumed."""
+"""Lines of a machine file with a comment after each number, and the numbers that are marked as assumed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import tomlkit
 from twin.machine.machine import Machine
 
 ASSUMED = "assumed"
-"""Word in the comment behind a number that `twin machine new` assumed."""
+"""Word in the comment after a number that `twin machine new` assumed."""
 
 
 def number_line(key: str, value: float, comment: str = ASSUMED) -> str:

@@ -119,8 +119,8 @@ def check_size(root: Element, path: Path) -> None:
         elements += copies
         joints += copies * (element.tag in ("joint", "freejoint"))
         waiting += [(child, copies) for child in element]
-    refuse_above(elements, MOST_ELEMENTS, "elements with all copies", str(path), "leave out what is no part of the machine")
-    refuse_above(joints, MOST_JOINTS, "joints", str(path), "leave out what is no axis")
+    refuse_above(elements, MOST_ELEMENTS, "elements with all copies", str(path), "remove parts that do not belong to the machine")
+    refuse_above(joints, MOST_JOINTS, "joints", str(path), "remove joints that are not axes")
 
 
 def check_depth(root: Element, path: Path) -> None:

@@ -36,7 +36,7 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
                 f"{low:.5g} .. {high:.5g} {traces[0].units[key]}",
             ]
         )
-    return table(["column", "is", "taken as", "times", "interval", "taken back", "range"], rows, left=3)
+    return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)
 
 
 def listing(recording: Recording) -> str:

@@ -194,7 +194,7 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> 
         if item.clear:
             size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
             done = (
-                "taken back" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
+                "corrected" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
             )
             against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
@@ -251,7 +251,7 @@ def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str
         if own and max(map(abs, own)) > SMALL_OFFSET:
             shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
             notes.append(
-                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'taken out' if centred else 'left as it is'}"
+                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'removed' if centred else 'left as it is'}"
             )
     return notes
 
