@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.recordings.least_squares import RELATED, _enough, regress, whiteness
+from twin.recordings.least_squares import RELATED, _enough_clusters, regress, whiteness
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -86,4 +86,4 @@ def test_as_few_strokes_as_columns_are_not_exact(strokes: int) -> None:
 
 def test_enough_strokes_stay_whole() -> None:
     strokes = np.repeat([3, 1, 2, 0, 4], 7)
-    assert np.array_equal(_enough(strokes, 3), strokes)
+    assert np.array_equal(_enough_clusters(strokes, 3), strokes)

@@ -58,7 +58,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     letters = _letters(joints, machine)
     columns, names = np.eye(3), [""] * 5
     for joint in slides:
-        i = _slot(joint, letters, slides)
+        i = _index_in_xyz(joint, letters, slides)
         columns[:, i] = -joint.axis if joint.on_table else joint.axis
         names[i] = joint.name
     turn = turns[0] if turns else None  # nearest to the part; a single rotary axis is the turning axis
@@ -164,7 +164,7 @@ def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
     return letters
 
 
-def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
+def _index_in_xyz(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
     """Index 0, 1, 2 (X, Y, Z) of a slide: by its letter, or by its direction if its letter is another one."""
     letter = letters[joint.name]
     if letter in LINEAR_LETTERS:
@@ -183,7 +183,7 @@ def _five_letters(letters: dict[str, str], slides: list[Joint], tilt: Joint | No
     """Letters of X, Y, Z, tilting and turning axis. A missing rotary axis gets an unused letter."""
     out = list(LINEAR_LETTERS)
     for joint in slides:
-        out[_slot(joint, letters, slides)] = letters[joint.name]
+        out[_index_in_xyz(joint, letters, slides)] = letters[joint.name]
     used = [letters[j.name] for j in (tilt, turn) if j is not None]
     free = [letter for letter in "ACB" if letter not in used]
     out.append(letters[tilt.name] if tilt else free.pop(0))

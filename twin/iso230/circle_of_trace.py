@@ -11,7 +11,7 @@ from twin.errors import InputError
 from twin.iso230.circles import LEAST_SWEEP, CirclePath, CircleTest, least_squares_circle
 from twin.recordings.trace import Trace
 
-ROUND, ROUNDING = 1e-4, 2e-6
+ROUNDNESS, ROUNDING = 1e-4, 2e-6
 """Tolerances within which set points belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
 RADIAL = 0.05
 """Share of the speed along the radius above which a set point belongs to a lead-in."""
@@ -49,7 +49,7 @@ def _circle(trace: Trace, plane: tuple[str, str], signal: str, where: str) -> Ci
     for _ in range(20):
         centre, radius = least_squares_circle(commanded[inside][:: max(1, int(inside.sum()) // 2000)])
         from_centre = commanded - centre
-        near = np.abs(np.hypot(*from_centre.T) - radius) < ROUND * radius + ROUNDING
+        near = np.abs(np.hypot(*from_centre.T) - radius) < ROUNDNESS * radius + ROUNDING
         along_radius = np.abs(np.einsum("ij,ij->i", velocity, from_centre)) < RADIAL * speed * radius
         before, inside = inside, moving & near & along_radius
         if inside.sum() < 16:
@@ -68,7 +68,7 @@ def _circle(trace: Trace, plane: tuple[str, str], signal: str, where: str) -> Ci
         x, y = (measured[rows] - centre).T
         path = CirclePath(np.unwrap(np.arctan2(y, x)), np.hypot(x, y))
         if abs(path.angle[-1] - path.angle[0]) >= LEAST_SWEEP:
-            paths[path.direction] = _once_around(path)
+            paths[path.direction] = _middle_revolution(path)
             speeds.append(float(np.median(np.hypot(*np.gradient(commanded[rows], trace.period, axis=0).T))))
     return CircleTest(plane, float(radius), float(np.median(speeds)), paths) if paths else None
 
@@ -81,7 +81,7 @@ def _stretches(inside: np.ndarray, commanded: np.ndarray, centre: np.ndarray) ->
     return [rows for rows in np.split(np.arange(len(turn)), edges) if len(rows) > 16 and turn[rows[0]] != 0]
 
 
-def _once_around(path: CirclePath) -> CirclePath:
+def _middle_revolution(path: CirclePath) -> CirclePath:
     """The middle revolution of a longer path; its ends contain start and stop."""
     swept = np.abs(path.angle - path.angle[0])
     spare = swept[-1] - 2.0 * math.pi

@@ -178,7 +178,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if not isinstance(kind, str) or kind not in keys.AXIS:
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
-        table = sinumerik.completed(table, where)
+        table = sinumerik.with_plain_keys(table, where)
     structure = _word(table, "structure", keys.STRUCTURES, where)
     encoder = _word(table, "encoder", keys.ENCODERS, where)
     direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"

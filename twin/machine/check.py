@@ -32,14 +32,14 @@ MOST_INERTIA_RATIO = 10.0
 LEAST_MODE_RATIO = 2.0
 """Largest ratio of load to rotor inertia, and smallest ratio of first mode to speed-loop crossover: common rules of drive sizing."""
 
-MOST_USED = 0.8
+LARGEST_SHARE = 0.8
 """Share of a limit that full acceleration or highest speed may use."""
 
-FINE_ERROR = 10.0
+LEAST_STEPS = 10.0
 """A following error at a hundredth of the highest speed should be at least this many encoder steps."""
 
-SLOW = 0.01
-SHOWN = 4
+SLOW_SHARE = 0.01
+MOST_NAMES = 4
 MOST_INERTIA_ERROR = 0.2
 
 
@@ -92,23 +92,23 @@ def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
 def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
     """Checks of all axes, and the findings with the worst first."""
     checks = [check_axis(machine, axis) for axis in machine.axes]
-    findings = [*_of_machine(machine)]
+    findings = [*_machine_findings(machine)]
     for check in checks:
-        for level, text in _of_axis(machine, check):
+        for level, text in _axis_findings(machine, check):
             findings.append(Finding(level, check.axis.name, text))
     order = ("impossible", "missing", "unusual")
     return checks, sorted(findings, key=lambda f: order.index(f.level))
 
 
-def _of_machine(machine: Machine) -> Iterator[Finding]:
+def _machine_findings(machine: Machine) -> Iterator[Finding]:
     assumed = assumed_values(machine)
     for axis in dict.fromkeys(path.split(".")[1] for path in assumed if path.startswith("axis.")):
         of_axis = [path.split(".", 2)[2] for path in assumed if path.startswith(f"axis.{axis}.")]
         which = "1 number is still assumed" if len(of_axis) == 1 else f"{len(of_axis)} numbers are still assumed"
-        yield Finding("missing", axis, f"{which}: {_some(of_axis)}")
+        yield Finding("missing", axis, f"{which}: {_first_names(of_axis)}")
     rest = [path for path in assumed if not path.startswith("axis.")]
     if rest:
-        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still assumed: {_some(rest)}")
+        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still assumed: {_first_names(rest)}")
     noiseless = [a.name for a in machine.axes if not any(vars(machine.noise(a)).values())]
     if noiseless:
         yield Finding(
@@ -122,12 +122,14 @@ def _of_machine(machine: Machine) -> Iterator[Finding]:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
 
 
-def _some(names: list[str]) -> str:
+def _first_names(names: list[str]) -> str:
     """The first names, and the number of the others."""
-    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more; search the file for '{ASSUMED}'" if len(names) > SHOWN else "")
+    return ", ".join(names[:MOST_NAMES]) + (
+        f" and {len(names) - MOST_NAMES} more; search the file for '{ASSUMED}'" if len(names) > MOST_NAMES else ""
+    )
 
 
-def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
+def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
     axis, motor, loops = c.axis, c.axis.motor, c.axis.loops
     effort, unit = axis.effort, axis.effort_unit
     # limits of the drive
@@ -140,15 +142,15 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             f"full acceleration takes {c.accelerating:.3g} {unit}, the {effort} limit is {motor.peak_current_a:g} {unit}: "
             f"{reached:.3g} of {axis.max_acceleration:.3g} {_unit(axis)}/s2 can be reached",
         )
-    elif c.accelerating > MOST_USED * motor.peak_current_a:
+    elif c.accelerating > LARGEST_SHARE * motor.peak_current_a:
         share = c.accelerating / motor.peak_current_a
         yield (
             "unusual",
-            f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {MOST_USED * 100:.0f} % the loops have no reserve",
+            f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve",
         )
     if axis.has_current_loop and c.voltage > motor.bus_limit_v:
         yield "impossible", f"the highest speed takes {c.voltage:.3g} V, the bus gives {motor.bus_limit_v:g} V"
-    elif axis.has_current_loop and c.voltage > MOST_USED * motor.bus_limit_v:
+    elif axis.has_current_loop and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
         yield "unusual", f"the highest speed takes {c.voltage / motor.bus_limit_v * 100:.0f} % of the bus voltage"
     if c.inertia_ratio > MOST_INERTIA_RATIO and math.isfinite(c.inertia_ratio):
         yield (
@@ -165,7 +167,7 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
         sag = held_force(machine, axis) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
         error, factor = AXIS_UNITS[axis.kind].error
         yield "unusual", f"the speed controller has no integral part: the weight causes a following error of {sag * factor:.3g} {error}"
-    yield from _of_loops(c)
+    yield from _loop_findings(c)
     # mechanics and measuring system compared with the loops
     speed = c.margins[-2]
     if c.first_mode_hz is None:
@@ -179,10 +181,10 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             "unusual",
             f"the first mode of {c.first_mode_hz:.0f} Hz is less than {LEAST_MODE_RATIO:g} times the crossover of the speed loop, {speed.crossover:.0f} Hz",
         )
-    yield from _of_encoder(machine, axis)
+    yield from _encoder_findings(machine, axis)
 
 
-def _of_loops(c: AxisCheck) -> Iterator[tuple[str, str]]:
+def _loop_findings(c: AxisCheck) -> Iterator[tuple[str, str]]:
     for loop, m in zip(c.loops, c.margins):
         if not m.stable:
             yield "impossible", f"the {loop.name} loop is unstable with these gains"
@@ -211,17 +213,17 @@ def _of_loops(c: AxisCheck) -> Iterator[tuple[str, str]]:
             )
 
 
-def _of_encoder(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
+def _encoder_findings(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
     noise = machine.noise(axis)
     resolution = noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
     error, factor = AXIS_UNITS[axis.kind].error
-    slow = SLOW * axis.max_velocity
+    slow = SLOW_SHARE * axis.max_velocity
     following = slow * (1.0 / axis.loops.position_gain_per_s + axis.loops.set_point_delay_s)
-    if resolution > following / FINE_ERROR:
+    if resolution > following / LEAST_STEPS:
         yield (
             "unusual",
             f"an encoder step is {resolution * factor:.3g} {error}; the following error at a hundredth of the highest speed is "
-            f"{following * factor:.3g} {error}, fewer than {FINE_ERROR:g} steps",
+            f"{following * factor:.3g} {error}, fewer than {LEAST_STEPS:g} steps",
         )
     n = axis.loops.speed_mean_cycles
     if n and noise.motor_resolution:

@@ -1,8 +1,8 @@
 """The tables of a machine file: checks, and changes by path.
 
-A path uses the key names of a screw or gear axis with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `place` translates
+A path uses the key names of a screw or gear axis with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `in_file` translates
 it to the keys and units of the file, which differ for actuators, direct drives and SINUMERIK machine data. Tables are never
-changed in place: a changed document shares all unchanged tables.
+changed in in_file: a changed document shares all unchanged tables.
 """
 
 from __future__ import annotations
@@ -134,25 +134,25 @@ def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) 
     for asked, value in values.items():
         if asked.startswith("axis.") and asked.count(".") > 1:
             out = _without_contradicting_data(out, asked)
-        path, number = place(out, asked, value)
+        path, number = in_file(out, asked, value)
         *tables, key = path.split(".")
         table: Any = out
         for i, name in enumerate(tables):
             if not isinstance(table, dict) or name not in table:
                 known = table if isinstance(table, dict) else {}
-                if not isinstance(table, dict) or not _may_stand(out, path):
+                if not isinstance(table, dict) or not _is_allowed(out, path):
                     raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
                 table[name] = {}
             if isinstance(table[name], dict):
                 table[name] = dict(table[name])
             table = table[name]
-        if not isinstance(table, dict) or (key not in table and not _may_stand(out, path)):
+        if not isinstance(table, dict) or (key not in table and not _is_allowed(out, path)):
             raise InputError(f"machine {where}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
         table[key] = number
     return out
 
 
-def _may_stand(document: Mapping[str, Any], path: str) -> bool:
+def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
     """True if a machine file of this kind may have this path."""
     parts = path.split(".")
     if len(parts) == 1:
@@ -170,7 +170,7 @@ def _may_stand(document: Mapping[str, Any], path: str) -> bool:
     return parts[3] in below.get(parts[2], {})
 
 
-def place(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
+def in_file(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
     """Path and value of a number in the keys and units of this file: `axis.X.coulomb_friction_nm` of a direct drive is `coulomb_friction_n`."""
     parts = path.split(".")
     table = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
@@ -183,15 +183,15 @@ def place(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]
         parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
     if table.get("drive") == "direct":
         parts[-1] = keys.DIRECT.get(parts[-1], parts[-1])
-    datum = sinumerik.datum_place(table, ".".join(parts[2:]), value)
+    datum = sinumerik.datum_in_file(table, ".".join(parts[2:]), value)
     if datum is not None:
         return f"axis.{parts[1]}.{datum[0]}", datum[1]
     if parts[-1] in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and parts[2] == "loops" and "actuator" in table:
-        return _speed_gain_place(table, parts, value)
+        return _speed_gain_in_file(table, parts, value)
     return ".".join(parts), value
 
 
-def _speed_gain_place(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
+def _speed_gain_in_file(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
     """Path and value of the speed gain where the file gives it per unit of the command."""
     command = table["actuator"]["command"]
     plain = keys.canonical(table) if table.get("drive") == "direct" else table
@@ -216,7 +216,7 @@ def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str
     for name in key.split("."):
         there = there.get(name) if isinstance(there, Mapping) else None
     of_data = key in given or f"{key}.0" in given
-    if not of_data or (there is None and sinumerik.datum_place(table, key, 1.0) is not None):
+    if not of_data or (there is None and sinumerik.datum_in_file(table, key, 1.0) is not None):
         return document
-    plain = sinumerik.completed(table, f"[axis.{axis}]")
+    plain = sinumerik.with_plain_keys(table, f"[axis.{axis}]")
     return {**document, "axis": {**document["axis"], axis: plain}}

@@ -81,7 +81,7 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         def attempt(given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
             file = Path(scratch) / "machine.toml"
             write_lumped_machine(file, lumps, given, folder.name)
-            return _followed(load_machine(file), tried, lumps)
+            return _reproductions(load_machine(file), tried, lumps)
 
         tunings, followed = _tuned(attempt, tunings, lumps, say)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
@@ -97,11 +97,11 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
 def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
     """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
 
-    def way(run: MeasuredRun) -> float:
+    def travel(run: MeasuredRun) -> float:
         return sum(float(np.abs(np.diff(run.trace.get(a, "setpoint"))).sum()) for a in axes) / max(run.trace.time[-1], 1e-9)
 
     out, total = [], 0.0
-    for run in sorted(runs, key=way, reverse=True):
+    for run in sorted(runs, key=travel, reverse=True):
         count = min(len(run.trace.time), int((LONGEST_TRIED_S - total) / run.trace.period))
         if count < 40:
             break
@@ -111,7 +111,7 @@ def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> 
     return out
 
 
-def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
     """Gap of each axis; infinite if the simulation diverges."""
     rows: dict[str, list[np.ndarray]] = {one.name: [] for one in lumps}
     for run in runs:

@@ -93,7 +93,7 @@ class Margins:
     stable: bool
 
 
-NOTHING = 1e-300
+ZERO_GAIN = 1e-300
 """A loop gain below this counts as zero."""
 
 
@@ -102,15 +102,16 @@ def margins_of(loop: Loop, count: int = GRID) -> Margins:
     f = loop.grid(count)
     response = loop.open_response(f)
     crossovers = [
-        _refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1]) for i in _changes(np.log(np.maximum(np.abs(response), NOTHING)))
+        _refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1])
+        for i in _sign_changes(np.log(np.maximum(np.abs(response), ZERO_GAIN)))
     ]
     # the imaginary part changes sign on the negative real axis
-    turns = [i for i in _changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
+    turns = [i for i in _sign_changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
     crossings = [_refined(lambda x: _at(loop, x).imag, f[i], f[i + 1]) for i in turns]
     if response[-1].real < 0.0:
         crossings.append(0.5 / loop.period)  # at half the sampling rate L is real
     phases = [(math.degrees(np.angle(-_at(loop, x))), x) for x in crossovers]
-    gains = [(1.0 / size, x) for x in crossings if (size := abs(_at(loop, x))) > NOTHING]
+    gains = [(1.0 / size, x) for x in crossings if (size := abs(_at(loop, x))) > ZERO_GAIN]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
     closed = np.abs(response / (1.0 + response))
@@ -143,20 +144,20 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         )
         loops.append(current)
         a, b = _closed(current)
-        speed, motor, load = (_wider(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
+        speed, motor, load = (_padded(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
         a, b = _held(a, b, round(machine.speed_cycle / machine.current_cycle))
     else:
         a, b = _sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
-    a, b, seen = _speed_as_seen(axis, machine.speed_cycle, a, b, speed, motor)
-    motor, load = _wider(motor, len(a)), _wider(load, len(a))
+    a, b, seen = _with_seen_speed(axis, machine.speed_cycle, a, b, speed, motor)
+    motor, load = _padded(motor, len(a)), _padded(load, len(a))
     gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
     inner = _with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
     loops.append(inner)
     a, b = _closed(inner)
     if integral > 0.0 and axis.loops.speed_reference_time_s > 0.0:
-        a, b = _behind_reference(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
-    position = _wider(motor if axis.encoder == "motor" else load, len(a))
+        a, b = _with_reference_model(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
+    position = _padded(motor if axis.encoder == "motor" else load, len(a))
     cycles = round(machine.position_cycle / machine.speed_cycle)
     if axis.loops.dsc_delay_s > 0.0:
         a, b, row = _closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
@@ -274,7 +275,7 @@ def _closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     return loop.a - loop.b @ loop.c, loop.b
 
 
-def _behind_reference(a: np.ndarray, b: np.ndarray, integral: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _with_reference_model(a: np.ndarray, b: np.ndarray, integral: float, share: float) -> tuple[np.ndarray, np.ndarray]:
     """A closed speed loop whose integrator (the last state) sees the set point through a lag w_r += share (w* - w_r)."""
     into = np.zeros((len(a), 1))
     into[-1] = integral
@@ -283,7 +284,7 @@ def _behind_reference(a: np.ndarray, b: np.ndarray, integral: float, share: floa
     return wide, np.vstack([b + into * (share - 1.0), [[share]]])
 
 
-def _speed_as_seen(
+def _with_seen_speed(
     axis: Axis, period: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered."""
@@ -296,7 +297,7 @@ def _speed_as_seen(
         for i in range(1, n):
             a[size + i, size + i - 1] = 1.0
         b = np.vstack([b, np.zeros((n, 1))])
-        row = (_wider(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
+        row = (_padded(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
     if axis.loops.speed_filter_time_s > 0.0:
         share = -math.expm1(-period / axis.loops.speed_filter_time_s)
         size = len(a)
@@ -307,7 +308,7 @@ def _speed_as_seen(
     return a, b, row
 
 
-def _wider(row: np.ndarray, size: int) -> np.ndarray:
+def _padded(row: np.ndarray, size: int) -> np.ndarray:
     return np.append(row, np.zeros(size - len(row)))
 
 
@@ -342,7 +343,7 @@ def _closed_gain(loop: Loop, frequency: float) -> float:
     return abs(response / (1.0 + response))
 
 
-def _changes(values: np.ndarray) -> np.ndarray:
+def _sign_changes(values: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
 
 

@@ -27,15 +27,15 @@ BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
 LONGEST_DSC_S = 0.012
 LONGEST_LAG_S = 0.006
-DSC_BETTER = 0.6
+DSC_RESIDUAL = 0.6
 """The position loop is closed in the drive if that leaves less than this share of the speed error."""
-LAW_HOLDS = 0.02
+LARGEST_RESIDUAL = 0.02
 """The command follows the law if less than this share (RMS) is left."""
 MOVING = 0.02
 """Share of the highest speed above which an axis moves."""
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
-LOAD_SEEN = 0.3
+LEAST_LOAD = 0.3
 """The response to an external load is visible if its share of the command (RMS) exceeds this share of the residual."""
 EFFORTS = ("current", "voltage", "torque")
 MOST_MEAN_CYCLES = 4
@@ -166,7 +166,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     )  # fmt: skip
 
 
-def _at(values: np.ndarray, period: float, delay: float) -> np.ndarray:
+def _delayed(values: np.ndarray, period: float, delay: float) -> np.ndarray:
     """Values delayed by `delay` [s], linear between samples as in a control; constant before the first."""
     times = np.arange(len(values)) * period
     return np.interp(times - delay, times, values)
@@ -177,7 +177,7 @@ def _position_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: li
     law = _command_law([p for p in parts if p.command is not None])
     if law is None:
         return _lag_law(parts, feedforward_flag, notes)
-    return _where_closed([p for p in parts if p.command is not None], law)
+    return _with_drive_loop([p for p in parts if p.command is not None], law)
 
 
 def _command_law(parts: Sequence[_Run]) -> Law | None:
@@ -192,7 +192,7 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
         rows, values = [], []
         for p in parts:
             assert p.command is not None
-            error = _at(p.setpoint, tp, delay) - p.position
+            error = _delayed(p.setpoint, tp, delay) - p.position
             fed = p.feedforward if p.feedforward is not None else _slope(p, ff_delay or 0.0)
             rows.append(np.column_stack([error, fed, np.ones_like(error)])[cut:])
             values.append(p.command[cut:])
@@ -204,11 +204,11 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
         return min(((*fit(d, f), d, f) for d in delays for f in ((None,) if own else (0.0, d))), key=lambda r: r[0])
 
     own = all(p.feedforward is not None for p in parts)
-    best = best_of(_grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4))
+    best = best_of(_steps(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4))
     for step in (tp / 16, tp / 128):
-        best = best_of(_grid(max(best[2] - 4.0 * step, 0.0), best[2] + 4.0 * step, step))
+        best = best_of(_steps(max(best[2] - 4.0 * step, 0.0), best[2] + 4.0 * step, step))
     left, (gain, weight, _), delay, ff_delay = best
-    if not gain > 0.0 or left > LAW_HOLDS * size:
+    if not gain > 0.0 or left > LARGEST_RESIDUAL * size:
         return None
     if own:
         ff_delay, fed = _feedforward_delay(parts, tp)
@@ -218,7 +218,7 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
 
 def _slope(p: _Run, delay: float) -> np.ndarray:
     """Backward difference of the set point over one cycle."""
-    return (_at(p.setpoint, p.period, delay) - _at(p.setpoint, p.period, delay + p.period)) / p.period
+    return (_delayed(p.setpoint, p.period, delay) - _delayed(p.setpoint, p.period, delay + p.period)) / p.period
 
 
 def _feedforward_delay(parts: Sequence[_Run], tp: float) -> tuple[float, float]:
@@ -228,14 +228,14 @@ def _feedforward_delay(parts: Sequence[_Run], tp: float) -> tuple[float, float]:
     y = np.concatenate([p.feedforward[cut:] for p in parts])  # type: ignore[index]
     if not np.any(y):
         return 0.0, 0.0
-    for delay in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4):
+    for delay in _steps(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4):
         x = np.concatenate([_slope(p, delay)[cut:] for p in parts])
         weight = float(x @ y) / max(float(x @ x), 1e-300)
         best = min(best, (float(np.mean((y - weight * x) ** 2)), delay, weight))
     return best[1], best[2]
 
 
-def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
+def _with_drive_loop(parts: Sequence[_Run], law: Law) -> Law:
     """The law with the delay of the command to the drive (0: the NC closes the loop), and the lag of the speed loop."""
     tp = parts[0].period
     shown: dict[float, tuple[float, float]] = {}
@@ -245,8 +245,8 @@ def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
         inner = time[12:-6] if len(time) > 60 else time[2:-2]
         position, command = CubicSpline(time, _smooth(p.position, tp)), CubicSpline(time, p.command)
         prepared.append((inner, position, command))
-    lags = _grid(0.0, LONGEST_LAG_S, 0.25e-3)
-    for dsc in _grid(0.0, LONGEST_DSC_S, 0.25e-3):
+    lags = _steps(0.0, LONGEST_LAG_S, 0.25e-3)
+    for dsc in _steps(0.0, LONGEST_DSC_S, 0.25e-3):
         errors = []
         for lag in lags:
             total, count = 0.0, 0
@@ -259,7 +259,7 @@ def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
             errors.append((np.sqrt(total / max(count, 1)), lag))
         shown[dsc] = min(errors)
     best = min(shown, key=lambda d: shown[d][0])
-    if best > 0.0 and shown[best][0] < DSC_BETTER * shown[0.0][0]:
+    if best > 0.0 and shown[best][0] < DSC_RESIDUAL * shown[0.0][0]:
         return replace(law, dsc_delay=best, lag=shown[best][1])
     return replace(law, lag=shown[0.0][1])
 
@@ -280,7 +280,7 @@ def _direct_law(parts: Sequence[_Run]) -> Law | None:
             best = (left, n, b)
     assert best is not None
     left, n, (error_gain, speed_gain, _) = best
-    if left > LAW_HOLDS * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
+    if left > LARGEST_RESIDUAL * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
         return None
     gain = -float(speed_gain)
     return Law(float(error_gain) / gain, 0.0, 0.0, 0.0, left, integral=False, speed_gain=gain, mean_cycles=n)
@@ -300,9 +300,9 @@ def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[st
     tp = parts[0].period
 
     def left(lag: float) -> float:
-        return sum(len(p.position) * float(np.var(p.position - _at(p.setpoint, tp, lag))) for p in parts)
+        return sum(len(p.position) * float(np.var(p.position - _delayed(p.setpoint, tp, lag))) for p in parts)
 
-    lag = max(min(_grid(0.0, 0.3, max(tp / 8, 0.25e-3)), key=left), 1e-3)
+    lag = max(min(_steps(0.0, 0.3, max(tp / 8, 0.25e-3)), key=left), 1e-3)
     if feedforward_flag in ("velocity", "velocity+torque") or (feedforward_flag is None and lag < 12e-3):
         notes.append(
             f"the lag of the position, {lag * 1e3:.2f} ms, is taken as a delay under full velocity feedforward; the gain is assumed"
@@ -357,7 +357,7 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
         return None
     gravity = (float(b[4]), float(b[5])) if kind == "rotary" else (0.0, 0.0)
     force = None
-    if loaded and float(b[-1]) * float(np.std(x[:, -1])) > LOAD_SEEN * left:
+    if loaded and float(b[-1]) * float(np.std(x[:, -1])) > LEAST_LOAD * left:
         force = 1.0 / float(b[-1]) if effort != "torque" else None
     elif loaded:
         notes.append(
@@ -388,5 +388,5 @@ def _noise(columns: Sequence[np.ndarray]) -> float:
     return float(np.percentile(found, 20)) / np.sqrt(20.0) if found else 0.0
 
 
-def _grid(first: float, last: float, step: float) -> list[float]:
+def _steps(first: float, last: float, step: float) -> list[float]:
     return [first + i * step for i in range(round((last - first) / step) + 1)]

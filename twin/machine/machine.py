@@ -18,7 +18,7 @@ from twin.errors import InputError, nearest
 from twin.files import write_whole
 from twin.machine import keys
 from twin.machine.axis import Axis, axis_of_table
-from twin.machine.document import changed, check_cycles, check_document, cycles_of, place
+from twin.machine.document import changed, check_cycles, check_document, cycles_of, in_file
 from twin.machine.model_file import check_mjcf, copy_model, state_of_model
 from twin.machine.parameters import file_from_typed, key_of, si_from_key
 
@@ -238,7 +238,7 @@ class Machine:
 
     def in_file(self, path: str, value: Any) -> tuple[str, Any]:
         """Path and value of a number in the keys and units of this file: 'axis.X.coulomb_friction_nm' of a direct drive is `coulomb_friction_n`."""
-        return place(self.document, path, value)
+        return in_file(self.document, path, value)
 
 
 def default_machine_path() -> Path:

@@ -7,7 +7,7 @@ import math
 
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
-from twin.machine.sinumerik import CYCLE_UNIT_US, completed, machine_data
+from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
 from twin.simulation.summary import table
 from twin.units import AXIS_UNITS, deg_from_rad
 
@@ -80,7 +80,7 @@ def sinumerik_sheet(machine: Machine) -> str:
             lines.append(f"# {axis.structure} on a {axis.effort}: not a drive of a SINUMERIK")
             continue
         plain = machine.document["axis"][axis.name]
-        data = machine_data(completed(plain, f"[axis.{axis.name}]") if "sinumerik" in plain else plain)
+        data = machine_data(with_plain_keys(plain, f"[axis.{axis.name}]") if "sinumerik" in plain else plain)
         width = max(len(f"{d.label} = {v:.10g}") for d, v in data)
         lines += [f"{f'{d.label} = {v:.10g}':{width}}  # {d.name} [{d.unit}]" for d, v in data]
     return "\n".join(lines)

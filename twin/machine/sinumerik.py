@@ -106,7 +106,7 @@ def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
     return out
 
 
-def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+def with_plain_keys(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     """An axis table with its `sinumerik` table replaced by plain keys. Raises InputError if two values disagree."""
     plain = copy.deepcopy(dict(table))
     given = plain.pop("sinumerik")
@@ -138,7 +138,7 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     return plain
 
 
-def datum_place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
+def datum_in_file(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
     """Place of a plain key that the file gives only as a machine datum: (key below the axis, value there); None otherwise."""
     given = table.get("sinumerik")
     if not isinstance(given, Mapping) or table.get("kind") not in DATA:

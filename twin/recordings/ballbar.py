@@ -64,7 +64,7 @@ class Ballbar:
         """True (sample,) where the bar measures."""
         rows = np.zeros(len(self.angle), bool)
         for stretch in self._stretches():
-            rows[stretch] |= self._further(stretch, OVERLAP)
+            rows[stretch] |= self._away_from_ends(stretch, OVERLAP)
         return rows
 
     @functools.cached_property
@@ -95,12 +95,12 @@ class Ballbar:
         deviation = np.zeros(len(self.time))
         for stretch in self._stretches():
             turn = np.sign(self.angle[stretch[-1]] - self.angle[stretch[0]])
-            begin, end = self.time[stretch[self._further(stretch, LEAD)][[0, -1]]]
+            begin, end = self.time[stretch[self._away_from_ends(stretch, LEAD)][[0, -1]]]
             looked_at = (trace.time - trace.time[0] >= begin) & (trace.time - trace.time[0] <= end)
             behind = np.mean(np.interp(trace.time[looked_at] - trace.time[0], self.time, self.angle) - angle[looked_at])
             at = turn * (angle[looked_at] + 2.0 * math.pi * round(float(behind) / (2.0 * math.pi)))
             onward = np.diff(np.maximum.accumulate(at), prepend=-math.inf) > 0.0
-            rows = stretch[self._further(stretch, OVERLAP)]
+            rows = stretch[self._away_from_ends(stretch, OVERLAP)]
             deviation[rows] = CubicSpline(at[onward], distance[looked_at][onward])(turn * self.angle[rows]) - self.radius
         return deviation
 
@@ -121,7 +121,7 @@ class Ballbar:
             if turn[rows[0]] and abs(self.angle[rows[-1]] - self.angle[rows[0]]) > 2.0 * OVERLAP:
                 yield rows
 
-    def _further(self, stretch: np.ndarray, overlap: float) -> np.ndarray:
+    def _away_from_ends(self, stretch: np.ndarray, overlap: float) -> np.ndarray:
         """True (row,) for rows of a stretch at least `overlap` away from both of its ends."""
         swept = np.abs(self.angle[stretch] - self.angle[stretch[0]])
         return (swept >= overlap) & (swept <= swept[-1] - overlap)

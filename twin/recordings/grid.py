@@ -82,7 +82,7 @@ def on_grid(source: Source, piece: Piece, first: int, last: int, fill: bool = Fa
     times = piece.times(first, last) + source.skew_s
     stretches = source.timing.stretches
     if fill and len(stretches) > 1:
-        return _across(source, times)
+        return _bridged(source, times)
     middle = 0.5 * (piece.begin + piece.end) + source.skew_s
     own = min(stretches, key=lambda s: max(s.begin - middle, middle - s.end))
     return _within(source.signal, own, times)
@@ -112,7 +112,7 @@ def _within(signal: Signal, own: Stretch, times: np.ndarray) -> np.ndarray:
     return CubicSpline(base, values)(np.clip(times, base[0], base[-1]))
 
 
-def _across(source: Source, times: np.ndarray) -> np.ndarray:
+def _bridged(source: Source, times: np.ndarray) -> np.ndarray:
     """Values at times that may lie in gaps: a cubic spline through the samples on both sides bridges a gap."""
     out = np.empty(len(times))
     done = np.zeros(len(times), bool)

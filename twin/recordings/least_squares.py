@@ -51,7 +51,7 @@ class Fit:
 EXCITED = 1e-9
 """A column whose part orthogonal to the others is below this fraction of its norm carries no information."""
 
-ENTANGLED = 1e-3
+INSEPARABLE = 1e-3
 """A column with at least this share in such a combination cannot be separated from it."""
 
 
@@ -70,7 +70,7 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     one_number = np.zeros(k, bool)
     for j in names[~seen[names]]:
         share = np.linalg.lstsq(scaled, columns[:, j] / length[j])[0]
-        one_number[np.flatnonzero(seen)[np.abs(share) > ENTANGLED]] = True
+        one_number[np.flatnonzero(seen)[np.abs(share) > INSEPARABLE]] = True
     values, covariance = np.zeros(k), np.full((k, k), 0.0)
     z = scaled
     if instruments is not None:
@@ -80,7 +80,7 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     bread = np.linalg.inv(z.T @ scaled)
     found = bread @ (z.T @ y)
     residual = y - scaled @ found
-    group = _enough(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
+    group = _enough_clusters(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
     count = int(group.max()) + 1
     scores = np.zeros((count, int(seen.sum())))
     np.add.at(scores, group, z * residual[:, None])
@@ -100,7 +100,7 @@ def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
 
 
-def _enough(stroke: np.ndarray, columns: int) -> np.ndarray:
+def _enough_clusters(stroke: np.ndarray, columns: int) -> np.ndarray:
     """Clusters (row,): the strokes, or equal pieces of them if there are too few strokes for the number of columns.
 
     The scores of all clusters sum to zero. With no more clusters than columns, some direction would have zero variance.

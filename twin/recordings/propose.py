@@ -89,25 +89,25 @@ def propose(recordings: Sequence[Recording]) -> Proposal:
             alone = f"; an axis commanded by {commanded} alone has no position loop and cannot be simulated" if commanded else ""
             out.left_out.append(f"axis {axis}: no set point among its columns ({', '.join(name for _, name in own.values())}){alone}")
         else:
-            _axis(axis, _of_one_recording(recordings, own), out)
+            _axis(axis, _signals_of_one_recording(recordings, own), out)
     moving = {c.axis for c in out.used if c.signal == "setpoint"}
     speeds, torques = (
         [r.signals[c.name] for r in recordings for c in out.columns if c.signal == signal and c.axis in moving and c.name in r.signals]
         for signal in ("velocity_feedforward", "torque_feedforward")
     )
     if speeds:
-        out.feedforward = "off" if not any(map(_alive, speeds)) else "velocity+torque" if any(map(_alive, torques)) else "velocity"
+        out.feedforward = "off" if not any(map(_changes, speeds)) else "velocity+torque" if any(map(_changes, torques)) else "velocity"
     return out
 
 
-def _of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
+def _signals_of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
     """The signals of an axis from the recording in which its set point moves farthest; signals missing there from another."""
 
-    def way(recording: Recording) -> float:
+    def travel(recording: Recording) -> float:
         signal = recording.signals.get(own["setpoint"][1])
-        return float(np.ptp(_head(signal.values))) if signal is not None and _timed(signal) else -1.0
+        return float(np.ptp(_first_block(signal.values))) if signal is not None and _timed(signal) else -1.0
 
-    ranked = sorted(recordings, key=way, reverse=True)
+    ranked = sorted(recordings, key=travel, reverse=True)
     return {
         signal: (meaning, next(r.signals[name] for r in ranked if name in r.signals and _timed(r.signals[name])))
         for signal, (meaning, name) in own.items()
@@ -145,7 +145,7 @@ def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[st
 def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal) -> None:
     """Add the columns of one axis to the proposal, or the reason why it is omitted."""
     names = ", ".join(s.name for _, s in found.values())
-    unsound = {signal: place for signal, (_, one) in found.items() if (place := _unsound(one))}
+    unsound = {signal: place for signal, (_, one) in found.items() if (place := _impossible_value(one))}
     if "setpoint" in unsound:
         out.left_out.append(f"axis {axis}: its set point '{found['setpoint'][1].name}' {unsound['setpoint']}")
         return
@@ -156,17 +156,17 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     label = found["setpoint"][1].description
     called = f"axis {axis}" + (f" ({label})" if label else "")
     rows = _longest(found["setpoint"][1])
-    time = _head(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
-    values = {signal: _at(one, time) for signal, (_, one) in found.items()}
+    time = _first_block(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
+    values = {signal: _interpolated(one, time) for signal, (_, one) in found.items()}
     kind, sure = _kind(found, label)
     unit = {s: meaning.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (meaning, _) in found.items()}
     to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
-    full = _head(found["setpoint"][1].values)
+    full = _first_block(found["setpoint"][1].values)
     if float(np.ptp(full)) * to_si < STILL_SI:
         out.left_out.append(f"{called} does not move in this recording ({names})")
         return
     if (turns := _turns(full * to_si, kind, sure)) is not None:
-        out.left_out.append(f"{called} spins ({turns:.0f} turns one way): not a feed axis ({names})")
+        out.left_out.append(f"{called} spins ({turns:.0f} turns one travel): not a feed axis ({names})")
         return
     out.columns += _columns(axis, kind, found, values, unit, time)
 
@@ -195,7 +195,7 @@ def _columns(
         column = Proposed(one.name, axis, signal, unit[signal])
         if signal in ("setpoint", "position", "motor_position", "following_error"):
             column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values, unit))
-        elif not _alive(one):
+        elif not _changes(one):
             column = replace(column, unit=unit[signal] if meaning.unit else "", doubt="it never changes")
         elif signal in _NEAR:
             column = _speed(column, meaning, values[signal], setpoint, position, period, kind)
@@ -288,10 +288,10 @@ def _kind(found: Mapping[str, tuple[Meaning, Signal]], label: str) -> tuple[str,
     return ("rotary" if first in ("A", "B", "C") else "linear"), False
 
 
-def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
-    """Revolutions of an axis that turns far in one direction only, else None. `way` in SI (1e-3 of the recorded number if its unit is unknown)."""
-    steps = np.diff(way)
-    total, net = float(np.abs(steps).sum()), abs(float(way[-1] - way[0]))
+def _turns(travel: np.ndarray, kind: str, sure: bool) -> float | None:
+    """Revolutions of an axis that turns far in one direction only, else None. `travel` in SI (1e-3 of the recorded number if its unit is unknown)."""
+    steps = np.diff(travel)
+    total, net = float(np.abs(steps).sum()), abs(float(travel[-1] - travel[0]))
     if net < 0.98 * total:
         return None
     if kind == "linear" and sure:
@@ -300,7 +300,7 @@ def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
     return turns if turns > ONE_WAY_TURNS else None
 
 
-def _unsound(signal: Signal) -> str:
+def _impossible_value(signal: Signal) -> str:
     """Text on the first NaN, infinite or impossible value of a column; "" if there is none."""
     for first, values in signal.blocks():
         bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
@@ -310,7 +310,7 @@ def _unsound(signal: Signal) -> str:
     return ""
 
 
-def _head(column: object) -> np.ndarray:
+def _first_block(column: object) -> np.ndarray:
     """The first block of a column."""
     return np.asarray(column[0:BLOCK], float)  # type: ignore[index]
 
@@ -318,22 +318,22 @@ def _head(column: object) -> np.ndarray:
 def _longest(signal: Signal) -> slice:
     """Rows of the longest stretch without a gap, preferably one in which the signal moves."""
     assert signal.time is not None
-    timing = timing_of(_head(signal.time), signal.name, period_s=None)
-    values = _head(signal.values)
+    timing = timing_of(_first_block(signal.time), signal.name, period_s=None)
+    values = _first_block(signal.values)
     best = max(timing.stretches, key=lambda s: (float(np.ptp(values[s.first : s.first + s.count])) > 0.0, s.count))
     return slice(best.first, best.first + best.count)
 
 
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
+def _interpolated(signal: Signal, time: np.ndarray) -> np.ndarray:
     """Values at these times, linear between samples."""
-    own, values = _head(signal.time), _head(signal.values)
+    own, values = _first_block(signal.time), _first_block(signal.values)
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
     return np.interp(time, own, values)
 
 
-def _alive(signal: Signal) -> bool:
-    return float(np.ptp(_head(signal.values))) > 0.0
+def _changes(signal: Signal) -> bool:
+    return float(np.ptp(_first_block(signal.values))) > 0.0
 
 
 def _label(signal: Signal) -> bool:

@@ -85,7 +85,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         repeated += int(np.count_nonzero(steps == 0.0))
         gaps += [row + int(i) for i in np.flatnonzero(steps > limit)]
         if len(gaps) > max(MANY_GAPS * n, 20):
-            raise _changing(time, gaps[0], interval, where)
+            raise _interval_error(time, gaps[0], interval, where)
     bounds = [0, *(g + 1 for g in gaps), n]
     stretches = []
     for first, last in itertools.pairwise(bounds):
@@ -99,9 +99,9 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     if period_s is None:
         for one in stretches:
             if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
-                raise _changing(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
-            if not one.even and (change := _change(time, one, quantum)) is not None:
-                raise _changing(time, *change, where)
+                raise _interval_error(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
+            if not one.even and (change := _permanent_change(time, one, quantum)) is not None:
+                raise _interval_error(time, *change, where)
     if longest.even and rounded:
         notes.append(f"times printed to {quantum * 1e3:.3g} ms; samples are {longest.interval * 1e3:.6g} ms apart")
     elif repeated:
@@ -174,7 +174,7 @@ def _spread(time: Column, first: int, count: int, begin: float, interval: float)
     return 0.5 * (high - low)
 
 
-def _change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
+def _permanent_change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
     """Row of a permanent change of the interval, and the interval before it; None if the clock only jitters or drifts."""
     usual: float | None = None
     for at in range(0, one.count - WINDOW, WINDOW):
@@ -186,7 +186,7 @@ def _change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | N
     return None
 
 
-def _changing(time: Column, row: int, interval: float, where: str) -> InputError:
+def _interval_error(time: Column, row: int, interval: float, where: str) -> InputError:
     """The error for an interval that is not constant."""
     here = np.asarray(time[row : row + WINDOW], float)
     after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval

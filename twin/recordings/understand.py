@@ -84,7 +84,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
     lead = next(c for c in channels if c.column.signal == "setpoint")  # its samples define the grid
-    period = mapping.period_s or _tidy(lead.source.timing.interval)
+    period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
     notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
     grid = _Grid(lead.key, period, begin + run.from_s, begin + run.to_s, fill)
@@ -99,7 +99,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     notes += _doubts(window, period, kinds, mapping, run)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
     unsigned = _unsigned(window, period, kinds)
-    notes += _still(window)
+    notes += _constant_channels(window)
     notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in skews if item.against]
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
     correct = _corrected(skews, mapping.skew)
@@ -289,7 +289,7 @@ def _check_numbers(recording: Recording, signal: Signal) -> None:
             )
 
 
-def _tidy(interval: float) -> float:
+def _rounded_interval(interval: float) -> float:
     """An interval without rounding errors of printed times: 1 ms instead of 1.00000004 ms."""
     for digits in (2, 3, 4, 5):
         rounded = float(f"{interval:.{digits}g}")
@@ -325,7 +325,7 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
 
 
-def _still(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
+def _constant_channels(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
     """Notes on channels that never change although the axis moves."""
     return [
         f"{axis}.{signal} never changes while the set point moves: is it the right column?"

@@ -77,19 +77,19 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
             time = piece.period * np.arange(first, last)
             columns = {"time [s]": time, **{headings[key]: block[key] / UNITS[units[key]][1] for key in keys}}
             writer.write_table(pa.table(columns, schema=schema))
-            result.times.append(_ends(time, part)[0])
+            result.times.append(_thinned(time, part)[0])
             for axis in order:
                 if (shown := next(((axis, s) for s in ("position", "motor_position") if (axis, s) in block), None)) is not None:
-                    result.curves.setdefault((axis, ERROR), []).append(_ends(block[axis, "setpoint"] - block[shown], part)[1])
+                    result.curves.setdefault((axis, ERROR), []).append(_thinned(block[axis, "setpoint"] - block[shown], part)[1])
             for key in keys:
                 values = columns[headings[key]]
                 result.low[key] = min(result.low.get(key, np.inf), float(values.min()))
                 result.high[key] = max(result.high.get(key, -np.inf), float(values.max()))
-                result.curves.setdefault(key, []).append(_ends(values, part)[1])
+                result.curves.setdefault(key, []).append(_thinned(values, part)[1])
     return result
 
 
-def _ends(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
+def _thinned(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
     """(first time of each part twice, smallest and largest of each part): a thinned curve that keeps its peaks."""
     if part == 1:
         return values, values
