@@ -93,7 +93,7 @@ def measure(folder: Path, size: int) -> None:
 
 def measure_skew(folder: Path, samples: int = 7) -> None:
     """Print the skew detected in recorded runs, and the error for channels shifted by a known time."""
-    from twin.recordings.skew import late_channels
+    from twin.recordings.skew import skews_of
     from twin.recordings.trace import read_trace
 
     files = sorted(folder.glob("*/*.parquet"))
@@ -101,12 +101,12 @@ def measure_skew(folder: Path, samples: int = 7) -> None:
     silent: dict[str, int] = {}
     for file in files:
         trace = read_trace(file)
-        for late in late_channels(trace.signals, trace.period, trace.kinds):
+        for late in skews_of(trace.signals, trace.period, trace.kinds):
             if late.clear or late.against:
                 told = f"{late.axis}.{late.signal} {late.seconds * 1e3:.3f} ms +- {1.96e3 * late.deviation:.3f}"
                 print(f"detected in {file.parent.name}/{file.stem} as recorded: {told}{', sign' if late.against else ''}")
         shifted = {k: v if k[1] in ("setpoint", "position") else np.roll(v, samples) for k, v in trace.signals.items()}
-        for late in late_channels(shifted, trace.period, trace.kinds):
+        for late in skews_of(shifted, trace.period, trace.kinds):
             if late.clear:
                 missed.setdefault(late.signal, []).append(abs(late.seconds - samples * trace.period))
             else:

@@ -30,10 +30,10 @@ TRACES: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown unit": ("time [s],X.setpoint [mmm]\n0,1\n1,2\n", ("column 'X.setpoint [mmm]'", "unknown unit [mmm]", "did you mean 'mm'")),
     "unknown unit of time": ("time [sec],X.setpoint [mm]\n0,1\n1,2\n", ("time [sec]", "unknown unit [sec]")),
     "angle on a linear axis": ("time [s],X.setpoint [deg]\n0,1\n1,2\n", ("axis X is linear", "[deg]", "use [mm]")),
-    "speed as a position": ("time [s],X.setpoint [mm/s]\n0,1\n1,2\n", ("[mm/s] is no unit of a setpoint", "use [mm]")),
+    "speed as a position": ("time [s],X.setpoint [mm/s]\n0,1\n1,2\n", ("[mm/s] is not a unit of a setpoint", "use [mm]")),
     "column twice": ("time [s],X.setpoint [mm],X.setpoint [mm]\n0,1,1\n1,2,2\n", ("occurs twice",)),
     "column twice in two units": ("time [s],X.setpoint [mm],X.setpoint [m]\n0,1,1\n1,2,2\n", ("occurs twice",)),
-    "text in a cell": (HEAD + "0,1\n0.001,abc\n", ("X.setpoint [mm]", "row 2 holds 'abc'", "no number")),
+    "text in a cell": (HEAD + "0,1\n0.001,abc\n", ("X.setpoint [mm]", "row 2 holds 'abc'", "not a number")),
     "time stands still": (HEAD + "0,1\n0.001,1\n0.001,1\n0.002,1\n", ("time does not increase at row 3", "0.001 s")),
     "time goes back": (HEAD + "0,1\n0.001,1\n0.002,1\n0.001,1\n", ("time does not increase at row 4",)),
     "gap in time": (HEAD + "0,1\n0.001,1\n0.002,1\n0.005,1\n0.006,1\n", ("gap in time at row 4", "3 ms after 0.002 s", "period is 1 ms")),
@@ -141,7 +141,7 @@ MACHINES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     ),
     "a cycle of hours": (
         lambda t: t.replace("position_cycle_us = 2000", "position_cycle_us = 2e12"),
-        ("position_cycle_us", "no cycle of a control"),
+        ("position_cycle_us", "no control has such a cycle"),
     ),
     "infinite gain": (lambda t: t.replace("speed_gain_nm_s_per_rad = 3.4", "speed_gain_nm_s_per_rad = inf"), ("impossible",)),
     "text for a number": (lambda t: t.replace("kg = 700.0", 'kg = "heavy"'), ("moving_mass_kg = 'heavy'", "a number")),
@@ -188,7 +188,7 @@ def test_machine_file_missing_or_no_mjcf(tmp_path: Path, capsys: pytest.CaptureF
     shutil.copy(default_machine_path(), tmp_path / "machine.toml")
     (tmp_path / "mikron_ucp710.xml").write_text("<mujoco><worldbody><body></worldbody></mujoco>")
     line = refused(capsys, "run", str(tmp_path / "trace.csv"), "--machine", str(tmp_path / "machine.toml"))
-    assert "no readable XML" in line
+    assert "not readable XML" in line
 
 
 def test_feedforward_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Moves keep their limits and end where they should, whatever the distance."""
+"""Moves of any distance respect their limits and end at their target."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""Machines of other structures: the transformation against MuJoCo's own poses, inverse against forward, letters of programs."""
+"""Machines of other structures: transformation compared with MuJoCo's poses, inverse with forward, letters of programs."""
 
 from dataclasses import replace
 import importlib
@@ -25,7 +25,7 @@ FIVE = ["table_table", "head_table", "head_head"]
 
 
 def random_axes(kinematics: Kinematics, count: int, seed: int = 3) -> np.ndarray:
-    """Axes (count, 5) within travel; an axis that is not there stands."""
+    """Axes (count, 5) within travel; a missing axis is constant."""
     low, high = np.clip(kinematics.travel, -3.0, 3.0).T
     return np.random.default_rng(seed).uniform(low, high, (count, 5))
 
@@ -57,7 +57,7 @@ def test_the_inverse_leads_back_to_the_pose(name: str, mikron: Machine) -> None:
     for q in random_axes(kinematics, 200):
         tip, direction = kinematics.forward(q)
         back = inverse(kinematics, tip, direction, q)
-        assert np.abs(back - q).max() < 1e-9  # begun at the pose itself, the nearer solution is the one
+        assert np.abs(back - q).max() < 1e-9  # from the pose itself the nearer solution is correct
         pairs, reachable = kinematics.angles(direction)
         assert reachable.all()
         for pair in pairs[:, 0]:
@@ -134,7 +134,7 @@ def test_a_three_axis_mill_runs_what_leaves_its_tool_upright(tmp_path: Path, mik
 
 
 def test_a_three_axis_mill_without_sites_runs_programs_and_has_no_tool_to_turn(tmp_path: Path, mikron: Machine) -> None:
-    """X Y Z are then the places of the slides; what needs a tool or a part frame says which site it lacks."""
+    """X Y Z are the positions of the slides; functions that need a tool or a part frame name the missing site."""
     given = example.machine_of("three_axis", mikron)
     text = given.model_path.read_text()
     bare = re.sub(r"<site [^>]*/>", "", text)

@@ -1,4 +1,4 @@
-"""ISO 230-4 against closed forms: ovals, eccentricity, steps and spikes that are known."""
+"""ISO 230-4 compared with closed forms: known ovals, eccentricity, steps and spikes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.iso230.circle_budget import circle_budget
 from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import CirclePath, CircleTest, circle_numbers, least_squares_circle, reversal_spikes
-from twin.iso230.yardstick_programs import PROGRAMS, ConeFrustum, SShape
+from twin.iso230.part_programs import PROGRAMS, ConeFrustum, SShape
 from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
 from twin.recordings.trace import Trace
@@ -36,7 +36,7 @@ test_of.__test__ = False  # type: ignore[attr-defined]
 
 
 def test_ovals_of_both_directions() -> None:
-    """An oval of +-4 um fixed in space and one of +-3 um that turns with the direction, on 5 um too large a radius."""
+    """An oval of +-4 um fixed in space, one of +-3 um that changes sign with the direction, and a radius error of 5 um."""
     numbers = circle_numbers(test_of(
         lambda a: 5e-6 + 4e-6 * np.cos(2 * a) + 3e-6 * np.sin(2 * a), lambda a: 5e-6 + 4e-6 * np.cos(2 * a) - 3e-6 * np.sin(2 * a)
     ))  # fmt: skip
@@ -49,8 +49,8 @@ def test_ovals_of_both_directions() -> None:
     assert numbers["D"] == pytest.approx(5e-6, abs=2e-9)
 
 
-def test_eccentricity_is_none_of_g() -> None:
-    """7 um off centre: in F, not in G; a ballbar's centring takes it out of F as well."""
+def test_eccentricity_is_not_part_of_g() -> None:
+    """An eccentricity of 7 um is part of F, not of G; centring removes it from F as well."""
     test = test_of(lambda a: 7e-6 * np.cos(a), lambda a: 7e-6 * np.cos(a))
     numbers = circle_numbers(test)
     assert numbers["G_b"] < 3e-9
@@ -60,7 +60,7 @@ def test_eccentricity_is_none_of_g() -> None:
 
 
 def test_reversal_spikes() -> None:
-    """A spike of 6 um just behind 90 degrees in one direction, one of -2 um at 0 in the other."""
+    """A spike of 6 um just after 90 degrees in one direction, and of -2 um at 0 in the other."""
     width = math.radians(1.5)
     test = test_of(
         lambda a: 6e-6 * np.exp(-(((a - math.pi / 2 - 0.02) / width) ** 2)),
@@ -93,7 +93,7 @@ def run(turns: float = 2.0, step: float = 4e-6) -> Trace:
 
 @pytest.mark.parametrize("turns", [1.0, 1.5, 2.0])
 def test_circles_are_found_in_a_run(turns: float) -> None:
-    """Lost motion of 4 um along X: the paths lie 4 um apart where X runs fastest along the radius, at 45 degrees 4 cos(45)."""
+    """Lost motion of 4 um along X: the paths are 4 um apart where the radius is parallel to X, 4 cos(45) um at 45 degrees."""
     (test,) = circles_of_trace(run(turns))
     assert test.axes == ("X", "Y")
     assert test.radius == pytest.approx(0.03, rel=1e-6)
@@ -135,7 +135,7 @@ def test_each_effect_has_its_share_of_the_circle(mikron: Machine) -> None:
 
 
 def test_ballbar(tmp_path: Path) -> None:
-    """The example: 5 um large, oval 4 um, 1.5 um with the direction; eccentricity goes out."""
+    """The example: radius error 5 um, oval 4 um, 1.5 um that changes with the direction; the eccentricity is removed."""
     bar = [str(EXAMPLES / "ballbar.csv"), "--radius-mm", "100", "--feed-mm-per-min", "1500"]
     assert main(["iso", "230-4", *bar, "--json", str(tmp_path / "c.json")]) == 0
     found = json.loads((tmp_path / "c.json").read_text())
@@ -148,7 +148,7 @@ def test_ballbar(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", list(PROGRAMS))
 def test_example_programs(name: str, mikron: Machine) -> None:
-    """The files are what the closed forms give, and the machine can run them."""
+    """The files equal the closed forms, and the machine can run them."""
     assert (EXAMPLES / f"{name}.mpf").read_text(encoding="utf-8") == PROGRAMS[name].program()
     setpoints = interpolate(read_program(EXAMPLES / f"{name}.mpf", mikron), mikron)
     if name == "circle_xy":
@@ -159,7 +159,7 @@ def test_example_programs(name: str, mikron: Machine) -> None:
 
 @pytest.mark.parametrize("part", [ConeFrustum(), SShape()])
 def test_the_flank_touches_the_ruling(part: ConeFrustum | SShape) -> None:
-    """The tool's centre line runs along the ruling, one tool radius beside it; of a cone it is so far from the whole surface."""
+    """The tool's centre line is parallel to the ruling at a distance of one tool radius; on a cone it is that far from the whole surface."""
     for share, (tip, axis) in zip(np.linspace(0.0, 1.0, part.steps + 1), part.poses()):
         point, ruling, normal = part.ruling(share)
         assert np.linalg.norm(np.cross(point - tip, axis)) == pytest.approx(part.tool_radius, abs=1e-9)

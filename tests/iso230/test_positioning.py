@@ -1,4 +1,4 @@
-"""ISO 230-2 against closed forms and against the printed results of two measured axes."""
+"""ISO 230-2 compared with closed forms and with published results of two measured axes."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ PRINTED = {
     2: {"B": 0.04346, "M": 0.04809, "A": 0.20476, "R": 0.20476, "R_forward": 0.20476, "R_backward": 0.0183, "E_forward": 0.04612,
         "E_backward": 0.07477, "A_forward": 0.20476, "A_backward": 0.08927},
 }  # fmt: skip
-"""What the reports of the two axes print [mm], with their two directions exchanged: the tables call forward what the reports call backward."""
+"""Results in the reports of the two axes [mm], with exchanged directions: the reports call backward what the tables call forward."""
 WRONG = {1: {"R": (6.29e-5, 6.882e-5), "E": (2.46e-5, 3.68e-5)}, 2: {"E": (0.06514, 0.07477)}}
-"""Printed values that the standard contradicts, and the standard's: R without the reversal term, E below that of one direction."""
+"""Printed values that contradict the standard, and correct ones: R without the reversal term, E below that of one direction."""
 
 
 def test_closed_form() -> None:
@@ -55,13 +55,13 @@ def test_published_table(axis: int) -> None:
         assert numbers[name] * 1e3 == pytest.approx(printed, rel=1e-3), name
     for name, (printed, standard) in WRONG[axis].items():
         assert numbers[name] * 1e3 == pytest.approx(standard, rel=1e-3), name
-        # the printed one breaks what the standard defines: no range of both directions is below that of one
+        # the printed value is impossible: the range of both directions cannot be below that of one
         lowest = max(numbers[f"{name}_forward"], numbers[f"{name}_backward"]) * 1e3
         assert printed < lowest * (1.0 + 1e-3)
 
 
 def test_standstills_of_a_run() -> None:
-    """Two positions, three cycles, reached from both sides; the scale reads 3 um less when reached from below."""
+    """Two positions, three cycles, approached from both sides; the scale reads 3 um less from below."""
     stops = [0.0, *([0.1, 0.2, 0.3, 0.2, 0.1, 0.0] * 3)]
     setpoint, position = [np.zeros(500)], [np.zeros(500)]
     for before, after in itertools.pairwise(stops):

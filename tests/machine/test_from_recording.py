@@ -1,4 +1,4 @@
-"""A machine made from a recording alone has the numbers of the machine that was recorded, counted at the axis."""
+"""A machine made from a recording alone has the numbers of the recorded machine, referred to the axis."""
 
 from pathlib import Path
 
@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from twin.cli import main
-from twin.machine.lumps import lumps_of
+from twin.effects.change import total_inertia
+from twin.machine.holding import holding_of
+from twin.machine.lumped_file import Tuning, write_lumped_machine
+from twin.machine.lumps import AxisLumps, Law, Mechanics, lumps_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, write_trace
@@ -29,7 +32,7 @@ def recorded(folder: Path, machine: Machine, seconds: float = 3.0) -> Path:
     return folder
 
 
-def test_a_drive_with_a_voltage_command_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_with_a_voltage_command_is_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = load_machine(LAB_AXIS)
     folder = recorded(tmp_path / "campaign", machine)
     out = tmp_path / "machine" / "made.toml"
@@ -40,18 +43,18 @@ def test_a_drive_with_a_voltage_command_comes_back(tmp_path: Path, capsys: pytes
     assert made.structure == "P/P"
     assert made.loops.speed_mean_cycles == true.loops.speed_mean_cycles == 4
     assert made.loops.position_gain_per_s == pytest.approx(true.loops.position_gain_per_s, rel=0.01)
-    # the lumps are mass and friction over 18 N/V
+    # the lumped parameters are mass and friction over 18 N/V
     assert made.moving_mass_kg == pytest.approx(12.0 / 18.0, rel=0.03)
     assert made.coulomb_friction == pytest.approx(6.0 / 18.0, rel=0.1)
     text = out.read_text(encoding="utf-8")
     assert "lump" in text
     assert "assumed" in text
-    # the machine reproduces what it was made from
+    # the machine reproduces its recording
     assert main(["gap", str(folder), "--machine", str(out), "--json", str(tmp_path / "gap.json")]) == 0
 
 
 def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
-    """The Mikron's X with a position loop in the drive: gain, delay and Td come back from its signals."""
+    """Gain, delay and Td of a position loop in the drive are identified from its signals."""
     t = np.arange(4000) * 2e-3
     s = 0.1 * np.sin(1.3 * t) + 0.02 * np.sin(7.0 * t)
 
@@ -81,10 +84,23 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     law = lumps_of(read_campaign(tmp_path).runs, "X").law
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
-    assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # the command is held for a cycle: half of it is delay
+    assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
 
 
-def test_nothing_is_written_over_and_one_source_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gravity_turns_with_a_rotary_axis(tmp_path: Path) -> None:
+    """The model of a rotary axis has the identified inertia, and gravity of 4 cos q - 3 sin q."""
+    law = Law(50.0, 0.0, 0.0, 0.0, lag=2e-3)
+    mechanics = Mechanics("torque", 2.0, 1.0, 0.5, 0.0, (4.0, -3.0), 0.95, 40.0)
+    lumps = AxisLumps("C", "rotary", "motor", (-1.0, 1.0), 2.0, 5.0, 2e-3, law, mechanics, 1e-7, 0.0)
+    write_lumped_machine(tmp_path / "m.toml", [lumps], {"C": Tuning(2e-3, 0.02, 0.0)}, "test")
+    machine = load_machine(tmp_path / "m.toml")
+    holding = holding_of(machine)
+    q = holding.angles[:, 0]
+    assert holding.forces[:, 0] == pytest.approx(4.0 * np.cos(q) - 3.0 * np.sin(q), abs=1e-6)
+    assert total_inertia(machine, machine.axis("C")) == pytest.approx(2.0, rel=1e-6)
+
+
+def test_no_file_is_overwritten_and_a_source_is_required(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "m.toml"
     assert main(["machine", "new", "--out", str(out)]) == 2
     assert "give a MODEL, or --from-recording" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Model files of other people: what is unsafe or no tree of axes is refused in one line that says what and where."""
+"""Model files from unknown sources: unsafe ones, and those that are not a tree of axes, are refused in one line with the place."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
 from twin.machine import model_limits
 from twin.machine.machine import load_machine, write_machine
-from twin.machine.model_file import check_mjcf, check_safe, files_of
+from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
 from twin.machine.new import new_machine
 from twin.machine.urdf_file import check_urdf
@@ -37,7 +37,7 @@ def mjcf(old: str, new: str) -> str:
 BAD_MJCF = {
     "XML bomb": (BOMB + "]>" + MJCF, "a document type"),
     "external entity": (f'<!DOCTYPE m [<!ENTITY x SYSTEM "file:///etc/hostname">]>{mjcf("slides", "&x;")}', "a document type"),
-    "no XML": ("<mujoco><worldbody></mujoco>", "no readable XML"),
+    "no XML": ("<mujoco><worldbody></mujoco>", "not readable XML"),
     "another root": ("<robot/>", "twin machine new"),
     "free joint": (mjcf(CARRIAGE, CARRIAGE.replace('type="slide" axis="1 0 0"', 'type="free"')), "body 'carriage' is free"),
     "freejoint element": (mjcf(CARRIAGE, '<inertial pos="0 0 0" mass="90" diaginertia="1 1 1"/><freejoint name="X"/>'), "is free"),
@@ -46,10 +46,10 @@ BAD_MJCF = {
         mjcf("</worldbody>", '</worldbody><equality><connect body1="carriage" body2="arm" anchor="0 0 0"/></equality>'),
         "closes a loop of bodies",
     ),
-    "tied joints": (mjcf("</worldbody>", '</worldbody><equality><joint joint1="X" joint2="Z"/></equality>'), "ties joints together"),
+    "tied joints": (mjcf("</worldbody>", '</worldbody><equality><joint joint1="X" joint2="Z"/></equality>'), "couples joints"),
     "negative mass": (mjcf('mass="90"', 'mass="-90"'), "mass = -90 is impossible"),
     "no mass": (mjcf('mass="90"', 'mass="0"'), "mass = 0 is impossible"),
-    "mass no number": (mjcf('mass="90"', 'mass="heavy"'), "'heavy' is no number"),
+    "mass no number": (mjcf('mass="90"', 'mass="heavy"'), "'heavy' is not a number"),
     "negative inertia": (mjcf('diaginertia="1 1 1"', 'diaginertia="1 -1 1"'), "diaginertia = -1 is impossible"),
     "mesh missing": (mjcf("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'), "'none.stl': no such file"),
     "mesh elsewhere": (
@@ -64,7 +64,7 @@ BAD_MJCF = {
     ),
     "include elsewhere": (mjcf("<worldbody>", '<include file="/etc/hostname"/><worldbody>'), "leaves the folder"),
     "include of itself": (mjcf("<worldbody>", '<include file="slides.xml"/><worldbody>'), "includes itself"),
-    "plugin": (mjcf("<worldbody>", '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>'), "code from elsewhere"),
+    "plugin": (mjcf("<worldbody>", '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>'), "foreign code"),
     "two joints of a name": (mjcf('name="Z" type', 'name="X" type'), "two joints are named 'X'"),
 }
 
@@ -156,8 +156,24 @@ def test_meshes_and_includes_are_copied_with_a_machine(tmp_path: Path) -> None:
     build_plant(load_machine(tmp_path / "copy" / "m.toml"))
 
 
+def test_the_state_of_a_model_follows_the_files_of_its_includes(tmp_path: Path) -> None:
+    """Including files that an include names only since it was edited."""
+    part = '<mujoco><asset><mesh name="m" file="{}.stl"/></asset></mujoco>'
+    (tmp_path / "m.xml").write_text('<mujoco><include file="part.xml"/></mujoco>', encoding="utf-8")
+    (tmp_path / "part.xml").write_text(part.format("a"), encoding="utf-8")
+    for name in "ab":
+        (tmp_path / f"{name}.stl").write_text("solid", encoding="utf-8")
+    states = [state_of_model(tmp_path / "m.xml")]
+    (tmp_path / "part.xml").write_text(part.format("b"), encoding="utf-8")
+    states.append(state_of_model(tmp_path / "m.xml"))
+    (tmp_path / "b.stl").write_text("another solid", encoding="utf-8")
+    states.append(state_of_model(tmp_path / "m.xml"))
+    assert len(set(states)) == 3
+    assert state_of_model(tmp_path / "m.xml") == states[-1]
+
+
 def test_a_model_made_for_something_else_runs_as_a_machine(tmp_path: Path) -> None:
-    """Position servos, contacts, another integrator and masses from shapes are brought to what the twin needs."""
+    """Position servos, contacts, another integrator and masses from shapes are adapted."""
     text = mjcf('<option integrator="Euler" solver="PGS" tolerance="1e-12"/>', '<option integrator="implicitfast" solver="Newton"/>')
     text = text.replace('    <joint solreffriction="0.0005 1" solimpfriction="0.9999 0.9999 0.001"/>\n', "").replace(
         'inertiafromgeom="false"', ""
@@ -196,14 +212,14 @@ HOSTILE_MJCF = {
         f"<worldbody>{'<body><joint/></body>' * 3000}</worldbody>",
         "joints, the limit is",
     ),
-    "depth": (f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>", "inside each other more than"),
+    "depth": (f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>", "nested more than"),
     "not a number": ('<worldbody><body pos="nan 0 0"/></worldbody>', "NaN"),
     "builtin mesh": ('<asset><mesh name="m" builtin="torus" params="99999 99999"/></asset>', "corners, the limit is"),
 }
 
 
 @pytest.mark.parametrize("case", HOSTILE_MJCF)
-def test_a_model_that_would_fill_the_engine(tmp_path: Path, case: str) -> None:
+def test_a_model_that_is_too_large(tmp_path: Path, case: str) -> None:
     text, words = HOSTILE_MJCF[case]
     (tmp_path / "m.xml").write_text(f"<mujoco>{text}</mujoco>", encoding="utf-8")
     with pytest.raises(InputError, match=words.replace("+", r"\+")) as error:
@@ -219,8 +235,8 @@ def test_limits_can_be_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert check_safe(tmp_path / "m.xml").tag == "mujoco"
 
 
-def test_a_model_on_which_the_engine_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The trial in a process of its own notices a crash and memory that is not to be had."""
+def test_a_model_that_crashes_the_engine_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trial in a separate process detects crashes and excessive memory."""
     shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", tmp_path / "a.stl")
     (tmp_path / "m.xml").write_text(
         '<mujoco><asset><mesh name="m" file="a.stl"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
@@ -238,7 +254,7 @@ def test_a_model_on_which_the_engine_ends_is_refused(tmp_path: Path, monkeypatch
 def test_a_joint_without_inertia_is_named_and_no_log_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The engine would write a warning to standard error and into a file of the current folder."""
+    """MuJoCo would write a warning to standard error and into a file in the current folder."""
     joints = '<joint name="A" type="hinge" axis="0 0 1"/><joint name="B" type="hinge" axis="0 0 1"/>'
     (tmp_path / "m.xml").write_text(
         f'<mujoco><worldbody><body name="plate"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{joints}</body></worldbody></mujoco>'
@@ -250,10 +266,8 @@ def test_a_joint_without_inertia_is_named_and_no_log_is_left(
     assert capfd.readouterr().err == ""
 
 
-def test_a_replay_of_a_model_with_hardly_any_inertia_says_no_more_than_its_fault(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The engine warns of it on standard error while it compiles; `replay` simulates nothing."""
+def test_a_replay_of_a_model_with_hardly_any_inertia_prints_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """MuJoCo warns on standard error while it compiles; `replay` does not simulate."""
     (tmp_path / "m.xml").write_text(NO_INERTIA)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -261,7 +275,7 @@ def test_a_replay_of_a_model_with_hardly_any_inertia_says_no_more_than_its_fault
 
 
 def test_frames_of_an_axis_without_a_joint(tmp_path: Path) -> None:
-    """`identify` asks for the frames alone, and builds no plant."""
+    """`identify` needs only the frames and builds no plant."""
     machine = write_slides(tmp_path)
     (tmp_path / "slides.xml").write_text(MJCF.replace('name="X"', 'name="0"', 1), encoding="utf-8")
     with pytest.raises(InputError, match="axis X has no joint in slides"):
@@ -276,7 +290,7 @@ NO_INERTIA = """<mujoco><compiler inertiafromgeom="false"/><worldbody><body name
 
 @pytest.mark.parametrize("coordinate", [1e30, 5e9])
 def test_a_mesh_beyond_any_machine(tmp_path: Path, coordinate: float) -> None:
-    """Whole numbers of the mesh library overflow there, with a warning among the results."""
+    """Integers of the mesh library would overflow and print a warning."""
     corners = f"vertex 0 0 0\nvertex 1 0 0\nvertex 0 {coordinate:g} 0"
     (tmp_path / "a.stl").write_text(f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}\nendloop\nendfacet\nendsolid a\n")
     with warnings.catch_warnings():
@@ -286,7 +300,7 @@ def test_a_mesh_beyond_any_machine(tmp_path: Path, coordinate: float) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "ebcdic-cp-be", "bogus"])
-def test_an_encoding_that_two_parsers_read_otherwise(tmp_path: Path, encoding: str) -> None:
+def test_an_encoding_that_parsers_read_differently(tmp_path: Path, encoding: str) -> None:
     (tmp_path / "m.xml").write_text(f'<?xml version="1.0" encoding="{encoding}"?><mujoco/>')
     with pytest.raises(InputError, match="not written in UTF-8"):
         check_safe(tmp_path / "m.xml")
@@ -299,7 +313,7 @@ PACKAGE = '<robot name="r"><link name="a"><visual><geometry><mesh filename="pack
     "name", ["../secret.stl", "robot/../../secret.stl", "../../secret.stl", "robot/../../../secret.stl", ".ssh/secret.stl"]
 )
 def test_a_package_is_not_left(tmp_path: Path, name: str) -> None:
-    """What lies above the package is not read, also where it has the name that is asked for."""
+    """Files above the package are not read, even with the requested name."""
     home = tmp_path / "robot" / "urdf"
     home.mkdir(parents=True)
     for place in (tmp_path, tmp_path / ".ssh", tmp_path / "robot"):
@@ -321,7 +335,7 @@ def test_meshes_of_a_package_are_found(tmp_path: Path) -> None:
 
 
 def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
-    """An OBJ names its materials, and those their pictures: none is looked for."""
+    """An OBJ names materials, which name pictures; none of them is opened."""
     (tmp_path / "m.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
     assert len(load_mesh(tmp_path / "m.obj", process=False).faces) == 1
     (tmp_path / "m.dae").write_text('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]><COLLADA>&x;</COLLADA>')
@@ -342,7 +356,7 @@ WRONG_URDF = {
 
 
 @pytest.mark.parametrize("case", WRONG_URDF)
-def test_a_urdf_that_no_reader_can_take(tmp_path: Path, case: str) -> None:
+def test_a_urdf_that_every_reader_refuses(tmp_path: Path, case: str) -> None:
     text, words = WRONG_URDF[case]
     assert text != URDF
     (tmp_path / "r.urdf").write_text(text, encoding="utf-8")

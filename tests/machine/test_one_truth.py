@@ -1,4 +1,4 @@
-"""A machine has one truth, its document: any chain of changes, written and read again, is the same machine and simulates the same."""
+"""The document is the only source of a machine: after any chain of changes, writing and reading gives the same machine and simulation."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pytest
 from tests.builders.other_structures import slides
 from tests.conftest import swings
 from tests.machine.test_sinumerik import with_machine_data
+from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.axis import Axis, Loops, Motor
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine, write_machine
@@ -38,10 +39,15 @@ NUMBERS = {
     "commissioned_inertia": (0.001, 0.02),
 }
 """Fields that a change may set, with the range of their values."""
+EFFECTS = [
+    {"name": "backlash", "axis": "X", "clearance": 1e-5},
+    {"name": "coulomb_friction", "axis": "Y", "factor": 1.2},
+    {"name": "law", "axis": "X", "output": "friction", "variables": ["speed"], "formula": "gaussian", "height": 90.0, "width": 0.009},
+]
 
 
 def changes(machine: Machine) -> st.SearchStrategy[tuple[str, Any]]:
-    """One change: a word of feedforward, some of the axes, a typed field of an axis, or the same number by its path."""
+    """One change: feedforward, driven axes, effects, a body, a length, a typed field of an axis or the same number by its path."""
     one = st.sampled_from(machine.axis_names).flatmap(
         lambda axis: st.sampled_from(sorted(NUMBERS)).flatmap(
             lambda field: st.floats(*NUMBERS[field]).map(lambda value: (axis, field, round(float(f"{value:.6g}"), 12)))
@@ -51,6 +57,9 @@ def changes(machine: Machine) -> st.SearchStrategy[tuple[str, Any]]:
         st.tuples(st.just("feedforward"), st.sampled_from(FEEDFORWARD)),
         st.tuples(st.just("axes"), st.sets(st.sampled_from(machine.axis_names), min_size=2).map(lambda s: s | {machine.axis_names[0]})),
         st.tuples(st.sampled_from(["axis", "values"]), one),
+        st.tuples(st.just("effects"), st.lists(st.sampled_from(EFFECTS), unique_by=lambda e: e["name"])),
+        st.tuples(st.just("body"), st.floats(0.9, 1.1)),
+        st.tuples(st.just("length"), st.integers(-50, 50).map(lambda mm: 1e-3 * mm)),
         st.tuples(st.just("nothing"), st.none()),
     )
 
@@ -60,12 +69,15 @@ def value_of(axis: Axis, field: str) -> Any:
 
 
 class Expected:
-    """What a machine must be after a chain of changes, kept beside it by the plainest means: driven axes and numbers by (axis, field)."""
+    """Expected state after a chain of changes, recorded independently: driven axes, numbers by (axis, field), effects, a body, a length."""
 
     def __init__(self, machine: Machine):
         self.machine = machine
         self.driven = set(machine.axis_names)
         self.numbers: dict[tuple[str, str], float] = {}
+        self.effects: list[dict[str, Any]] = []
+        self.body_kg = machine.bodies[0].mass_kg
+        self.length_m = machine.geometry["a_axis_to_c_axis_z_m"]
 
     def change(self, what: str, how: Any) -> None:
         if what == "feedforward":
@@ -77,6 +89,13 @@ class Expected:
         elif what == "axes":
             self.driven &= how
             self.machine = self.machine.with_axes([a for a in self.machine.axis_names if a in how])
+        elif what == "effects":
+            self.effects, self.machine = how, with_effects(self.machine, how)
+        elif what == "body":
+            self.body_kg *= how
+            self.machine = self.machine.with_body(self.machine.bodies[0].name, how)
+        elif what == "length":
+            self.length_m, self.machine = how, self.machine.with_values({"geometry.a_axis_to_c_axis_z_m": how})
         elif what == "nothing":
             self.machine = self.machine.with_values({})
         elif how[0] in self.driven:
@@ -90,6 +109,8 @@ class Expected:
 
     def holds(self, machine: Machine) -> None:
         assert set(machine.axis_names) == self.driven
+        assert [dict(table) for table in machine.effects] == self.effects
+        assert (machine.bodies[0].mass_kg, machine.geometry["a_axis_to_c_axis_z_m"]) == pytest.approx((self.body_kg, self.length_m))
         for (axis, field), value in self.numbers.items():
             if axis in self.driven:
                 assert value_of(machine.axis(axis), field) == pytest.approx(value, rel=1e-12), f"{axis}.{field}"
@@ -128,6 +149,11 @@ def check_chain(machine: Machine, data: st.DataObject) -> None:
 def test_feedforward_stays_off(mikron: Machine) -> None:
     machine = mikron.with_feedforward("off").with_values({"axis.X.moving_mass_kg": 690.0})
     assert {axis.loops.velocity_feedforward for axis in machine.axes} == {0.0}
+
+
+def test_feedforward_is_also_switched_on_axes_that_are_not_driven(mikron: Machine) -> None:
+    """The order of the changes does not matter."""
+    assert mikron.with_axes(["X"]).with_feedforward("off") == mikron.with_feedforward("off").with_axes(["X"])
 
 
 def test_a_weight_that_the_file_has_is_kept(mikron: Machine) -> None:
@@ -179,7 +205,7 @@ def test_a_change_leaves_the_first_machine_alone(mikron: Machine) -> None:
 
 
 def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
-    """And nothing else: the typed view has no number that the table does not know."""
+    """The typed view has exactly the numbers of the table."""
     typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", "encoder"}
     typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
     assert {p.field for p in PARAMETERS} == typed

@@ -1,4 +1,4 @@
-"""The table of parameters gives each number its unit: that of its key for the drive of the axis."""
+"""The table of parameters gives the unit of each number for each drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Machine data of a Sinumerik: units converted, both ways, and told where they contradict the plain keys."""
+"""SINUMERIK machine data: conversion in both directions, and contradictions with plain keys."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_rotary_axes_in_turns_and_degrees() -> None:
 
 
 def with_machine_data(tmp_path: Path, take: bool, **changed: float) -> Path:
-    """The Mikron with machine data of X, beside or instead of the plain keys."""
+    """The Mikron with machine data of X in addition to the plain keys, or in place of them (`take`)."""
     import tomlkit
 
     written = tomlkit.parse(default_machine_path().read_text(encoding="utf-8"))
@@ -99,7 +99,7 @@ def test_a_variant_is_written_where_the_number_stands(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("enable", "delay_s"), [(None, 0.005), (1.0, 0.005), (0.0, None)])
 def test_dynamic_stiffness_control(enable: float | None, delay_s: float | None) -> None:
-    """Its delay counts unless it is switched off, and goes back to the control with its switch."""
+    """The delay is used unless it is switched off, and is shown as a datum together with its switch."""
     data = {32644: 0.005} | ({} if enable is None else {32640: enable})
     assert plain_values(data, "linear").get("loops.dsc_delay_s") == delay_s
     back = {d.number: value for d, value in machine_data({"kind": "linear", "loops": {"dsc_delay_s": delay_s or 0.0}})}
@@ -126,7 +126,7 @@ def test_feedforward_mode() -> None:
 
 
 def test_gear_before_a_screw() -> None:
-    """Pitch 20 mm behind a gear of 4 : 2 is 10 mm a turn of the motor."""
+    """A pitch of 20 mm behind a 4 : 2 gear is 10 mm per motor revolution."""
     assert plain_values({31030: 20.0, 31060: 4.0, 31050: 2.0}, "linear")["screw_lead_m_per_rev"] == pytest.approx(0.010)
     assert plain_values({31060: 360.0, 31050: 2.0}, "rotary")["gear_ratio"] == pytest.approx(180.0)
 
@@ -167,7 +167,7 @@ def test_an_archive_of_the_control(tmp_path: Path) -> None:
     [
         ("x.toml", "[X]\nPOSCTRL_GAINS = 3", "did you mean 'POSCTRL_GAIN'"),
         ("x.toml", "[X]\nMD32200 = 'much'", "expected a number"),
-        ("x.toml", "[X]\nMD32200 = 3\nPOSCTRL_GAIN = 3", "stands twice"),
+        ("x.toml", "[X]\nMD32200 = 3\nPOSCTRL_GAIN = 3", "is given twice"),
         ("x.toml", "[Q]\nMD32200 = 3", "no such axis"),
         ("x.toml", "[X", "not a valid TOML file"),
         ("x.tea", "nothing here", "no line like N32200"),

@@ -1,4 +1,4 @@
-"""`twin import`: every bad file and every wrong map has its own line on standard error and exit code 2."""
+"""`twin import`: every bad file and every wrong map gives one line on standard error and exit code 2."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -42,9 +42,9 @@ MAPS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "unknown column": (lambda m: m.replace('"strom"', '"stromm"'), ("run.csv", "no column 'stromm'", "did you mean 'strom'")),
     "unknown signal": (lambda m: m.replace('"setpoint"', '"setpiont"'), ("column 1 ('soll')", "'setpiont'", "did you mean 'setpoint'")),
     "unknown unit": (lambda m: m.replace('"mm/s"', '"mmm/s"'), ("column 3", "unknown unit [mmm/s]", "did you mean 'mm/s'")),
-    "unit of another signal": (lambda m: m.replace('"mm/s"', '"mm"'), ("'speed'", "[mm] is no unit of a velocity", "[mm/s]")),
+    "unit of another signal": (lambda m: m.replace('"mm/s"', '"mm"'), ("'speed'", "[mm] is not a unit of a velocity", "[mm/s]")),
     "angle and length on one axis": (lambda m: m.replace('"mm/s"', '"deg/s"'), ("'speed'", "makes axis X rotary", "makes it linear")),
-    "motor turns without a pitch": (lambda m: m.replace('"mm/s"', '"rpm"'), ("[rev/min] are turns of the motor", "mm_per_rev")),
+    "motor turns without a pitch": (lambda m: m.replace('"mm/s"', '"rpm"'), ("[rev/min] is a unit of the motor", "mm_per_rev")),
     "unknown column key": (lambda m: m.replace("axis =", "axes =", 1), ("column 1", "unknown key 'axes'", "did you mean 'axis'")),
     "column key missing": (lambda m: m.replace('axis = "X"\n', "", 1), ("column 1", "'axis' is missing")),
     "signal twice": (lambda m: m.replace('"position"', '"setpoint"'), ("two columns are X.setpoint",)),
@@ -56,7 +56,7 @@ MAPS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "period": (lambda m: "period_ms = 0\n" + m, ("period_ms = 0", "above 0")),
     "gaps": (lambda m: 'gaps = "ignore"\n' + m, ("gaps = 'ignore'", "split, fill, refuse")),
     "time column": (lambda m: m + '[time]\ncolumn = "tt"\n', ("no time column 'tt'", "did you mean 't'")),
-    "unit of time": (lambda m: m + '[time]\ncolumn = "t"\nunit = "mm"\n', ("time column 't'", "no unit of time")),
+    "unit of time": (lambda m: m + '[time]\ncolumn = "t"\nunit = "mm"\n', ("time column 't'", "not a unit of time")),
     "column and interval": (lambda m: m + '[time]\ncolumn = "t"\ninterval_ms = 1\n', ("a column and an interval_ms",)),
     "CSV key": (lambda m: m + '[csv]\ndelimeter = ";"\n', ("[csv] delimeter", "did you mean 'delimiter'")),
     "header line": (lambda m: m + "[csv]\nheader_line = 7\n", ("header_line = 7", "numbers begin in line 2")),
@@ -65,7 +65,7 @@ MAPS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
         ("run 1", "'rum.csv' is not among the FILES", "did you mean 'run.csv'"),
     ),
     "run key": (lambda m: m + '[[run]]\nfile = "run.csv"\nfeed = 1\n', ("run 1", "unknown key 'feed'")),
-    "run name leaves the folder": (lambda m: m + '[[run]]\nfile = "run.csv"\nname = "../x"\n', ("name = '../x'", "no name of a file")),
+    "run name leaves the folder": (lambda m: m + '[[run]]\nfile = "run.csv"\nname = "../x"\n', ("name = '../x'", "cannot be a file name")),
     "run backwards": (lambda m: m + '[[run]]\nfile = "run.csv"\nfrom_s = 2\nto_s = 1\n', ("from_s = 2 is not before to_s = 1",)),
     "part outside the recording": (lambda m: m + '[[run]]\nfile = "run.csv"\nfrom_s = 7\n', ("run run", "no 0.2 s in common")),
     "machine lacks the axis": (lambda m: 'machine = "mikron_ucp710"\n' + m.replace('"X"', '"U"'), ("has no axis U", "A, C, X, Y, Z")),
@@ -90,7 +90,7 @@ def test_two_files_that_make_one_name(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[str, ...]]] = {
-    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "say"')),
+    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "report"')),
     "set point in um": (lambda c: {**c, "soll": c["soll"] * 1e3}, ("X.position moves 0.001 times",)),
     "speed in m/min": (lambda c: {**c, "speed": c["speed"] * 0.06}, ("X.velocity is 0.06 times", "recorded in m/min, taken as mm/s?")),
     "speed per minute": (lambda c: {**c, "speed": c["speed"] * 60.0}, ("X.velocity is 60 times", "per minute, taken as per second?")),
@@ -111,7 +111,7 @@ def test_swapped_units_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture
     file = write_csv(tmp_path / "run.csv", change({"t": TIME, **move(TIME)}))
     line = importing(capsys, tmp_path, file)
     assert all(part in line for part in expected), line
-    (tmp_path / "map.toml").write_text('units = "say"\n' + MAP, encoding="utf-8")
+    (tmp_path / "map.toml").write_text('units = "report"\n' + MAP, encoding="utf-8")
     assert main(["import", str(file), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     assert expected[0] in capsys.readouterr().out
 
@@ -122,12 +122,12 @@ def test_the_unit_of_the_file_against_that_of_the_map(tmp_path: Path, capsys: py
         tmp_path / "run.csv", {"t [s]": TIME, "soll [m]": columns["soll"] / 1e3, **{k: columns[k] for k in ("ist", "speed", "strom")}}
     )
     line = importing(capsys, tmp_path, file)
-    assert "'soll': the file says [m], the map says [mm]" in line
+    assert "'soll': the unit is [m] in the file, [mm] in the map" in line
     volts = write_csv(
         tmp_path / "run.csv", {"t": TIME, **{k: columns[k] for k in ("soll", "ist", "speed")}, "strom [V]": columns["strom"] / 10}
     )
     line = importing(capsys, tmp_path, volts)
-    assert "the file says [V], the map says [A]" in line
+    assert "the unit is [V] in the file, [A] in the map" in line
     assert "scale = ... [A per V]" in line
 
 
@@ -138,11 +138,11 @@ TABLES: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "prose": (lambda p: p.write_text("Dear all,\nplease find attached, as said, the trace.\n"), ("no rows of numbers",)),
     "binary": (lambda p: p.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"), ("not a text file",)),
     "last row cut off": (lambda p: p.write_text(p.read_text()[:-30]), ("of 5 cells", "cut off")),
-    "row cut off early": (lambda p: p.write_text(_line(p, 40, "0.04,1.0")), ("line 41 is no row of numbers", "'0.04,1.0'")),
+    "row cut off early": (lambda p: p.write_text(_line(p, 40, "0.04,1.0")), ("line 41 is not a row of numbers", "'0.04,1.0'")),
     "NaN": (lambda p: p.write_text(_cell(p, 40, 2, "NaN")), ("column 'ist'", "line 41 (0.039 s) holds NaN")),
     "infinite": (lambda p: p.write_text(_cell(p, 40, 2, "-inf")), ("column 'ist'", "holds -inf")),
-    "text in a cell": (lambda p: p.write_text(_cell(p, 1500, 2, "n/a")), ("column 'ist' holds 'n/a'", "no number")),
-    "no time in a row": (lambda p: p.write_text(_cell(p, 40, 0, "")), ("column 't'", "holds no time")),
+    "text in a cell": (lambda p: p.write_text(_cell(p, 1500, 2, "n/a")), ("column 'ist' holds 'n/a'", "not a number")),
+    "no time in a row": (lambda p: p.write_text(_cell(p, 40, 0, "")), ("column 't'", "has no time")),
     "time goes back": (lambda p: p.write_text(_cell(p, 40, 0, "0.02")), ("time goes back at row 40",)),
     "time stands still": (lambda p: p.write_text(_stalled(p)), ("time stands still at 9 rows",)),
     "column twice": (lambda p: p.write_text(p.read_text().replace("speed", "ist", 1)), ("column 'ist' occurs twice",)),
@@ -207,12 +207,12 @@ XMLS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "bomb": (lambda p: write_xml(p, _signals(), head=BOMB), ("refused", "declares its own")),
     "external entity": (lambda p: write_xml(p, _signals(), head='<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>'), ("refused",)),
     "external DTD": (lambda p: write_xml(p, _signals(), head='<!DOCTYPE x SYSTEM "http://127.0.0.1/x.dtd">'), ("refused",)),
-    "cut off": (lambda p: p.write_text(write_xml(p, _signals()).read_text()[:-4000]), ("not a whole XML file", "cut off")),
-    "other XML": (lambda p: p.write_text("<svg><g/></svg>"), ("no trace of a SINUMERIK", "<svg>")),
+    "cut off": (lambda p: p.write_text(write_xml(p, _signals()).read_text()[:-4000]), ("not a complete XML file", "cut off")),
+    "other XML": (lambda p: p.write_text("<svg><g/></svg>"), ("not a trace of a SINUMERIK", "<svg>")),
     "no XML": (lambda p: p.write_bytes(b"TDSm\x00\x01"), ("not an XML file",)),
     "no number": (
         lambda p: p.write_text(re.sub('f2="[^"]*"', 'f2="9221120237041090560"', write_xml(p, _signals()).read_text(), count=1)),
-        ("no number at",),
+        ("not a number at",),
     ),
     "time goes back": (
         lambda p: p.write_text(write_xml(p, _signals()).read_text().replace('time="0.500000"', 'time="0.100000"')),
@@ -282,7 +282,7 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
     "MAT of other lengths": (
         "run.mat",
         lambda p: savemat(p, {"t": TIME, **move(TIME), "ist": np.zeros(7)}),
-        ("'ist'", "has 7 samples", "cannot be placed in time"),
+        ("'ist'", "has 7 samples", "differs from the time column"),
     ),
     "Parquet is none": ("run.parquet", lambda p: p.write_bytes(b"TDSm" + bytes(100)), ("not a Parquet file",)),
     "Parquet with a heading that is no text": (

@@ -1,4 +1,4 @@
-"""Gaps, rounded and jittering times, skew, other intervals: found, handled as the map says, and said."""
+"""Gaps, rounded and jittering times, skew and other intervals are detected, reported and handled as the map requires."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
 from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
-from twin.recordings.skew import late_channels
+from twin.recordings.skew import skews_of
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import Trace, read_trace
 
@@ -43,7 +43,7 @@ def test_a_gap_splits_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
-    """'run' is split, 'run_1' is a run of its own: each of the three traces has its file, whatever the order."""
+    """'run' is split and 'run_1' is another run: each of the three traces gets its own file, in any order."""
     kept = np.r_[0:1500, 1540:4000]
     other = write_csv(tmp_path / "run_1.csv", {"t": TIME[:1000], **move(TIME[:1000])})
     files = [recorded(tmp_path, TIME, kept), other]
@@ -71,7 +71,7 @@ def test_lost_samples_of_a_control_are_a_gap_and_held_values_are_none(tmp_path: 
     columns = move(time)
     columns["soll"][100:400] = columns["soll"][100]
     signals = {n: (0.0, 2e-3, v) for n, v in columns.items()}
-    text = 'units = "say"\n' + MAP
+    text = 'units = "report"\n' + MAP
     traces = imported(tmp_path, write_xml(tmp_path / "run.xml", signals), text)
     assert list(traces) == ["run.parquet"]
     lossy = write_xml(tmp_path / "run.xml", signals, drop=lambda name, k: name == "ist" and 500 <= k < 520)
@@ -92,8 +92,8 @@ def test_times_printed_with_few_digits(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = TIME + 1e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, len(TIME))
     (trace,) = imported(tmp_path, recorded(tmp_path, time)).values()
-    assert "the clock is off by" in capsys.readouterr().out
-    # 100 mm/s by 0.1 ms would be 10 um; the times themselves are used
+    assert "the clock deviates by" in capsys.readouterr().out
+    # 0.1 ms at 100 mm/s would be 10 um; the recorded times are used
     start = timing_of(time, "here").stretches[0].begin
     assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5
 
@@ -131,7 +131,7 @@ def test_skew_is_estimated(late: float) -> None:
         ("X", "velocity"): shifted["speed"] * 1e-3 + 1e-4 * rng.standard_normal(len(TIME)),
         ("X", "current"): shifted["strom"] + 0.05 * rng.standard_normal(len(TIME)),
     }
-    found = {item.signal: item for item in late_channels(signals, 1e-3, {"X": "linear"})}
+    found = {item.signal: item for item in skews_of(signals, 1e-3, {"X": "linear"})}
     assert found["motor_position"].seconds == pytest.approx(late, abs=2e-5)
     assert found["velocity"].seconds == pytest.approx(late, abs=1e-4)
     assert found["current"].seconds == pytest.approx(late, abs=1e-3)
@@ -143,7 +143,7 @@ def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() ->
     columns = move(TIME)
     speed = columns["speed"] * 1e-3
     position = columns["ist"] * 1e-3
-    # backlash 20 um and a wind-up with the acceleration: both go with the motion, none is a delay
+    # a backlash of 20 um and windup by acceleration are not a delay
     motor = position + 10e-6 * np.tanh(speed / 1e-3) + 1e-5 * np.gradient(speed, 1e-3)
     signals = {
         ("X", "position"): position,
@@ -151,11 +151,11 @@ def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() ->
         ("X", "velocity"): np.gradient(motor, 1e-3),
         ("X", "current"): columns["strom"],
     }
-    found = late_channels(signals, 1e-3, {"X": "linear"})
+    found = skews_of(signals, 1e-3, {"X": "linear"})
     assert len(found) == 3
     assert not any(item.clear for item in found)
     assert not any(item.against for item in found)
-    wrong = late_channels({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
+    wrong = skews_of({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
     assert [item.signal for item in wrong if item.against] == ["current"]
 
 
@@ -169,7 +169,7 @@ def test_skew_is_said_and_taken_back_when_asked(tmp_path: Path, capsys: pytest.C
     assert "left as it is" in out
     assert np.abs(trace.get("X", "velocity") * 1e3 - late["speed"]).max() < 1e-9
     (trace,) = imported(tmp_path, file, 'skew = "correct"\n' + MAP).values()
-    assert "taken back" in capsys.readouterr().out
+    assert "; corrected" in capsys.readouterr().out
     rows = len(trace.time)
     assert np.abs(trace.get("X", "velocity") * 1e3 - columns["speed"][:rows]).max() < 0.02  # 4 ms are 1.5 mm/s
     content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))

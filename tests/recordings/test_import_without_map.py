@@ -1,4 +1,4 @@
-"""What controls write is imported by one command: names are understood, and units, signs and axes follow from the numbers."""
+"""Files of controls are imported with one command: names are known; units, signs and axes follow from the numbers."""
 
 import json
 from pathlib import Path
@@ -41,9 +41,9 @@ def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
     ],
 )
 def test_known_names(name: str, axis: str, signal: str, unit: str) -> None:
-    told = meaning_of(name)
-    assert told is not None
-    assert (told.axis, told.signal, told.unit) == (axis, signal, unit)
+    meaning = meaning_of(name)
+    assert meaning is not None
+    assert (meaning.axis, meaning.signal, meaning.unit) == (axis, signal, unit)
 
 
 @pytest.mark.parametrize("name", ["fault_type", "tau_c_all(1)", "m_all(2)", "Spindle speed", "run", "Kraft", "pid.x.output"])
@@ -61,7 +61,7 @@ def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureF
     assert list(runs) == ["rec_1", "rec_2"]
     first, second = runs["rec_1"], runs["rec_2"]
     assert first.feedforward == "velocity"
-    # counters are the time: the second part begins where they go on
+    # the cycle counters are the time, so the second part begins where they continue
     assert len(first.trace.time) == 1200
     assert second.started_at - first.started_at == pytest.approx(1500 * 2e-3)
     assert first.trace.axes == ("1",)
@@ -70,7 +70,7 @@ def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureF
         ("position", "ENC_POS|1", 1e3),
         ("velocity_setpoint", "CMD_SPEED|1", 1e3),
         ("velocity_feedforward", "VEL_FFW|1", 1e3),
-        ("current", "CURRENT|1", -1.0),  # it pushes against the motion: turned round
+        ("current", "CURRENT|1", -1.0),  # it pushes against the motion: its sign is reversed
     ):
         assert np.allclose(second.trace.get("1", signal) * factor, columns[name][1500:], rtol=0, atol=1e-9)
     assert first.fact("1", "current").sign == -1
@@ -93,7 +93,7 @@ def test_a_map_that_is_edited_is_not_written_over(tmp_path: Path, capsys: pytest
     path = tmp_path / "out" / "map.toml"
     path.write_text(path.read_text(encoding="utf-8").replace('axis = "1"', 'axis = "X"'), encoding="utf-8")
     assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert "holds a map already" in capsys.readouterr().err
+    assert "already holds another map" in capsys.readouterr().err
     assert main(["import", str(file), "--map", str(path), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     assert read_campaign(tmp_path / "out").runs[0].trace.axes == ("X",)
 
@@ -135,7 +135,7 @@ def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: P
             )
     (tmp_path / "strokes.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     runs = imported(tmp_path, tmp_path / "strokes.csv")
-    assert "columns of words, passed over: profile" in capsys.readouterr().out
+    assert "columns of words, ignored: profile" in capsys.readouterr().out
     assert list(runs) == [f"strokes_{i}" for i in (1, 2, 3, 4)]
     assert [run.labels for run in runs.values()] == [{"load": 20.0 if i < 3 else 40.0, "trial": float(i)} for i in (1, 2, 3, 4)]
     assert all(len(run.trace.time) == 320 for run in runs.values())

@@ -1,11 +1,11 @@
-"""Laws of the regression: exact values, intervals under correlation, instruments, and what no data excite."""
+"""Laws of the regression: exact values, intervals under correlation, instruments, columns that the data do not excite."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from twin.recordings.least_squares import RELATED, _enough, regress, whiteness
+from twin.recordings.least_squares import RELATED, _enough_clusters, regress, whiteness
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -25,7 +25,7 @@ def test_exact_data_give_exact_values() -> None:
 
 
 def test_intervals_hold_the_truth_under_correlated_noise() -> None:
-    """Noise with a memory of 20 samples, 60 clusters of 50: 95 % intervals hold in 90 % or more, naive ones in 60 % or fewer."""
+    """Noise correlated over 20 samples, 60 clusters of 50: the 95 % intervals contain the truth in at least 90 %, naive ones in at most 60 %."""
     rng = np.random.default_rng(1)
     held = naive = 0
     for _ in range(200):
@@ -75,7 +75,7 @@ def test_whiteness_tells_white_from_coloured() -> None:
 
 @pytest.mark.parametrize("strokes", [1, 2, 3])
 def test_as_few_strokes_as_columns_are_not_exact(strokes: int) -> None:
-    """Their scores add up to nothing: the interval was 1e-13 of the value."""
+    """The scores sum to zero, which made the interval 1e-13 of the value."""
     rng = np.random.default_rng(3)
     columns = np.column_stack([np.linspace(-1.0, 1.0, 60), np.ones(60), np.sin(np.arange(60.0))])
     fit = regress(columns, columns @ [2.0, 1.0, -1.0] + rng.normal(0.0, 0.1, 60), np.arange(60) * strokes // 60)
@@ -86,4 +86,4 @@ def test_as_few_strokes_as_columns_are_not_exact(strokes: int) -> None:
 
 def test_enough_strokes_stay_whole() -> None:
     strokes = np.repeat([3, 1, 2, 0, 4], 7)
-    assert np.array_equal(_enough(strokes, 3), strokes)
+    assert np.array_equal(_enough_clusters(strokes, 3), strokes)

@@ -1,4 +1,4 @@
-"""Every reader gives back what an independent writer put in, to the last bit, on the writer's own times."""
+"""Every reader returns the values and times of an independent writer to the last bit."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -79,7 +79,7 @@ def test_csv_units_from_headings_empty_cells_and_dates(tmp_path: Path) -> None:
                 f"{stamp},{float(columns['soll'][row])!r},{position},{float(columns['speed'][row])!r},{float(columns['strom'][row])!r}\n"
             )
     trace = imported(tmp_path, [tmp_path / "edge.csv"], "\n".join(line for line in MAP.splitlines() if not line.startswith("unit")))
-    # the last sample of the slow column ends the trace; in between a cubic is exact to nanometres here
+    # the last sample of the slow column ends the trace; a cubic is exact to nanometres here
     rows = len(trace.time)
     assert rows == len(TIME) - 3
     assert np.abs(trace.get("X", "position") * 1e3 - columns["ist"][:rows]).max() < 2e-6
@@ -90,7 +90,7 @@ def test_csv_units_from_headings_empty_cells_and_dates(tmp_path: Path) -> None:
 def test_sinumerik_signals_have_their_own_intervals(tmp_path: Path) -> None:
     fast, slow = np.arange(1500) * 2e-3, 2e-3 + np.arange(740) * 4e-3
     columns = move(fast)
-    columns["soll"][:300] = columns["soll"][0]  # held: those records lack the value
+    columns["soll"][:300] = columns["soll"][0]  # held values, which the records omit
     positions = move(slow)["ist"]
     names = {
         "soll": "/Nck/!SD/nckServoDataCmdPos64 [u1, 1]",
@@ -104,7 +104,7 @@ def test_sinumerik_signals_have_their_own_intervals(tmp_path: Path) -> None:
     text = MAP.replace('"ist"', '"/Nck/!SEMA/measPos2 [u1, 1]"').replace('unit = "mm"', 'unit = "mm"')
     for short, name in names.items():
         text = text.replace(f'"{short}"', f'"{name}"')
-    trace = imported(tmp_path, [file], 'units = "say"\n' + text)
+    trace = imported(tmp_path, [file], 'units = "report"\n' + text)
     assert trace.period == pytest.approx(2e-3, rel=1e-9)
     rows = np.rint(slow / 2e-3).astype(int)
     first = round(slow[0] / 2e-3)
@@ -216,7 +216,7 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
         ("x_velocity_feedforward", "velocity", 1547),
     ]
     for run in campaign.runs:
-        # both are one move: 200 mm at 15 m/min; without feedforward 5.5 mm behind, with it what 2 ms are
+        # both recordings show one move: 200 mm at 15 m/min; 5.5 mm following error without feedforward, 2 ms with it
         trace = run.trace
         error = trace.get("X", "setpoint") - trace.get("X", "position")
         assert np.abs(error).max() == pytest.approx(5.5e-3 if run.feedforward == "off" else 0.5e-3, rel=0.02)
@@ -224,13 +224,13 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
         assert (tmp_path / "out" / f"{run.name}.png").stat().st_size > 10_000
 
 
-@pytest.mark.skipif(not EMPS.is_file(), reason="needs the EMPS record, which lies outside the repository")
+@pytest.mark.skipif(not EMPS.is_file(), reason="needs the EMPS recording, which is not in the repository")
 def test_a_measured_axis(tmp_path: Path) -> None:
     from scipy.io import loadmat
 
     trace = imported(tmp_path, [EMPS], EMPS_MAP)
     record = loadmat(EMPS)
     for name, signal in (("qg", "setpoint"), ("qm", "motor_position"), ("vir", "voltage")):
-        # written in mm, which costs a rounding
+        # conversion to mm rounds
         assert np.abs(trace.get("X", signal) - record[name].ravel()).max() <= 4e-16 * np.abs(record[name]).max()
     assert trace.period == pytest.approx(1e-3, rel=1e-12)

@@ -1,4 +1,4 @@
-"""Traces keep their values through Parquet and CSV, whatever unit a heading names."""
+"""Traces keep their values through Parquet and CSV in any unit."""
 
 from pathlib import Path
 import tempfile
@@ -71,7 +71,7 @@ def test_printed_times_may_be_rounded(tmp_path: Path) -> None:
 
 
 def test_a_trace_in_latin_1_is_read(tmp_path: Path) -> None:
-    """German controls write it; a degree sign or a name outside ASCII must not end a reading."""
+    """German controls write Latin-1; a degree sign or a non-ASCII name must not end the reading."""
     (tmp_path / "a.csv").write_bytes("time [s],X.setpoint [mm],X.pr\u00fcfkraft [N]\n0,0,1\n0.001,0,2\n".encode("latin-1"))
     assert read_trace(tmp_path / "a.csv").get("X", "pr\u00fcfkraft").tolist() == [1.0, 2.0]
 

@@ -246,8 +246,8 @@ MODELS = {
         '<robot name="r"><link name="a"><visual><geometry><mesh filename="package://r/gone.stl"/></geometry></visual></link></robot>',
         "no mesh 'package://r/gone.stl'",
     ),
-    "no URDF": ("m.urdf", "<html><body/></html>", "is no URDF"),
-    "no XML": ("m.urdf", "no xml at all", "no readable XML"),
+    "no URDF": ("m.urdf", "<html><body/></html>", "is not a URDF"),
+    "no XML": ("m.urdf", "no xml at all", "not readable XML"),
     "joint without parent": (
         "m.urdf",
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="fixed">'

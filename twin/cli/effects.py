@@ -17,16 +17,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _law_page(machine: Machine, picture: str | None) -> int:
-    """What a law may depend on and change, its formulas, and the laws that the machine has."""
+    """Print variables, outputs and formulas of laws, and the laws of the machine."""
     from twin.effects.law import OUTPUTS, VARIABLES
     from twin.effects.law_shapes import SHAPES
     from twin.simulation.law_picture import draw_laws, laws_in
     from twin.simulation.summary import table
 
-    print("law (any block; any axis)\n\nAn output of one block as a function of one variable, y = f(x), that no other effect describes.\n")
-    print(table(["variable", "what it is"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
+    print("law (any block; any axis)\n\nThe output of a block as a function of one variable, y = f(x), that no other effect describes.\n")
+    print(table(["variable", "meaning"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
     outputs = [[block, name, o.words] for block, of_block in OUTPUTS.items() for name, o in of_block.items()]
-    print(table(["block", "output", "what it is"], outputs, left=3) + "\n")
+    print(table(["block", "output", "meaning"], outputs, left=3) + "\n")
     print(
         table(
             ["formula", "equation", "numbers"],
@@ -47,13 +47,13 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.simulation.summary import table
 
     if args.picture and not args.name:
-        raise InputError("--picture: of which effect? Give its name too, e.g. twin effects backlash --picture backlash.png")
+        raise InputError("--picture needs the name of an effect, e.g. twin effects backlash --picture backlash.png")
     machine = machine_of(args)
     if not args.name:
         effects = sorted(EFFECTS.values(), key=lambda e: BLOCKS.index(e.block))
         rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in effects]
-        rows.append(["law", "".join(machine.axis_names), "any", "A law that none of them describes, as a formula or a curve"])
-        print(table(["effect", "axes", "block", "what it is"], rows, left=4))
+        rows.append(["law", "".join(machine.axis_names), "any", "A law that no listed effect describes, as a formula or a curve"])
+        print(table(["effect", "axes", "block", "meaning"], rows, left=4))
         return 0
     if args.name == "law":
         return _law_page(machine, args.picture)

@@ -1,4 +1,4 @@
-"""`twin import`: recorded files and a map in, a campaign out."""
+"""`twin import`: turns recorded files and a map into a campaign."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from twin.files import output_folder, write_whole
 from twin.progress import Progress
 from twin.recordings.formats.by_ending import READERS, read_recording
 from twin.recordings.mapping import Map, RunMap, read_map, runs_of
-from twin.recordings.signals import Clock, How, Recording
+from twin.recordings.signals import Clock, ReadOptions, Recording
 
 MOST_PICTURES = 6
-"""Pictures of the traces of one recording that are drawn: a recording may hold a hundred strokes."""
+"""Most pictures per recording, which may have a hundred strokes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,15 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--map",
         metavar="MAP",
-        help="map (.toml) of columns to axes and signals; default: proposed from names, written to CAMPAIGN/map.toml",
+        help="map (.toml) of columns to axes and signals; default: proposed from column names and written to CAMPAIGN/map.toml",
     )
-    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign; without it and without a map the files are listed")
+    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign; without --out and --map the files are listed")
     parser.add_argument("--machine", metavar="FILE", help="machine file to check against (default: the one that the map names)")
     parser.add_argument("--no-picture", action="store_true", help="do not draw the runs")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Read, understand, write; say what was understood."""
+    """Import the files and report what was found."""
     files = [Path(f) for f in args.files]
     if args.map is None and args.out is None:
         return _list(files)
@@ -49,7 +49,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: bool = True, say: Callable[[str], None] | None = None) -> int:
-    """Make the campaign; returns the number of traces. `say` receives the lines that report what was understood (such as print)."""
+    """Import runs into the folder `out`; returns the number of traces. `say` receives the lines of the report (e.g. print)."""
     from twin.recordings.overview import draw_run, understood_table
     from twin.recordings.understand import understand
     from twin.recordings.write import write_campaign, write_run
@@ -63,7 +63,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     done, begun = [], _beginnings()
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:
-            # what does not fit into memory waits beside the result, not in a /tmp that may be memory
+            # data that do not fit into memory go beside the result, because /tmp may be in memory
             with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
                 recordings = _read(mapping, paths, Path(scratch))
                 known = understand(mapping, run, recordings)
@@ -73,7 +73,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
                         draw_run(known, trace, out / f"{trace.name}.png")
                 done.append((known, traces))
                 report(
-                    f"\n{run.name}, feedforward {run.feedforward or 'not said'}: "
+                    f"\n{run.name}, feedforward {run.feedforward or 'unknown'}: "
                     + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
                     + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
                     + f" every {traces[0].piece.period * 1e3:g} ms"
@@ -88,11 +88,11 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 
 def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
     wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
-    return [read_recording(path, How(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
+    return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
 
 
 def _beginnings() -> Callable[[RunMap, datetime | None], float]:
-    """When each run began [s]: the map's word, else the file's clock after the first run's, else 0."""
+    """Start time of each run [s]: from the map, else from the clocks of the files relative to the first run, else 0."""
     first: list[datetime] = []
 
     def begun(run: RunMap, started: datetime | None) -> float:
@@ -109,11 +109,11 @@ def _beginnings() -> Callable[[RunMap, datetime | None], float]:
 
 def _read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
     """All columns of all files, without a map."""
-    return [read_recording(path, How(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
+    return [read_recording(path, ReadOptions(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
 
 
 def _list(files: Sequence[Path]) -> int:
-    """What the files hold, and the map that is proposed for them."""
+    """List the content of the files and the proposed map."""
     from twin.recordings.map_text import map_text
     from twin.recordings.overview import listing
     from twin.recordings.propose import propose
@@ -128,7 +128,7 @@ def _list(files: Sequence[Path]) -> int:
 
 
 def _proposed(files: Sequence[Path], out: Path) -> Path:
-    """The map proposed for the files, written into the campaign's folder."""
+    """Write the proposed map into the folder of the campaign; returns its path."""
     from twin.recordings.map_text import map_text
     from twin.recordings.propose import propose
 
@@ -139,15 +139,15 @@ def _proposed(files: Sequence[Path], out: Path) -> Path:
         proposal = propose(_read_all(files, scratch))
     text = map_text(proposal, [f.name for f in files])
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
-        raise InputError(f"{path}: holds a map already that is not the one proposed now; use it with --map {path}, or remove it")
+        raise InputError(f"{path}: already holds another map than the one proposed now; use it with --map {path}, or remove it")
     output_folder(out)
     write_whole(path, text)
     if not proposal.axes:
-        reason = proposal.left_out[0] if proposal.left_out else "no name of a column is known"
+        reason = proposal.left_out[0] if proposal.left_out else "no column name is known"
         raise InputError(
-            f"{path}: no axis can be proposed ({reason}); say there which column is the set point of which axis, and use it with --map"
+            f"{path}: no axis can be proposed ({reason}); enter there which column is the set point of which axis, and use it with --map"
         )
-    print(f"map proposed from the names of the columns: {path}")
-    for line in [*(f"in doubt, not used: {c.name} ({c.doubt})" for c in proposal.columns if c.doubt), *proposal.left_out]:
+    print(f"map proposed from the column names: {path}")
+    for line in [*(f"doubtful, not used: {c.name} ({c.doubt})" for c in proposal.columns if c.doubt), *proposal.left_out]:
         print(f"  - {line}")
     return path

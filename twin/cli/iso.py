@@ -1,4 +1,4 @@
-"""`twin iso 230-2|230-4 INPUT`: the standard's numbers and the plot that everybody in the trade knows."""
+"""`twin iso 230-2|230-4 INPUT`: numbers and plots of the standards for positioning and circles."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, and the plot beside it")
     parser.add_argument("--plot", metavar="FILE", help="file of the plot (default: beside --json, or out/iso_STANDARD.png)")
     parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
-    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the twin's prediction for the same set points")
+    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the twin's prediction of the same circle")
     parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
     parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
     parser.add_argument(
-        "--feedforward", metavar="F", help="230-4: off | velocity | velocity+torque in a ballbar's test (default: as the machine file says)"
+        "--feedforward", metavar="F", help="230-4: off | velocity | velocity+torque in a ballbar test (default: from the machine file)"
     )
     parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")
     parser.add_argument(
         "--diagnosis",
         metavar="DIR",
-        help="230-4: folder of `twin diagnose`: the corrected machine beside, and what each effect does to the circle",
+        help="230-4: output folder of `twin diagnose`; adds the corrected twin and the contribution of each effect",
     )
-    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write a ballbar's circle as a campaign for `twin diagnose`")
+    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write a ballbar table as a campaign for `twin diagnose`")
     add_machine(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Evaluate, print, write numbers and plot."""
+    """Evaluate, print, and write numbers and plot."""
 
     if not Path(args.input).exists():
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run or a campaign")
@@ -146,7 +146,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
         if not tests:
             raise InputError(problems[0] if problems else f"{source}: no run with a circle")
     if args.campaign and recorded:
-        raise InputError(f"{source}: this is a recording already; give it to 'twin diagnose' (a single trace: 'twin import' first)")
+        raise InputError(f"{source}: already a recording; give it to 'twin diagnose' (a single trace: 'twin import' first)")
     rows, circles, budgets = [], [], []
     for i, (run, by_name) in enumerate(tests):
         if i < len(recorded) and args.diagnosis:
@@ -169,7 +169,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
             )
     for entry in circles:
         if "budget" in entry:
-            print(f"{entry['run']} {entry['plane']}: what each effect does to the circle [um]; unknown is measured less corrected")
+            print(f"{entry['run']} {entry['plane']}: contribution of each effect to the circle [um]; unknown: measured minus corrected")
             cells = [
                 [
                     row["effect"].replace("_", " "),
@@ -202,7 +202,7 @@ _ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
 
 
 def _budget(folder: Path, recorded: tuple[Trace, str | None, Ballbar | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
-    """The budget of one circle by the diagnosis in a folder; the corrected circle goes beside the others."""
+    """The budget of one circle from a diagnosis folder; adds the corrected circle to `by_name`."""
     from twin.documents import read_json_table
     from twin.iso230.circle_budget import circle_budget
     from twin.machine import load_machine
@@ -233,7 +233,7 @@ def _budget_row(row: EffectOnCircle) -> dict[str, Any]:
 
 
 def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
-    """The same circle as the twin runs it, seen as it was measured."""
+    """The same circle simulated by the twin, evaluated like the measurement."""
     from twin.iso230.circle_of_trace import circles_of_trace
     from twin.simulation.gap import as_recorded, simulated_period
     from twin.simulation.run import simulate
@@ -244,7 +244,7 @@ def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ba
 
 
 def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None, Ballbar | None]]:
-    """Name, trace, feedforward and ballbar of every run: of a campaign, of the folder of a run, of a trace."""
+    """Name, trace, feedforward and ballbar of every run in a campaign, in the folder of a run, or in a trace."""
     from twin.recordings import read_campaign, read_trace
 
     if (source / "campaign.toml").is_file():
@@ -258,7 +258,7 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
-    """A ballbar's circle as a campaign; what no radius separates is printed."""
+    """Write a ballbar circle as a campaign, and print the deviations that a radius cannot separate."""
     from twin.files import write_whole
     from twin.iso230.ballbar_campaign import ballbar_campaign
     from twin.recordings.trace import write_trace
@@ -268,8 +268,8 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
     name = f"circle_{test.name.lower()}.parquet"
     write_trace(found.trace, folder / name)
     lines = [
-        f"# {source.name}: what a ballbar saw; taken out of it and of the twin, because a radius does not separate it from the machine:",
-        f"# {slopes} beside the nominal twin",
+        f"# {source.name}: ballbar measurement. Removed from it and from the twin, because a radius cannot separate it from the machine:",
+        f"# {slopes}, relative to the nominal twin",
         f'machine = "{machine.model_path.stem}"',
         "",
         "[[run]]",
@@ -281,5 +281,5 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
         "",
     ]
     write_whole(folder / "campaign.toml", "\n".join(lines))
-    print(f"beside the nominal twin, and taken out: {slopes} (of a scale or of its axis' gain: one radius does not separate them)")
+    print(f"relative to the nominal twin, removed: {slopes} (one radius cannot separate a scale error from the gain of its axis)")
     print(f"written: {folder}, a campaign for twin diagnose")

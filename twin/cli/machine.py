@@ -22,11 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new.add_argument(
         "--from-recording",
         metavar="CAMPAIGN",
-        help="instead of a model: an imported campaign; drive and load become lumps that reproduce it",
+        help="instead of MODEL: an imported campaign, which lumped parameters of drive and load then reproduce",
     )
-    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; the MJCF comes beside it")
-    new.add_argument("--structure", metavar="S", help=f"control of all axes: {', '.join(STRUCTURES)} (default {STRUCTURES[0]})")
-    new.add_argument("--sinumerik", metavar="FILE", help="machine data of a Sinumerik, as TOML or archive, for what they know")
+    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is written beside it")
+    new.add_argument("--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default {STRUCTURES[0]})")
+    new.add_argument("--sinumerik", metavar="FILE", help="use SINUMERIK machine data from this TOML or archive")
     new.set_defaults(action=_new)
     check = actions.add_parser("check", help="list missing, impossible and unusual values, with the margins of each loop")
     check.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
@@ -34,12 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.set_defaults(action=_check)
     show = actions.add_parser("show", help="print the data sheet")
     show.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
-    show.add_argument("--sinumerik", action="store_true", help="as machine data of a Sinumerik 840D with 611D drives")
+    show.add_argument("--sinumerik", action="store_true", help="as machine data of a SINUMERIK 840D with 611D drives")
     show.set_defaults(action=_show)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Do what was asked for."""
+    """Carry out the chosen action."""
     return int(args.action(args))
 
 
@@ -54,26 +54,26 @@ def _new(args: argparse.Namespace) -> int:
     axes, left = new_machine(Path(args.model), out, args.structure or STRUCTURES[0], Path(args.sinumerik) if args.sinumerik else None)
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
-        print(f"machine data without a place in this machine file, left alone: {', '.join(left)}")
-    print(f"numbers that were assumed say so; see them with: twin machine check {out}")
+        print(f"machine data that this machine file has no place for, ignored: {', '.join(left)}")
+    print(f"assumed numbers are marked; list them with: twin machine check {out}")
     return 0
 
 
 def _from_recording(args: argparse.Namespace, out: Path) -> int:
-    from twin.machine.from_recording import followed_text, machine_from_recording
+    from twin.machine.from_recording import machine_from_recording, reproduction_text
 
     if args.structure or args.sinumerik:
         raise InputError(
-            "twin machine new --from-recording: structure and numbers come from the recording; leave --structure and --sinumerik out"
+            "twin machine new --from-recording: structure and numbers come from the recording; omit --structure and --sinumerik"
         )
     with Progress("reproducing the recording") as bar:
         made = machine_from_recording(Path(args.from_recording), out, bar.say)
     print(f"written: {out} and {out.with_suffix('.xml').name} with {len(made.lumps)} {'axis' if len(made.lumps) == 1 else 'axes'}")
     for one in made.lumps:
-        print(f"  {followed_text(one, made.followed[one.name])}")
+        print(f"  {reproduction_text(one, made.followed[one.name])}")
         for note in one.notes:
             print(f"    - {note}")
-    print("drive and load are lumps, counted at the axis in units of the recorded command; each number says what it is")
+    print("drive and load are lumped parameters at the axis, in units of the recorded command; comments in the file state each origin")
     return 0
 
 
@@ -108,7 +108,7 @@ def _show(args: argparse.Namespace) -> int:
 
 
 def _document(checks: Any, findings: Any) -> dict[str, Any]:
-    """`check.json`; what there is none of (a margin, a mode) is null."""
+    """Content of `check.json`; a missing margin or mode is null."""
     axes = {}
     for c in checks:
         loops = {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)}

@@ -92,9 +92,14 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
 
 
 def settings_of(machine: Machine) -> tuple[Setting, ...]:
-    """The machine's `[[effect]]` tables, checked; the same effect twice on an axis is an error."""
+    """The machine's `[[effect]]` tables, checked; the same effect twice on an axis is an error. Effects on or from axes that are not driven are left out."""
     where = str(machine.path or machine.name)
-    settings = tuple(check_setting(table, machine, f"{where}: effect {i + 1}") for i, table in enumerate(machine.effects))
+    still = [name for name in machine.document["axis"] if name not in machine.axis_names]
+    settings = tuple(
+        check_setting(table, machine, f"{where}: effect {i + 1}")
+        for i, table in enumerate(machine.effects)
+        if not (isinstance(table, Mapping) and (table.get("axis") in still or table.get("from_axis") in still))
+    )
     seen: set[tuple[str, str, str | None]] = set()
     for setting in settings:
         key = setting.key

@@ -1,12 +1,12 @@
-"""Poses of all bodies of a tree of slides and hinges, for many samples of the joints at once, without stepping an engine.
+"""Poses of all bodies of a tree of slides and hinges, for many joint samples at once, without a simulation.
 
-The law is the engine's own: a body starts at its offset in the parent and each of its joints moves it in turn,
+As in MuJoCo, a body starts at its offset in the parent, and its joints move it one after the other:
 
-    slide   x += R a (q - q0)                       a, p: axis and anchor of the joint in the body's frame
-    hinge   R <- R Rot(a, q - q0),  x <- x + (R_before - R_after) p
+slide   x += R a (q - q0)                       a, p: axis and anchor of the joint in the body's frame
+hinge   R <- R Rot(a, q - q0),  x <- x + (R_before - R_after) p
 
-Rotations are unit quaternions (w, x, y, z). Arrays are (sample, 3) and (sample, 4); what does not move keeps one sample,
-which numpy broadcasts. Ball and free joints stay in their reference pose.
+Rotations are unit quaternions (w, x, y, z). Arrays are (sample, 3) and (sample, 4). A constant pose has a single sample, which numpy
+broadcasts. Ball and free joints stay in their reference pose.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Pose:
         return Pose(-rotate(back, self.position), back)
 
     def at(self, samples: np.ndarray) -> Pose:
-        """The poses of some samples (indices); what does not move stays as it is."""
+        """The poses at some samples (indices); a constant pose stays single."""
         return Pose(*(part if len(part) == 1 else part[samples] for part in (self.position, self.quaternion)))
 
 
@@ -47,9 +47,9 @@ IDENTITY = Pose(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
 
 
 def local_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[Pose]:
-    """parent_from_body of every body in the model's order, for joint positions (sample,) by joint name [m, rad].
+    """parent_from_body of every body in the order of the model, for joint positions (sample,) by joint name [m, rad].
 
-    Joints that are not named stay in their reference pose (q0).
+    Other joints stay in their reference pose (q0).
     """
     poses = [IDENTITY]
     for body in range(1, model.nbody):
@@ -63,7 +63,7 @@ def local_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list
 
 
 def body_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[Pose]:
-    """world_from_body of every body, in the model's order."""
+    """world_from_body of every body, in the order of the model."""
     poses: list[Pose] = []
     for body, local in enumerate(local_poses(model, joints)):
         poses.append(local if body == 0 else poses[model.body_parentid[body]] @ local)
@@ -71,12 +71,12 @@ def body_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[
 
 
 def site_pose(model: mujoco.MjModel, bodies: list[Pose], site: int) -> Pose:
-    """world_from_site for the poses of all bodies."""
+    """world_from_site, given the poses of all bodies."""
     return bodies[model.site_bodyid[site]] @ Pose(model.site_pos[site][None], model.site_quat[site][None])
 
 
 def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (sample or 1, 3) turned by unit quaternions (sample or 1, 4): v + 2 u x (u x v + w v)."""
+    """Points (sample or 1, 3) rotated by unit quaternions (sample or 1, 4): v + 2 u x (u x v + w v)."""
     if len(quaternion) == 1 and np.all(quaternion[0, 1:] == 0.0):
         return points
     w, u = quaternion[:, :1], quaternion[:, 1:]
@@ -113,7 +113,7 @@ def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) ->
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of (sample or 1, 3); three times faster than numpy's own on many samples."""
+    """Cross product of (sample or 1, 3); three times faster than numpy.cross on many samples."""
     a0, a1, a2 = a.T
     b0, b1, b2 = b.T
     return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=1)

@@ -1,8 +1,8 @@
-"""The chain of a machine's axes as its model has it: which joint carries the tool, which the part, and the letters of programs.
+"""The kinematic chain of a machine from its model: the joints that carry the tool and the part, and the axis letters of programs.
 
-Nothing is taken from names but what a machine file leaves open: the order of the joints between workpiece and tool says whether
-a rotary axis turns the part (table) or the tool (head). A program's letters are the first letters of the axes' names, or what
-[program.axes] of the machine file says: `B = "TILT"`.
+The order of the joints between workpiece and tool decides whether a rotary axis turns the part (table) or the tool (head); names do
+not matter. The axis letters of programs are the first letters of the axis names, or those in [program.axes] of the machine file:
+`B = "TILT"`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LINEAR_LETTERS, ROTARY_LETTERS = "XYZ", "ABC"
 
 
 class Joint(NamedTuple):
-    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), whether it turns, whether it moves the part."""
+    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), rotary or not, on the table side or not."""
 
     number: int
     name: str
@@ -33,12 +33,12 @@ class Joint(NamedTuple):
 
 
 def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, Any]:
-    """The fields of `Kinematics` but its travel, from the model with all axes at zero; slides alone may do without sites.
+    """The fields of `Kinematics` except its travel, from the model with all axes at zero. A machine of slides alone may lack the sites.
 
     Raises:
-        InputError: the joints between workpiece and tool are not three slides with up to two hinges behind them.
+    InputError: the joints between workpiece and tool are not up to three slides followed by up to two hinges on either side.
     """
-    import mujoco  # only here: usage and what moves need no engine
+    import mujoco  # imported here, because command-line help needs no engine
 
     from twin.simulation.plant_spec import frames_of_model
 
@@ -48,56 +48,71 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
     sites = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in ("tool", "workpiece")}
-    if min(sites.values()) < 0:
-        if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
-            missing = next(name for name, number in sites.items() if number < 0)
-            raise InputError(f"{model_path}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
-        joints = _all_joints(model, data, machine)
-    else:
-        part, tool = (_chain(model, data, sites[name], machine, on_table=name == "workpiece") for name in ("workpiece", "tool"))
-        for side in (part, tool):
-            kinds = [joint.turns for joint in side]  # from the part or the tool towards the bed
-            if kinds != sorted(kinds, reverse=True):
-                raise InputError(
-                    f"{model_path}: a slide is carried by a rotary axis ({', '.join(j.name for j in side)} from the "
-                    f"{'part' if side is part else 'tool'} on), which the transformation does not cover; hang the rotary axes on the slides"
-                )
-        joints = [*part, *reversed(tool)]  # from the part to the tool
+    joints = _joints(model, data, sites, machine, sites_needed)
     slides, turns = [j for j in joints if not j.turns], [j for j in joints if j.turns]
     if len(slides) > 3 or len(turns) > 2:
         raise InputError(
             f"{model_path}: not a machine of up to three slides and two rotary axes between part and tool: "
-            f"found {', '.join(j.name for j in joints)}; lock what is no axis of programs"
+            f"found {', '.join(j.name for j in joints)}; lock joints that programs do not move"
         )
     letters = _letters(joints, machine)
     columns, names = np.eye(3), [""] * 5
     for joint in slides:
-        i = _slot(joint, letters, slides)
+        i = _index_in_xyz(joint, letters, slides)
         columns[:, i] = -joint.axis if joint.on_table else joint.axis
         names[i] = joint.name
-    turn = turns[0] if turns else None  # the one nearer to the part; a single rotary axis is the turning one
+    turn = turns[0] if turns else None  # nearest to the part; a single rotary axis is the turning axis
     tilt = turns[1] if len(turns) == 2 else None
     names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
-    tool_body = int(model.site_bodyid[sites["tool"]]) if sites["tool"] >= 0 else 0
-    with_sites = min(sites.values()) >= 0
-    tool_axis = data.site_xmat[sites["tool"]].reshape(3, 3)[:, 2] if with_sites else np.array([0.0, 0.0, 1.0])
-    # where the file does not say how long the tool is, the body that carries it begins at the spindle nose
-    carrier_to_tip = float((data.xpos[tool_body] - data.site_xpos[sites["tool"]]) @ tool_axis) if with_sites else 0.0
     return {
         "slides": columns,
-        "tool_tip": data.site_xpos[sites["tool"]].copy() if with_sites else np.zeros(3),
-        "tool_axis": tool_axis.copy(),
         "tilt_axis": tilt.axis if tilt else np.array([1.0, 0.0, 0.0]),
         "tilt_anchor": tilt.anchor if tilt else np.zeros(3),
         "turn_axis": turn.axis if turn else np.array([0.0, 0.0, 1.0]),
         "turn_anchor": turn.anchor if turn else np.zeros(3),
-        "part_origin": data.site_xpos[sites["workpiece"]].copy() if with_sites else np.zeros(3),
-        "part_axes": data.site_xmat[sites["workpiece"]].reshape(3, 3).copy() if with_sites else np.eye(3),
-        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
         "tilt_on_table": tilt is None or tilt.on_table,
         "turn_on_table": turn is None or turn.on_table,
         "names": tuple(names),
         "letters": _five_letters(letters, slides, tilt, turn),
+        **_tool_and_part(model, data, sites, machine),
+    }
+
+
+def _joints(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine, sites_needed: bool) -> list[Joint]:
+    """Joints of axes, in order from the part to the tool."""
+    where = machine.model_path
+    if min(sites.values()) < 0:
+        if sites_needed or any(axis.kind == "rotary" for axis in machine.axes):
+            missing = next(name for name, number in sites.items() if number < 0)
+            raise InputError(f"{where}: no site '{missing}'; the five-axis transformation needs the sites tool and workpiece")
+        found = [_joint(model, data, j, False) for j in range(model.njnt)]
+        return [j for j in found if j.name in machine.axis_names]
+    part, tool = (_chain(model, data, sites[name], machine, on_table=name == "workpiece") for name in ("workpiece", "tool"))
+    for side in (part, tool):
+        kinds = [joint.turns for joint in side]  # from the part or the tool towards the bed
+        if kinds != sorted(kinds, reverse=True):
+            raise InputError(
+                f"{where}: a slide is carried by a rotary axis ({', '.join(j.name for j in side)} from the "
+                f"{'part' if side is part else 'tool'} on), which the transformation does not cover; hang the rotary axes on the slides"
+            )
+    return [*part, *reversed(tool)]
+
+
+def _tool_and_part(model: mujoco.MjModel, data: mujoco.MjData, sites: Mapping[str, int], machine: Machine) -> dict[str, Any]:
+    """Tool tip, tool axis and length, and the part frame, at rest. Without the sites: a tool along z, all at the origin."""
+    tip, tool_axis, part_origin, part_axes, carrier_to_tip = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3), 0.0
+    if min(sites.values()) >= 0:
+        tool, part = sites["tool"], sites["workpiece"]
+        tip, tool_axis = data.site_xpos[tool].copy(), data.site_xmat[tool].reshape(3, 3)[:, 2].copy()
+        part_origin, part_axes = data.site_xpos[part].copy(), data.site_xmat[part].reshape(3, 3).copy()
+        # if the file omits the tool length, the origin of the tool's body is the spindle nose
+        carrier_to_tip = float((data.xpos[model.site_bodyid[tool]] - tip) @ tool_axis)
+    return {
+        "tool_tip": tip,
+        "tool_axis": tool_axis,
+        "tool_length": machine.geometry.get("tool_length_m", carrier_to_tip),
+        "part_origin": part_origin,
+        "part_axes": part_axes,
     }
 
 
@@ -110,12 +125,7 @@ def _chain(model: mujoco.MjModel, data: mujoco.MjData, site: int, machine: Machi
         body = model.body_parentid[body]
     found = [_joint(model, data, j, on_table) for j in numbers]
     own = [j for j in found if j.name in machine.document["axis"]]
-    return own or found  # a spindle or a door of the model is no axis of programs
-
-
-def _all_joints(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> list[Joint]:
-    """The joints of the axes of a machine whose model has no sites: three slides, however they hang."""
-    return [j for j in (_joint(model, data, k, False) for k in range(model.njnt)) if j.name in machine.axis_names]
+    return own or found  # programs do not move a spindle or a door
 
 
 def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -> Joint:
@@ -126,7 +136,7 @@ def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -
 
 
 def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
-    """The letter of each axis in programs; those of [program.axes] first, then first letters of names, then directions."""
+    """Letter of each axis in programs: from [program.axes], else the first letter of the name, else by direction."""
     program = machine.document.get("program", {})
     given = program.get("axes", {}) if isinstance(program, Mapping) else {}
     where = f"{machine.where}: [program.axes]"
@@ -147,15 +157,15 @@ def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
             if first in own and first not in letters.values() and sum(j.name[0].upper() == first for j in rest) == 1:
                 letters[joint.name] = first
         for joint in rest:
-            if joint.name not in letters:  # by what it moves along or turns about
+            if joint.name not in letters:  # by its direction
                 order = np.argsort(-np.abs(joint.axis))
                 free = [own[i] for i in order if own[i] not in letters.values()]
                 letters[joint.name] = free[0]
     return letters
 
 
-def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
-    """Which of X Y Z a slide is: by its letter, or by its direction where the letters are others."""
+def _index_in_xyz(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
+    """Index 0, 1, 2 (X, Y, Z) of a slide: by its letter, or by its direction if its letter is another one."""
     letter = letters[joint.name]
     if letter in LINEAR_LETTERS:
         return LINEAR_LETTERS.index(letter)
@@ -170,10 +180,10 @@ def _slot(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
 
 
 def _five_letters(letters: dict[str, str], slides: list[Joint], tilt: Joint | None, turn: Joint | None) -> tuple[str, ...]:
-    """Letters of X Y Z, tilting and turning axis; a rotary axis that is not there gets one that is left."""
+    """Letters of X, Y, Z, tilting and turning axis. A missing rotary axis gets an unused letter."""
     out = list(LINEAR_LETTERS)
     for joint in slides:
-        out[_slot(joint, letters, slides)] = letters[joint.name]
+        out[_index_in_xyz(joint, letters, slides)] = letters[joint.name]
     used = [letters[j.name] for j in (tilt, turn) if j is not None]
     free = [letter for letter in "ACB" if letter not in used]
     out.append(letters[tilt.name] if tilt else free.pop(0))

@@ -1,21 +1,20 @@
-"""The transformation of a machine's chain: where the tool is in the part for given axes, and which axes bring it there.
+"""Kinematic transformation of a machine: tool pose in the part frame from axis positions, and the inverse.
 
-The frames are read from the MJCF at rest with the machine file's lengths (joint axes, anchors, sites `tool` and `workpiece`);
-nothing is typed twice. Three slides, and up to two rotary axes that turn the part (table) or the tool (head): the *turning* axis
-is the one nearer to the part in the chain, the *tilting* axis the one nearer to the tool. Table-table: both turn the part; head-table:
-the turning axis turns the part, the tilting one the tool; head-head: both turn the tool.
+The frames (joint axes, anchors, sites `tool` and `workpiece`) come from the MJCF at rest with the lengths of the machine file. A machine
+has three slides, and up to two rotary axes that turn the part (table) or the tool (head). The *turning* axis is the rotary axis nearer
+to the part in the chain, the *tilting* axis the one nearer to the tool. Table-table: both turn the part. Head-table: the turning axis
+turns the part, the tilting axis the tool. Head-head: both turn the tool.
 
-    workpiece_from_tool = (bed_from_workpiece(tilt, turn))^-1 @ bed_from_tool(X, Y, Z, tilt, turn)
+workpiece_from_tool = (bed_from_workpiece(tilt, turn))^-1 @ bed_from_tool(X, Y, Z, tilt, turn)
 
-A slide under the table counts with its direction reversed. Positions in m, angles in rad, right-handed; arrays are (sample, axis) in
-the order X Y Z, tilting axis, turning axis (A and C of the Mikron). The tool axis is the unit vector from the tip towards the
-spindle. Skew axes and offsets of any kind are covered, slides that a rotary axis carries are not.
+The direction of a slide under the table is reversed. Positions in m, angles in rad, right-handed. Arrays are (sample, axis) in the order
+X, Y, Z, tilting axis, turning axis (A and C of the Mikron). The tool axis is the unit vector from the tip to the spindle. Axes may be
+skew and offset. Slides carried by a rotary axis are not covered.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-import functools
 
 import numpy as np
 
@@ -25,21 +24,24 @@ from twin.machine.machine import Machine
 from twin.machine.model_file import state_of_model
 
 SINGULAR_SINE = 1e-9
-"""A tool axis closer than this (as a sine) to the turning axis leaves C free: C then keeps its angle."""
+"""A tool axis closer (as a sine) to the turning axis leaves C undetermined; C then keeps its angle."""
 REACH_TOLERANCE = 1e-9
-"""A tool axis may miss the reachable cone by this (as a cosine) and count as on its edge: rounding of the program."""
+"""A tool axis that misses the reachable cone by less (as a cosine) counts as reachable, because programs are rounded."""
 FEWER_AXES_TOLERANCE = 1e-5
-"""The same for a machine with one rotary axis or none, whose tool axis has no angle to give way."""
+"""The same for a machine with fewer than two rotary axes, which cannot adapt to rounding."""
 
 
 @dataclass(frozen=True)
 class Kinematics:
     """Frames of a machine at rest, in the bed (world) frame.
 
-    `slides` (3, 3) has the directions of X Y Z as columns, those under the table reversed; `tool_tip` (3,), `tool_axis` (3,) belong
-    to the tool; `tilt_*` and `turn_*` are axis (3,) and anchor (3,) of the rotary axes, which turn the part or (`.._on_table` False)
-    the tool; `part_origin` (3,) and `part_axes` (3, 3, columns) place the workpiece. `travel` (5, 2) may hold infinities. `names` are
-    the axes of the machine, '' for one that it lacks, `letters` those of programs.
+    slides              (3, 3), directions of X, Y, Z as columns, reversed for slides under the table
+    tool_tip, tool_axis (3,)
+    tilt_*, turn_*      axis (3,) and anchor (3,) of the rotary axes; `.._on_table`: turns the part (True) or the tool (False)
+    part_origin         (3,), and part_axes (3, 3) with the axes as columns: the part frame
+    travel              (5, 2), may be infinite
+    names               axes of the machine, '' for a missing one
+    letters             axis letters of programs
     """
 
     slides: np.ndarray
@@ -60,39 +62,26 @@ class Kinematics:
 
     @property
     def label(self) -> tuple[str, ...]:
-        """What messages call the five axes: their names, or the letter where the machine lacks one."""
+        """Names of the five axes in messages: the name, or the letter of a missing axis."""
         return tuple(name or letter for name, letter in zip(self.names, self.letters))
 
     def with_tool_length(self, length: float) -> Kinematics:
         """The same machine with a tool of another length [m], measured along the tool axis from the spindle nose."""
         return replace(self, tool_tip=self.tool_tip - (length - self.tool_length) * self.tool_axis, tool_length=length)
 
-    def with_placement(self, offset: np.ndarray, rotation: np.ndarray | None = None) -> Kinematics:
-        """The part frame moved by `offset` (3,) [m] and turned by `rotation` (3, 3), both given in the present part frame."""
-        axes = self.part_axes if rotation is None else self.part_axes @ rotation
-        return replace(self, part_origin=self.part_origin + self.part_axes @ np.asarray(offset, float), part_axes=axes)
-
     def _turns(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotations (sample, 3, 3) by the tilting and the turning axis."""
         return rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
 
-    def part_rotation(self, axes: np.ndarray) -> np.ndarray:
-        """bed_from_workpiece rotations (sample, 3, 3)."""
-        axes = np.atleast_2d(axes)
-        return self._part_rotation(*self._turns(axes))
-
     def _part_rotation(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """bed_from_workpiece rotations (sample, 3, 3)."""
         out = np.broadcast_to(self.part_axes, turn.shape)
         if self.turn_on_table:
             out = turn @ out
         return tilt @ out if self.tilt_on_table else out
 
-    def part_position(self, axes: np.ndarray) -> np.ndarray:
-        """Origin of the part frame in the bed frame (sample, 3)."""
-        axes = np.atleast_2d(axes)
-        return self._part_position(*self._turns(axes))
-
     def _part_position(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Origin of the part frame in the bed frame (sample, 3)."""
         point = np.broadcast_to(self.part_origin, (len(turn), 3))
         if self.turn_on_table:
             point = _about(turn, self.turn_anchor, point)
@@ -106,7 +95,7 @@ class Kinematics:
         return point if self.turn_on_table else _about(turn, self.turn_anchor, point)
 
     def tip_in_bed(self, axes: np.ndarray) -> np.ndarray:
-        """Tool tip as seen from the slides of the table (sample, 3): in the bed frame where they stand still."""
+        """Tool tip relative to the slides of the table (sample, 3); the bed frame if these stand still."""
         axes = np.atleast_2d(axes)
         return axes[:, :3] @ self.slides.T + self._tip_at_rest(*self._turns(axes))
 
@@ -123,21 +112,21 @@ class Kinematics:
         return tip, workpiece_from_bed @ (head if self.turn_on_table else turn @ head) @ self.tool_axis
 
     def linear_axes(self, tip: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        """X Y Z (sample, 3) that hold the tip (sample, 3, part frame) at given rotary axes (sample, 2)."""
+        """X, Y, Z (sample, 3) that place the tip at (sample, 3) in the part frame, for given rotary axes (sample, 2)."""
         tip, angles = np.atleast_2d(tip), np.atleast_2d(angles)
         tilt, turn = self._turns(np.column_stack([np.zeros((len(angles), 3)), angles]))
         in_bed = np.einsum("nij,nj->ni", self._part_rotation(tilt, turn), tip) + self._part_position(tilt, turn)
         return (in_bed - self._tip_at_rest(tilt, turn)) @ np.linalg.inv(self.slides).T
 
     def angles(self, tool_axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both pairs (tilt, turn) for tool axes (sample, 3) in the part frame.
+        """Both solutions (tilt, turn) for tool axes (sample, 3) in the part frame.
 
-        Returns angles (solution 0 or 1, sample, 2) in (-pi, pi], and reachable (sample,). Where the tool axis lies along the
-        turning axis the turn is NaN: any angle serves. A machine with one rotary axis has one solution, given twice.
+        Returns angles (solution 0 or 1, sample, 2) in (-pi, pi], and reachable (sample,). If the tool axis is parallel to the turning axis,
+        any turn is possible and NaN is returned. With one rotary axis both solutions are equal.
         """
         axis = np.atleast_2d(tool_axis)
         axis = (axis / np.linalg.norm(axis, axis=1, keepdims=True)) @ self.part_axes.T
-        # a head turns the tool by +angle where a table turns the part by -angle: seen from the part, its axis is reversed
+        # a head that turns by +angle equals a table that turns by -angle: its axis is reversed
         a = self.tilt_axis if self.tilt_on_table else -self.tilt_axis
         c = self.turn_axis if self.turn_on_table else -self.turn_axis
         z = self.tool_axis
@@ -151,12 +140,12 @@ class Kinematics:
         r = axis @ c - (a @ z) * (a @ c)
         size = np.hypot(p, q)
         if size < SINGULAR_SINE:
-            raise InputError("machine: the tilting axis cannot tilt the tool against the turning axis; check the joints of the MJCF")
+            raise InputError("machine: the tilting axis is parallel to the turning axis; check the joints of the MJCF")
         reachable = np.abs(r) <= size * (1.0 + REACH_TOLERANCE)
         half = np.arccos(np.clip(r / size, -1.0, 1.0))
         for k, sign in enumerate((1.0, -1.0)):
             tilt = _wrapped(np.arctan2(q, p) + sign * half)
-            # what C must turn the tool axis into, seen after A is undone
+            # direction into which C must turn the tool axis, after A is undone
             goal = np.einsum("nij,j->ni", rotation(a, -tilt), z)
             pairs[k, :, 0] = tilt
             pairs[k, :, 1] = _turn_between(axis, goal, c)
@@ -184,7 +173,7 @@ def _about(turn: np.ndarray, anchor: np.ndarray, point: np.ndarray) -> np.ndarra
 
 
 def _turn_between(axis: np.ndarray, goal: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Angles (sample,) about c (3,) that turn directions (sample, 3) into their goals; NaN where a direction lies along c."""
+    """Angles (sample,) about c (3,) that turn directions (sample, 3) to their goals; NaN for a direction parallel to c."""
     have, want = axis - np.outer(axis @ c, c), goal - np.outer(goal @ c, c)
     turn = np.arctan2(np.cross(have, want) @ c, np.einsum("ni,ni->n", have, want))
     return np.where(np.linalg.norm(have, axis=1) < SINGULAR_SINE, np.nan, turn)
@@ -196,30 +185,21 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def kinematics_of(machine: Machine, *, sites_needed: bool = True) -> Kinematics:
-    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file; equal machines share one.
+    """The kinematics of a machine: frames from its MJCF, lengths and travels from its machine file. Results are cached.
 
-    A machine of slides alone may do without the sites tool and workpiece where `sites_needed` is False.
+    With `sites_needed` False, a machine of slides alone may lack the sites tool and workpiece.
     """
-    told = repr((machine.geometry, machine.document.get("program"), machine.axis_names, list(machine.document["axis"])))
-    return _known(_Key(machine, state_of_model(machine.model_path), told), tuple(axis.travel for axis in machine.axes), sites_needed)
+    travels = {axis.name: axis.travel for axis in machine.axes}
+    tables = repr((machine.geometry, machine.document.get("program"), travels, list(machine.document["axis"])))
+    key = (machine.model_path, state_of_model(machine.model_path), tables, sites_needed)
+    if key not in _KNOWN:
+        frames = frames_at_rest(machine, sites_needed)
+        if len(_KNOWN) >= MOST_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[key] = Kinematics(**frames, travel=np.array([travels.get(name, (0.0, 0.0)) for name in frames["names"]]))
+    return _KNOWN[key]
 
 
-class _Key:
-    """A machine that is known by what its frames come from."""
-
-    def __init__(self, machine: Machine, model: bytes, told: str) -> None:
-        self.machine, self.content = machine, (machine.model_path, model, told)
-
-    def __hash__(self) -> int:
-        return hash(self.content)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other.content == self.content
-
-
-@functools.lru_cache(maxsize=16)
-def _known(key: _Key, _travel: tuple, sites_needed: bool) -> Kinematics:
-    frames = frames_at_rest(key.machine, sites_needed)
-    known = {axis.name: axis.travel for axis in key.machine.axes}
-    travel = np.array([known.get(name, (0.0, 0.0)) for name in frames["names"]])
-    return Kinematics(**frames, travel=travel)
+_KNOWN: dict[object, Kinematics] = {}
+MOST_KNOWN = 16
+"""Most kinematics in the cache, keyed by all that they depend on."""

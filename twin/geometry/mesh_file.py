@@ -1,4 +1,4 @@
-"""Meshes of other people: STL, OBJ, PLY and DAE, read from the one file that is named; what such a file names in turn is not opened."""
+"""Meshes from unknown sources: STL, OBJ, PLY and DAE. Only the named file is read, no file that it refers to."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from twin.errors import InputError
 
 ENDINGS = (".stl", ".obj", ".ply", ".dae")
 LARGEST_BYTES = 300_000_000
-"""About six million triangles of a binary STL [bytes]."""
+"""Largest file [bytes], about six million triangles of a binary STL."""
 LARGEST_COORDINATE = 1e9
-"""A thousand kilometres in mm: nearest corners are found in whole numbers, which end at 9e10."""
+"""Largest coordinate: a thousand kilometres in mm. Merging of corners uses integers that end at 9e10."""
 
 
 def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) -> Any:
-    """The mesh of a file as one trimesh.Trimesh in the file's units; `process` joins equal corners.
+    """The mesh of a file as one trimesh.Trimesh in the units of the file. `process`: merge equal corners.
 
     Raises:
-        InputError: the file is too large, is no mesh of one of these endings, or holds no triangle or a corner that is no number.
+    InputError: the file is too large, not a mesh with one of these endings, or has no triangle or a corner that is not finite.
     """
     import trimesh
 
@@ -34,12 +34,12 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
         content = path.read_bytes()
         if ending == ".dae":
             _check_xml(content)
-        # read from memory and without a resolver, so that no material, texture or buffer is looked for
+        # read from memory without a resolver, so that no material, texture or buffer is opened
         mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", process=False)
         faces = len(mesh.faces)
     except InputError:
         raise
-    except (Exception, RecursionError) as error:  # the readers of trimesh raise whatever comes up
+    except (Exception, RecursionError) as error:  # trimesh raises many classes
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from None
     if not faces:
@@ -51,9 +51,9 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
 
 
 def check_corners(corners: np.ndarray, where: str) -> None:
-    """Refuse corners (corner, 3) that are no number, or further away than any machine is large."""
+    """Refuse corners (corner, 3) that are not finite, or farther away than any machine is large."""
     if not np.all(np.isfinite(corners)):
-        raise InputError(f"{where}: a vertex of the mesh is no finite number; export it again")
+        raise InputError(f"{where}: a vertex of the mesh is not a finite number; export it again")
     if (farthest := float(np.max(np.abs(corners), initial=0.0))) > LARGEST_COORDINATE:
         raise InputError(f"{where}: a vertex of the mesh lies at {farthest:.3g}, the limit is {LARGEST_COORDINATE:g}; correct its scale")
 

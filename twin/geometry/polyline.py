@@ -1,4 +1,4 @@
-"""Fewer points that hold the shape: Douglas and Peucker, compiled, for a path and for points that move together."""
+"""Douglas-Peucker simplification of a path, or of several points that move together, compiled."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from twin.compiled_functions import compiled
 
 @compiled(allocates=True)
 def keep_shape(points, tolerance, keep):  # type: ignore[no-untyped-def]
-    """Mark in `keep` (n,) the rows of `points` (n, 3 k) that hold the paths of k points within a tolerance.
+    """Mark in `keep` (n,) the rows of `points` (n, 3 k) that represent the paths of k points within a tolerance.
 
-    A row may be left out if one and the same part of the straight move between the kept rows beside it brings all of its k points
-    within the tolerance. Rows already marked stay and split the work, which bounds the search for the worst row.
+    A row may be dropped if one common fraction of the straight move between the neighbouring kept rows brings all k points within the
+    tolerance. Rows already marked stay and split the problem, which bounds the search.
     """
     n, columns = points.shape
     keep[0] = True

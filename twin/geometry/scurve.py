@@ -1,6 +1,6 @@
-"""Moves from rest to rest with limited speed, acceleration and jerk, in closed form: set points of tests and examples.
+"""Jerk-limited moves from rest to rest in closed form, as set points of tests and examples.
 
-A move has seven phases of constant jerk (+J 0 -J, 0, -J 0 +J); phases that a short move does not need have no length.
+A move has seven phases of constant jerk (+J 0 -J, 0, -J 0 +J). Phases that a short move does not need have zero length.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from twin.limits import MOST_SETPOINTS, refuse_above
 
 
 def phases_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> tuple[float, float, float]:
-    """Times [s] of a move over `distance` > 0: of a jerk phase, of constant acceleration, of constant speed.
+    """Durations [s] of a jerk phase, of constant acceleration and of constant speed, for a move over `distance` > 0.
 
-    With t_j and t_a the move reaches v = J t_j (t_j + t_a) and covers v (2 t_j + t_a) until it has stopped again.
+    With t_j and t_a the move reaches v = J t_j (t_j + t_a), and covers v (2 t_j + t_a) while accelerating and braking.
     """
-    # speed limit decides first, then acceleration, then the distance
+    # limits apply in this order: speed, acceleration, distance
     t_j = min(math.sqrt(speed / jerk), acceleration / jerk)
     t_a = max(speed / (jerk * t_j) - t_j, 0.0)
     reached = jerk * t_j * (t_j + t_a)
     if reached * (2.0 * t_j + t_a) <= distance:
         return t_j, t_a, distance / reached - 2.0 * t_j - t_a
-    # too short for the speed: J t_j (t_j + t_a) (2 t_j + t_a) = distance
+    # too short to reach the speed: J t_j (t_j + t_a) (2 t_j + t_a) = distance
     t_j = min((distance / (2.0 * jerk)) ** (1.0 / 3.0), acceleration / jerk)
     t_a = max(-1.5 * t_j + math.sqrt(0.25 * t_j**2 + distance / (jerk * t_j)), 0.0)
     return t_j, t_a, 0.0
@@ -44,13 +44,13 @@ def sample_times(seconds: float, period: float) -> np.ndarray:
 
 
 def time_of_move(distance: float, speed: float, acceleration: float, jerk: float) -> float:
-    """Time [s] from rest to rest."""
+    """Duration [s] of a move from rest to rest."""
     t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
     return 4.0 * t_j + 2.0 * t_a + t_v
 
 
 def jerk_limited_move(distance: float, speed: float, acceleration: float, jerk: float, times: np.ndarray) -> np.ndarray:
-    """Position (time,) at `times` [s] from the start of the move on; before it 0, after it `distance`."""
+    """Position (time,) at `times` [s] after the start of the move: 0 before, `distance` after it."""
     t_j, t_a, t_v = phases_of_move(abs(distance), speed, acceleration, jerk)
     lengths = np.array([t_j, t_a, t_j, t_v, t_j, t_a, t_j])
     jerks = math.copysign(jerk, distance) * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
@@ -69,7 +69,7 @@ def jerk_limited_move(distance: float, speed: float, acceleration: float, jerk: 
 def moves_in_turn(
     start: float, distances: Sequence[float], speed: float, acceleration: float, jerk: float, dwell: float, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times and positions, sampled with `period` [s], of moves one after the other with a dwell before, between and after."""
+    """Times and positions, sampled with `period` [s], of consecutive moves with a dwell before, between and after them."""
     begin = dwell
     begins = []
     for distance in distances:

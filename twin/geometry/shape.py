@@ -1,4 +1,4 @@
-"""A shape to draw, on a body of a tree."""
+"""A shape to draw on a body."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Shape:
-    """One thing to draw: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
+    """One shape: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
 
-    `size` (3,) [m]: half edges of a box, radii of an ellipsoid, (radius, half length, -) along z of cylinder and capsule.
+    `size` (3,) [m]: half edges of a box; radii of an ellipsoid; (radius, half length, -) along z of a cylinder or capsule.
     """
 
     body: int

@@ -1,14 +1,14 @@
-"""Tool paths: from axis positions to tool poses in the part, and how far one path lies from another.
+"""Tool paths: tool poses in the part frame from axis positions, and the deviation of one path from another.
 
-    followed axes    -> workpiece_from_tool (twin.geometry.kinematics) -> followed path
-    set points       -> the same                              -> commanded path (what level 1, the interpolator, makes)
-    program          -> block by block                        -> programmed path (what was asked for)
+followed axes    -> workpiece_from_tool (twin.geometry.kinematics) -> followed path
+set points       -> workpiece_from_tool                            -> commanded path (output of the interpolator)
+program          -> block by block                                 -> programmed path
 
-Following is mostly a delay in time; what the part sees is the distance between the curves. For each point p(t) of a path the
-nearest point n on the reference path is sought among its segments of the times t - W .. t + W, so that a path that crosses
-or repeats itself does not confuse neighbours:
+Most of the following error is a delay; the part is affected by the distance between the curves. For each point p(t) of a path, n is
+the nearest point on the reference path among its segments from t - W to t + W. The window avoids false matches on paths that cross or
+repeat themselves.
 
-    contour error = |p - n|,   orientation error = angle between the tool axis and the reference's at the nearest pose
+contour error = |p - n|,   orientation error = angle between the tool axis and the reference's at the nearest pose
 
 Points are (sample, 3) in the part frame [m], tool axes (sample, 3) unit vectors from tip to spindle, angles in rad.
 """
@@ -28,18 +28,18 @@ from twin.recordings.trace import Trace
 
 AXIS_ORDER = ("X", "Y", "Z", "A", "C")
 SHORTEST_WINDOW = 0.1
-"""Seconds before and after that are searched at least."""
+"""Least search window before and after a sample [s]."""
 ARM = 0.1
-"""Lever that turns an angle into a length where poses are compared [m]."""
+"""Lever arm that converts an angle into a length when poses are compared [m]."""
 COARSE = 4
-"""Vertices of a window that are looked at first: they only show which segments can be skipped."""
+"""Vertices of a window that are tried first, to bound the distance."""
 LAGS = 4.0
-"""The window is this many times the lag 1 / Kv of the slowest position controller: beyond it an axis is not following."""
+"""Search window as a multiple of the lag 1 / Kv of the slowest position controller."""
 
 
 @dataclass(frozen=True)
 class ToolPath:
-    """Poses of a tool in the part frame: time (sample,) [s], tip (sample, 3) [m], axis (sample, 3)."""
+    """Tool poses in the part frame: time (sample,) [s], tip (sample, 3) [m], axis (sample, 3)."""
 
     time: np.ndarray
     tip: np.ndarray
@@ -63,25 +63,25 @@ class ToolPath:
 
 @dataclass(frozen=True)
 class Contour:
-    """How far points lie from their reference: distance (sample,) [m], and the nearest points of it (sample, 3) [m]."""
+    """Distance of points from a reference (sample,) [m], and the nearest reference points (sample, 3) [m]."""
 
     error: np.ndarray
     nearest: np.ndarray
 
     def magnified(self, followed: np.ndarray, factor: float) -> np.ndarray:
-        """The path (sample, 3) with its deviation from the reference magnified."""
+        """The path (sample, 3) with its deviation from the reference multiplied by a factor."""
         return self.nearest + factor * (followed - self.nearest)
 
 
 @dataclass(frozen=True)
 class ContourError(Contour):
-    """A contour with the angle (sample,) [rad] between the tool axes."""
+    """Contour error, with the angle (sample,) [rad] between the tool axes."""
 
     orientation: np.ndarray
 
 
 def path_of_axes(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray) -> ToolPath:
-    """Tool path of axis positions (sample, 5) in the order X Y Z A C [m, rad]; in stretches, to bound the memory."""
+    """Tool path of axis positions (sample, 5) in the order X Y Z A C [m, rad], computed in parts to limit the memory."""
     tips, directions = [], []
     for part in np.array_split(axes, max(1, len(axes) // 50_000)):
         tip, direction = kinematics.forward(part)
@@ -91,7 +91,7 @@ def path_of_axes(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray) -> 
 
 
 def axes_of_trace(trace: Trace, signal: str, machine: Machine) -> np.ndarray:
-    """Axis positions (sample, 5) of a trace; an axis that the trace lacks stands at 0 or at the nearest end of its travel."""
+    """Axis positions (sample, 5) of a trace. A missing axis is at 0, or at the nearest end of its travel."""
     columns = []
     for name in kinematics_of(machine).names:
         if trace.has(name, signal):
@@ -110,7 +110,7 @@ def tool_path_of(trace: Trace, signal: str, machine: Machine, *, kinematics: Kin
 
 
 def search_window(machine: Machine) -> float:
-    """Seconds around a sample in which its nearest reference point is sought."""
+    """Time [s] around a sample in which its nearest reference point is searched."""
     gains = [axis.loops.position_gain_per_s for axis in machine.axes if axis.loops.position_gain_per_s > 0]
     return max(SHORTEST_WINDOW, LAGS / min(gains)) if gains else SHORTEST_WINDOW
 
@@ -118,22 +118,22 @@ def search_window(machine: Machine) -> float:
 def contour_of(
     time: np.ndarray, followed: np.ndarray, reference_time: np.ndarray, reference: np.ndarray, window: float = SHORTEST_WINDOW
 ) -> Contour:
-    """Contour error of points (sample, 3) against a path (point, 3) with times of its own."""
+    """Contour error of points (sample, 3) relative to a path (point, 3) with its own times."""
     return _nearest(followed, reference, *_searched(time, reference_time, window))[0]
 
 
 def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SHORTEST_WINDOW) -> ContourError:
-    """Contour and orientation error of a path against a reference with times of its own.
+    """Contour and orientation error of a path relative to a reference with its own times.
 
-    `window` [s] bounds the search in time; None searches the whole reference (a program has no times), which is a product of
-    both lengths.
+    `window` [s] limits the search in time. None searches the whole reference, for a program without times; the cost grows with the
+    product of both lengths.
     """
     last = len(reference) - 1
     if not len(path) or not len(reference):
         raise InputError("tool path: no sample to compare; give a path and a reference with at least one pose each")
     low, high = _searched(path.time, reference.time, math.inf if window is None else window)
     contour, _ = _nearest(path.tip, reference.tip, low, high)
-    # where the tool turns about its tip the place along the path shows in the axis only: it counts as the way of a point ARM above
+    # where the tool turns about its tip, only the tool axis moves along the path: it counts as a point at height ARM
     poses = [np.hstack([p.tip, ARM * p.axis]) for p in (path, reference)]
     _, where = _nearest(poses[0], poses[1], low, high)
     row = np.minimum(where.astype(int), max(last - 1, 0))
@@ -152,7 +152,7 @@ def _searched(time: np.ndarray, reference_time: np.ndarray, window: float) -> tu
 
 
 def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Contour, np.ndarray]:
-    """Contour of points (n, k) against a path (m, k), and the places along it (n,) in samples."""
+    """Contour of points (n, k) relative to a path (m, k), and the places along it (n,) in samples."""
     nearest, distance, where = np.empty_like(points), np.empty(len(points)), np.empty(len(points))
     find_nearest(np.ascontiguousarray(points), np.ascontiguousarray(path), low, high, nearest, distance, where)
     return Contour(distance, nearest), where
@@ -160,7 +160,7 @@ def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.nda
 
 @compiled(allocates=True)
 def find_nearest(points, path, low, high, nearest, distance, where):  # type: ignore[no-untyped-def]
-    """Nearest point on segments low[i] .. high[i] of the path (m, k), for each point i of (n, k).
+    """Nearest point on segments low[i] to high[i] of the path (m, k), for each point i of (n, k).
 
     Fills nearest (n, k), distance (n,) and where (n,), the place along the path in samples.
     """
@@ -174,7 +174,7 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
     guess = 0
     for i in range(len(points)):
         last = max(high[i], low[i] + 1)
-        # some vertex of the window bounds the distance from above: the nearest one of a few, and of where the last point ended
+        # bound the distance by a few vertices of the window and by the last result
         reach = np.inf
         for m in range(COARSE + 1):
             j = min(max(guess, low[i]), last) if m == COARSE else low[i] + m * (last - low[i]) // COARSE
@@ -198,7 +198,7 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
                 square += a * a
                 length += b * b
                 along += a * b
-            # the path comes nearer by no more than its way: segments that it cannot bring within the bound are passed over
+            # the path approaches by at most its own length: skip segments that cannot come within the bound
             if square > reach * reach:
                 free = way[j] + math.sqrt(square) - reach
                 if way[k] < free:

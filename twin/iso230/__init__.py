@@ -1,4 +1,4 @@
-"""The trade's yardsticks: positioning by ISO 230-2 and circles by ISO 230-4, from measurements and from the twin.
+"""Standard tests of machine tools: positioning by ISO 230-2 and circles by ISO 230-4, for measurements and for the twin.
 
-table, trace, run or campaign -> readings -> the standard's numbers -> the usual plot
+table, trace, run or campaign -> readings -> numbers of the standard -> the usual plot
 """

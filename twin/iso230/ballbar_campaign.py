@@ -1,8 +1,8 @@
-"""A ballbar's circle as a campaign for `twin diagnose`: set points of both directions in one run, and what the bar saw.
+"""A ballbar circle as a campaign for `twin diagnose`: one run with the set points of both directions and the measured radii.
 
-Set points start and end at rest, OVERLAP before and behind each measured direction, so that the twin runs the circle itself as the machine did. What no radius
-separates from where the bar stands, from the scales' sizes and from the squareness is taken out of measurement and twin alike (`twin.recordings.ballbar`);
-its sizes are those of measured less twin. Lengths in m, angles in rad.
+The set points start and end at rest, OVERLAP before and after each measured direction, so that the twin runs the circle like the
+machine. Deviations that a radius cannot separate (position of the bar, scale errors, squareness) are removed from measurement and
+simulation (`twin.recordings.ballbar`); their sizes are those of measurement minus twin. Lengths in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 
 ACCELERATION, JERK, DWELL = 1.0, 10.0, 0.1
-"""Along the circle, to get up to the feed [m/s2, m/s3], and the rest between the directions [s]."""
+"""Acceleration and jerk along the circle [m/s2, m/s3], and the dwell between the directions [s]."""
 RESOLUTION = 1e-7
-"""Of a bar [m]: no reading is better."""
+"""Resolution of a ballbar [m]."""
 
 
 @dataclass(frozen=True)
 class BallbarCampaign:
-    """`trace` with set points and seen positions, the `noise` of a reading [m], and `slopes` [m/m] of what no radius separates, by name."""
+    """`trace` with set points and ballbar positions, `noise` of a reading [m], and `slopes` [m/m] of the removed deviations by name."""
 
     trace: Trace
     noise: float
@@ -40,9 +40,9 @@ class BallbarCampaign:
 
 
 def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
-    """The campaign of a circle test; `machine` is the twin, with the feedforward of the test.
+    """The campaign of a circle test. `machine` is the twin with the feedforward of the test.
 
-    Raises InputError where the feed of the program is not known.
+    Raises InputError if the feed of the program is unknown.
     """
     if not test.feed > 0.0:
         raise InputError("a ballbar's campaign needs the feed of its program; give --feed-mm-per-min")
@@ -62,17 +62,17 @@ def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
 
 
 def _commanded(test: CircleTest) -> Trace:
-    """Set points from rest to rest: each direction, and between them the way to where the next one starts.
+    """Set points from rest to rest: each direction, and between them the move to the start of the next one.
 
-    A sample falls on each reading: between two of them lies much of a reversal.
+    Each reading coincides with a sample, because a reversal is shorter than the time between two readings.
     """
     spacing = float(np.median(np.abs(np.concatenate([np.diff(path.angle) for path in test.paths.values()]))))
     each = spacing * test.radius / test.feed
     period = each * math.ceil(FINEST / each - 1e-9)
-    # a small circle at high feed is too short for the usual acceleration
+    # a small circle at high feed needs a higher acceleration
     harder = max(1.0, 2.0 * test.feed**2 / ACCELERATION / (OVERLAP * test.radius))
     limits = test.feed, harder * ACCELERATION, harder * JERK
-    moves: list[tuple[float, float]] = []  # when it begins, how far it goes along the circle
+    moves: list[tuple[float, float]] = []  # start time, distance along the circle
     now, at, start = DWELL, 0.0, 0.0
     for path in test.paths.values():
         turn = 1.0 if path.direction == "ccw" else -1.0

@@ -1,9 +1,9 @@
-"""What each effect of a diagnosis does to a circle: the part of the picture that a ballbar's report cannot know.
+"""The effect of each diagnosed effect on a circle.
 
-The corrected machine runs the circle, then again without one of its effects at a time. What changes is that effect's share:
+The corrected machine runs the circle, then again without one of its effects at a time. The difference is the share of that effect:
 
-    share = RMS over the angle, both directions, of radius(with) - radius(without)            [m]
-    unknown = the same of radius(measured) - radius(corrected)
+share = RMS over the angle, both directions, of radius(with) - radius(without)            [m]
+unknown = the same of radius(measured) - radius(corrected)
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class EffectOnCircle:
-    """One row: effect and axis, its probability (None for what is unknown), share [m], and what it adds to G_b, F_max and F_min [m]."""
+    """One row: effect and axis, probability (None for the unknown part), share [m], and its contribution to G_b, F_max and F_min [m]."""
 
     effect: str
     axis: str
@@ -37,9 +37,9 @@ class EffectOnCircle:
 def circle_budget(
     corrected: Machine, diagnosis: Mapping[str, Any], measured: CircleTest, run: Callable[[Machine], CircleTest]
 ) -> tuple[CircleTest, list[EffectOnCircle]]:
-    """The circle of the corrected machine, and the rows of the budget, largest first, what is unknown last.
+    """The circle of the corrected machine, and the rows of the budget: largest share first, the unknown part last.
 
-    `diagnosis` is the document of `twin diagnose`; `run` makes a machine run the measured circle.
+    `diagnosis` is the document of `twin diagnose`; `run` simulates the measured circle on a machine.
     """
     tables = [dict(table) for table in corrected.document.get("effect", [])]
     whole = run(corrected)
@@ -58,13 +58,13 @@ def circle_budget(
 
 
 def radial_rms(a: CircleTest, b: CircleTest) -> float:
-    """RMS over the angle of the difference of two circles' radii [m], over the directions that both have."""
+    """RMS over the angle of the difference between the radii of two circles [m], over their common directions."""
     angle = np.arange(GRID) * (2.0 * math.pi / GRID)
     squares = [np.mean((a.paths[d].at(angle) - b.paths[d].at(angle)) ** 2) for d in a.paths if d in b.paths]
     return float(np.sqrt(np.mean(squares))) if squares else math.nan
 
 
 def _adds(a: CircleTest, b: CircleTest) -> dict[str, float]:
-    """By how much the standard's numbers of one circle lie above those of another [m]."""
+    """Numbers of the standard for one circle minus those for another [m]."""
     first, second = circle_numbers(a), circle_numbers(b)
     return {k: first[k] - second[k] for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}

@@ -1,4 +1,4 @@
-"""Circles in a recorded run: two linear axes whose set points lie on a circle, once around in each direction."""
+"""Circles in a recorded run: two linear axes whose set points run a full circle, in one or both directions."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from twin.errors import InputError
 from twin.iso230.circles import LEAST_SWEEP, CirclePath, CircleTest, least_squares_circle
 from twin.recordings.trace import Trace
 
-ROUND, ROUNDING = 1e-4, 2e-6
-"""Set points this close to their circle belong to it: parts of the radius, and the interpolator's tolerance [m]."""
+ROUNDNESS, ROUNDING = 1e-4, 2e-6
+"""Tolerances within which set points belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
 RADIAL = 0.05
-"""Part of the speed along the radius above which a set point belongs to a lead-in."""
+"""Share of the speed along the radius above which a set point belongs to a lead-in."""
 SMALLEST_RADIUS = 1e-3
-"""Smaller circles are corners [m]."""
+"""Smallest radius [m]; smaller circles are corners."""
 PLANES = (("X", "Y"), ("Y", "Z"), ("Z", "X"))
-"""Planes with the direction in which counter-clockwise is counted: ISO 841."""
+"""Planes in the order that defines counter-clockwise: ISO 841."""
 
 
 def circles_of_trace(trace: Trace, signal: str = "position", where: str = "trace") -> list[CircleTest]:
-    """All circle tests of a run, one for each plane in which set points go around; `signal` is what is evaluated.
+    """All circle tests of a run, one per plane. `signal` is evaluated.
 
-    Raises InputError where no two axes run a circle, or where the signal is missing.
+    Raises InputError if no two axes run a circle, or if the signal is missing.
     """
     linear = [a for a in trace.axes if trace.kinds.get(a) == "linear" and trace.moves(a)]
     planes = [p for p in PLANES if set(p) <= set(linear)]
@@ -44,12 +44,12 @@ def _circle(trace: Trace, plane: tuple[str, str], signal: str, where: str) -> Ci
     moving = speed > 1e-6
     if moving.sum() < 16:
         return None
-    # lead-ins lie off the circle: fitted anew without them until nothing changes
+    # exclude lead-ins by repeated fits
     inside = moving
     for _ in range(20):
         centre, radius = least_squares_circle(commanded[inside][:: max(1, int(inside.sum()) // 2000)])
         from_centre = commanded - centre
-        near = np.abs(np.hypot(*from_centre.T) - radius) < ROUND * radius + ROUNDING
+        near = np.abs(np.hypot(*from_centre.T) - radius) < ROUNDNESS * radius + ROUNDING
         along_radius = np.abs(np.einsum("ij,ij->i", velocity, from_centre)) < RADIAL * speed * radius
         before, inside = inside, moving & near & along_radius
         if inside.sum() < 16:
@@ -60,7 +60,7 @@ def _circle(trace: Trace, plane: tuple[str, str], signal: str, where: str) -> Ci
         return None
     for axis in plane:
         if not trace.has(axis, signal):
-            raise InputError(f"{where}: no {axis}.{signal} column, which the circle in {''.join(plane)} is read from; record the scale")
+            raise InputError(f"{where}: no {axis}.{signal} column for the circle in {''.join(plane)}; record the scale")
     measured = np.column_stack([trace.get(axis, signal) for axis in plane])
     paths: dict[str, CirclePath] = {}
     speeds = []
@@ -68,21 +68,21 @@ def _circle(trace: Trace, plane: tuple[str, str], signal: str, where: str) -> Ci
         x, y = (measured[rows] - centre).T
         path = CirclePath(np.unwrap(np.arctan2(y, x)), np.hypot(x, y))
         if abs(path.angle[-1] - path.angle[0]) >= LEAST_SWEEP:
-            paths[path.direction] = _once_around(path)
+            paths[path.direction] = _middle_revolution(path)
             speeds.append(float(np.median(np.hypot(*np.gradient(commanded[rows], trace.period, axis=0).T))))
     return CircleTest(plane, float(radius), float(np.median(speeds)), paths) if paths else None
 
 
 def _stretches(inside: np.ndarray, commanded: np.ndarray, centre: np.ndarray) -> list[np.ndarray]:
-    """Rows of each stretch on the circle that turns one way."""
+    """Rows of each stretch on the circle with one direction of rotation."""
     angle = np.unwrap(np.arctan2(*(commanded - centre).T[::-1]))
     turn = np.sign(np.gradient(angle)) * inside
     edges = np.flatnonzero(np.diff(turn)) + 1
     return [rows for rows in np.split(np.arange(len(turn)), edges) if len(rows) > 16 and turn[rows[0]] != 0]
 
 
-def _once_around(path: CirclePath) -> CirclePath:
-    """The middle turn of a path that goes around more than once: overlaps at both ends hold starts and stops."""
+def _middle_revolution(path: CirclePath) -> CirclePath:
+    """The middle revolution of a longer path; its ends contain start and stop."""
     swept = np.abs(path.angle - path.angle[0])
     spare = swept[-1] - 2.0 * math.pi
     if spare <= 0.0:

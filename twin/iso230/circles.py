@@ -1,6 +1,6 @@
-"""Circles by ISO 230-4: deviations of a path from a circle, in both directions, and what the trade reads from them.
+"""Circles by ISO 230-4: deviations of a path from a circle, in both directions.
 
-A path is given by its polar angle and its distance from the nominal centre. With the least-squares circle (centre c, radius r) of a path,
+A path has polar angles and distances from the nominal centre. With the least-squares circle (centre c, radius r) of a path:
 
     G(cw), G(ccw)   circular deviation: range of the distance from the path's own least-squares centre
     G(b)            bidirectional: the same range over both paths about the least-squares centre of both
@@ -8,8 +8,8 @@ A path is given by its polar angle and its distance from the nominal centre. Wit
     H               hysteresis: greatest difference between the two paths at one angle (edition of 1996)
     D               mean bidirectional radial deviation: radius of the least-squares circle of both less the nominal radius
 
-A ballbar does not know where its centre lies: `centred` takes the eccentricity out first, as its software does. Reversal spikes stand where an axis
-turns: the greatest excursion within SPIKE_WINDOW of the quadrant, over the parabola through the path on both sides. Lengths in m, angles in rad.
+A ballbar does not measure the position of its centre: `centred` removes the eccentricity, as ballbar software does. A reversal spike is
+the largest excursion within SPIKE_WINDOW of a quadrant, relative to a parabola through the path on both sides. Lengths in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ import numpy as np
 from twin.errors import InputError
 
 DIRECTIONS = ("ccw", "cw")
-"""Counter-clockwise: from the first axis to the second one."""
+"""Counter-clockwise: from the first axis to the second."""
 GRID = 3600
-"""Angles at which two paths are compared."""
+"""Number of angles at which two paths are compared."""
 SPIKE_WINDOW = math.radians(8.0)
-"""A reversal spike is sought this far about its quadrant."""
+"""Half width of the window for a reversal spike around its quadrant."""
 BESIDE = (math.radians(10.0), math.radians(16.0))
-"""Where the path beside a spike is taken from, on both sides."""
+"""Range of angles beside a spike, on both sides, that the parabola is fitted to."""
 LEAST_SWEEP = math.radians(345.0)
-"""A path that covers less is no circle of the standard."""
+"""Least angle that a path must cover for the standard."""
 QUADRANTS = (0, 90, 180, 270)
 
 
@@ -53,19 +53,19 @@ class CirclePath:
         return self.distance[:, None] * np.column_stack([np.cos(self.angle), np.sin(self.angle)])
 
     def about(self, centre: np.ndarray) -> CirclePath:
-        """The same path seen from another centre (2,)."""
+        """The same path relative to another centre (2,)."""
         x, y = (self.points - centre).T
         return CirclePath(np.unwrap(np.arctan2(y, x)), np.hypot(x, y))
 
     def at(self, angle: np.ndarray) -> np.ndarray:
-        """Distances at angles [rad], by linear interpolation around the circle."""
+        """Distances at angles [rad], by linear interpolation."""
         order = np.argsort(np.mod(self.angle, 2.0 * math.pi), kind="stable")
         return np.interp(np.mod(angle, 2.0 * math.pi), np.mod(self.angle, 2.0 * math.pi)[order], self.distance[order], period=2.0 * math.pi)
 
 
 @dataclass(frozen=True)
 class CircleTest:
-    """A measured (or predicted) test: `axes` of the plane, nominal `radius` [m], `feed` [m/s] (NaN: not known), paths by direction."""
+    """A measured or predicted test: `axes` of the plane, nominal `radius` [m], `feed` [m/s] (NaN: unknown), paths by direction."""
 
     axes: tuple[str, str]
     radius: float
@@ -77,7 +77,7 @@ class CircleTest:
         return "".join(self.axes)
 
     def centred(self) -> CircleTest:
-        """Without eccentricity: about the least-squares centre of both paths."""
+        """The test about the least-squares centre of both paths, without eccentricity."""
         centre, _ = least_squares_circle(np.vstack([p.points for p in self.paths.values()]))
         return replace(self, paths={direction: path.about(centre) for direction, path in self.paths.items()})
 
@@ -97,7 +97,7 @@ def least_squares_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def circle_numbers(test: CircleTest) -> dict[str, float]:
-    """The standard's numbers [m]; those of both directions only where both were run."""
+    """Numbers of the standard [m]; bidirectional ones only if both directions were run."""
     numbers: dict[str, float] = {}
     for direction, path in test.paths.items():
         if abs(path.angle[-1] - path.angle[0]) < LEAST_SWEEP:
@@ -121,7 +121,7 @@ def circle_numbers(test: CircleTest) -> dict[str, float]:
 
 
 def reversal_spikes(test: CircleTest) -> dict[str, dict[int, float]]:
-    """Height [m] of the spike at each quadrant [deg] of each direction: outwards above 0, inwards below."""
+    """Height [m] of the spike at each quadrant [deg] of each direction; positive outwards."""
     spikes: dict[str, dict[int, float]] = {}
     for direction, path in test.paths.items():
         spikes[direction] = {}

@@ -1,4 +1,4 @@
-"""The plots that the trade knows: deviations over the axis with their bands, and the circle with its deviation magnified."""
+"""The usual plots of the standards: deviations over the axis with their bands, and the circle with magnified deviations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
 
 
 def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str], path: Path) -> None:
-    """One panel an axis: mean deviation of both directions, bands of two standard deviations, A and M marked."""
+    """One panel per axis: mean deviation of both directions, bands of two standard deviations, A marked."""
     figure, axes = new_figure(len(results), 1, height=4.2)
     for (name, found), ax in zip(results.items(), axes[:, 0]):
         length, small = (1e3, 1e6) if kinds[name] == "linear" else (180.0 / math.pi, 3600.0 * 180.0 / math.pi)
@@ -45,13 +45,13 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
 
 
 def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -> None:
-    """The polar plot: nominal circle, deviations magnified; `tests` by what they are ('measured', 'predicted by ...') of one circle."""
+    """Polar plot of one circle with magnified deviations. `tests` by label ('measured', 'predicted', ...)."""
     figure, axes = new_figure(1, 2, height=5.6)
     polar, flat = axes[0]
     deviations = [p.distance - t.radius for t in tests.values() for p in t.paths.values()]
     worst = max(float(np.abs(d).max()) for d in deviations) * 1e6
     step = _division(worst)
-    # the nominal circle has the radius of eight divisions, so that the worst deviation stays well inside
+    # the radius of the nominal circle is eight divisions, so that the largest deviation stays well inside
     ring = 8.0
     turn = np.linspace(0.0, 2.0 * math.pi, 361)
     for division in range(-4, 5):
@@ -79,19 +79,19 @@ def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -
         spine.set_visible(False)
     polar.text(ring + 4.6, 0.0, f"+{first.axes[0]}", ha="left", va="center")
     polar.text(0.0, ring + 4.6, f"+{first.axes[1]}", ha="center", va="bottom")
-    polar.text(0.0, 0.0, f"{step:g} um\na division", ha="center", va="center", color=SOFT)
+    polar.text(0.0, 0.0, f"{step:g} um\nper division", ha="center", va="center", color=SOFT)
     feed = f", {first.feed * 60:.3g} m/min" if first.feed > 0.0 else ""
     polar.set_title(title or f"ISO 230-4, {first.name}, radius {first.radius * 1e3:.4g} mm{feed}")
     polar.legend(loc="lower left", bbox_to_anchor=(-0.05, -0.08), ncols=2)
     flat.set_title("the same, unrolled")
     flat.set_xlabel(f"angle from +{first.axes[0]} [deg]")
-    flat.set_ylabel("radius less nominal [um]")
+    flat.set_ylabel("radius minus nominal [um]")
     flat.set_xticks(range(0, 361, 45))
     save_png(figure, path)
 
 
 def _division(worst: float) -> float:
-    """Micrometres a division, round, such that four divisions hold the worst deviation."""
+    """Micrometres per division: a round number with which four divisions hold the largest deviation."""
     size = max(worst, 1e-3) / 4.0
     power = 10.0 ** math.floor(math.log10(size))
     return float(min(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= size))

@@ -9,7 +9,7 @@ direction, and coverage factor k = 2:
     M = max x_i - min x_i, x_i the mean of both directions
     A> = max(x_i> + 2 s_i>) - min(x_i> - 2 s_i>)                A the same over both directions
 
-> is the forward, < the backward direction. Lengths in m (angles in rad) as given.
+> is the forward, < the backward direction. Lengths in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from twin.errors import InputError
 COVERAGE = 2.0
 """Coverage factor k of the standard."""
 FEWEST_CYCLES = 2
-"""A standard deviation needs two; the standard asks for five."""
+"""Fewest cycles for a standard deviation; the standard requires five."""
 STANDARD_CYCLES, STANDARD_POSITIONS = 5, 5
 
 
@@ -38,7 +38,7 @@ class Readings:
 
 @dataclass(frozen=True)
 class Positioning:
-    """The numbers of the standard for one axis, and means and standard deviations (position,) of each direction behind them."""
+    """Numbers of the standard for one axis, and the means and standard deviations (position,) of each direction."""
 
     target: np.ndarray
     mean_forward: np.ndarray
@@ -54,13 +54,13 @@ class Positioning:
 
 
 def positioning(readings: Readings) -> Positioning:
-    """The standard's numbers. Raises InputError where there are too few positions or cycles."""
+    """Evaluate readings by the standard. Raises InputError for too few positions or cycles."""
     if len(readings.target) < 2:
         raise InputError(
-            f"ISO 230-2: {len(readings.target)} target position; measure at least 2, the standard asks for {STANDARD_POSITIONS}"
+            f"ISO 230-2: {len(readings.target)} target position; measure at least 2, the standard requires {STANDARD_POSITIONS}"
         )
     if min(readings.forward.shape[1], readings.backward.shape[1]) < FEWEST_CYCLES:
-        raise InputError(f"ISO 230-2: one cycle in a direction; measure at least {FEWEST_CYCLES}, the standard asks for {STANDARD_CYCLES}")
+        raise InputError(f"ISO 230-2: one cycle in a direction; measure at least {FEWEST_CYCLES}, the standard requires {STANDARD_CYCLES}")
     mean = [x.mean(axis=1) for x in (readings.forward, readings.backward)]
     spread = [x.std(axis=1, ddof=1) for x in (readings.forward, readings.backward)]
     reversal = mean[0] - mean[1]

@@ -1,7 +1,7 @@
-"""What is evaluated: tables of readings and of ballbars, and the standstills of a recorded run.
+"""Input of the evaluation: tables of readings and of ballbars, and the standstills of a recorded run.
 
 direction,position,cycle,target_mm,measured_mm      ISO 230-2; direction forward | backward; target_deg, measured_deg for a rotary axis
-direction,angle_deg,deviation_um                    ISO 230-4; direction cw | ccw; what a ballbar exports, radius less nominal radius
+direction,angle_deg,deviation_um                    ISO 230-4; direction cw | ccw; ballbar export, radius minus nominal radius
 """
 
 from __future__ import annotations
@@ -17,21 +17,20 @@ from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
 from twin.iso230.positioning import Readings
 from twin.recordings.trace import Trace
 
-POSITIONING = ("direction", "position", "cycle", "target", "measured")
 BALLBAR = ("direction", "angle_deg", "deviation_um")
 SHORTEST_REST = 0.2
-"""A standstill shorter than this is no measurement of a position [s]."""
+"""Shortest standstill that counts as a measurement [s]."""
 SETTLED = 0.5
-"""Part of a standstill, its last one, that is averaged."""
+"""Share of a standstill, at its end, that is averaged."""
 SAME_TARGET = 1e-6
-"""Targets closer than this are one [m or rad]."""
+"""Targets closer than this are the same [m or rad]."""
 
 LARGEST = 1e9
-"""A reading in um, mm or degrees lies below it."""
+"""Largest reading in um, mm or degrees."""
 
 
 def is_table(path: Path, first: str = "direction") -> bool:
-    """Is this a CSV table of readings, not a trace?"""
+    """True for a CSV table of readings, False for a trace."""
     if path.suffix.lower() != ".csv":
         return False
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -59,7 +58,7 @@ def read_positions(path: Path) -> tuple[Readings, str]:
 
 
 def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) -> CircleTest:
-    """A circle test from a ballbar's table; `radius` [m] and `feed` [m/s] of the program."""
+    """A circle test from a ballbar table, with `radius` [m] and `feed` [m/s] of the program."""
     rows = _rows(path)
     for name in BALLBAR:
         if name not in rows[0]:
@@ -86,7 +85,7 @@ def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) 
 
 
 def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
-    """Readings at the standstills of an axis that are reached from both sides, [m] or [rad]."""
+    """Readings at the standstills of an axis that are approached from both sides, [m] or [rad]."""
     if not trace.has(axis, "position"):
         raise InputError(f"{where}: no {axis}.position column; record the scale")
     setpoint, position = trace.get(axis, "setpoint"), trace.get(axis, "position")
@@ -108,7 +107,7 @@ def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
     both = {t for t in both if min(len(found["forward", t]), len(found["backward", t])) >= 2}
     if len(both) < 2:
         raise InputError(
-            f"{where}: axis {axis} stands still at {len(both)} positions that it reaches twice from both sides; "
+            f"{where}: axis {axis} has {len(both)} standstills that it approaches twice from both sides; "
             f"ISO 230-2 needs at least 2 (better 5, five times), with {SHORTEST_REST:g} s of rest"
         )
     return _readings({key: values for key, values in found.items() if key[1] in both}, 1.0, where)
@@ -121,7 +120,7 @@ def _readings(found: dict[tuple[str, float], list[float]], factor: float, where:
         counts = {len(found.get((direction, target), [])) for target in targets}
         if 0 in counts:
             raise InputError(f"{where}: not every target has a {direction} reading; measure each from both sides")
-        # with unequal counts the first cycles that all positions have
+        # with unequal counts only the first cycles, which all positions have
         columns[direction] = np.array([found[direction, target][: min(counts)] for target in targets])
     return Readings(np.array(targets) * factor, columns["forward"], columns["backward"])
 
@@ -143,7 +142,7 @@ def _number(row: dict[str, str], name: str, path: Path, line: int) -> float:
     try:
         value = float(row[name])
     except (TypeError, ValueError):
-        raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is no number; correct it") from None
+        raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is not a number; correct it") from None
     if not abs(value) < LARGEST:
-        raise InputError(f"{path}: line {line}: {name} = {value:g}: no reading of a machine; correct or remove the line")
+        raise InputError(f"{path}: line {line}: {name} = {value:g}: impossible reading; correct or remove the line")
     return value

@@ -1,9 +1,9 @@
-"""One axis of a machine file: its typed view in SI, and how it is read from its table.
+"""One axis of a machine file as typed values in SI, and how they are read from its table.
 
-An axis has one of the structures of `keys.STRUCTURES`. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`;
-P/PI and P/P end in a speed controller whose command an ideal actuator turns into torque, `[axis.N.actuator]`. A linear
-axis with `drive = "direct"` (linear motor, or a screw that nobody knows) has all its numbers at the axis: metre, N and kg
-stand in for motor radian, Nm and kg m2, so that `ratio` is 1. Machine data of a Sinumerik may stand for plain keys.
+`keys.STRUCTURES` lists the control structures. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`. In P/PI and P/P an
+ideal actuator, `[axis.N.actuator]`, turns the command of the speed controller into torque. A linear axis with
+`drive = "direct"` (linear motor, or unknown screw) has all its numbers at the axis: metre, N and kg in place of motor radian, Nm
+and kg m2, and `ratio` = 1. SINUMERIK machine data may replace plain keys.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from twin.machine.parameters import PARAMETERS, si_from_key, typed_from_file
 
 @dataclass(frozen=True)
 class Motor:
-    """Synchronous servo motor as its control sees it: torque = torque_constant * current (Nm, A), one phase equivalent.
+    """Synchronous servo motor as the control sees it: torque = torque_constant * current [Nm, A], one-phase equivalent.
 
-    Of an axis without current loop only torque constant and peak count, per unit of its command (`Axis.effort`). Ratings are those of
-    the data sheet, speeds in rad/s at the motor; None where the file has none.
+    An axis without a current loop uses only torque constant and peak, per unit of its command (`Axis.effort`). Ratings come from the
+    data sheet, speeds in rad/s at the motor; None if the file omits them.
     """
 
     torque_constant_nm_per_a: float
@@ -40,26 +40,25 @@ class Motor:
     thermal_time_constant_s: float | None = None
 
     def torque_at(self, speed: np.ndarray) -> np.ndarray:
-        """Largest steady torque [Nm] at these speeds [rad/s]: the peak current's, or what the bus voltage leaves beside the back EMF."""
+        """Largest steady torque [Nm] at these speeds [rad/s], limited by the peak current and by bus voltage minus back EMF."""
         reached = (self.bus_limit_v - self.back_emf_v_s_per_rad * np.abs(speed)) / self.resistance_ohm
         return self.torque_constant_nm_per_a * np.clip(reached, 0.0, self.peak_current_a)
 
     @property
     def phases(self) -> float:
-        """Power of the motor over that of its one-phase equivalent, Kt / Ke: then u i is heat and mechanical power. 1 where no back EMF is known."""
+        """Power of the motor over the power of its one-phase equivalent, Kt / Ke; 1 if the back EMF is unknown."""
         return self.torque_constant_nm_per_a / self.back_emf_v_s_per_rad if self.back_emf_v_s_per_rad > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
 class Loops:
-    """Gains of the cascade, feedforward weights (0 switches off) and delays of the set point.
+    """Gains of the cascade, feedforward weights (0 switches off), delays of the set point.
 
-    `dsc_delay_s` > 0: the drive closes the position loop (dynamic servo control); the NC's command reaches it so much later.
-
-    `speed_mean_cycles` n > 0: the speed is not measured but differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts);
-    `speed_filter_time_s`: first-order lag of the speed that the controller sees (0: none). `speed_reference_time_s`: first-order lag of the
-    speed set point that the integrator of the speed controller sees (its reference model; 0: none). `drive_torque_feedforward`: weight of a
-    torque feedforward that the drive makes itself, whatever the NC has switched on (0: none).
+    dsc_delay_s               > 0: the drive closes the position loop (dynamic servo control) and receives the NC's command this much later
+    speed_mean_cycles         n > 0: the speed is the motor encoder's difference (q(k) - q(k-n)) / (n Ts) instead of a measurement
+    speed_filter_time_s       first-order lag of the speed that the controller sees (0: none)
+    speed_reference_time_s    first-order lag of the speed set point at the integrator of the speed controller (reference model; 0: none)
+    drive_torque_feedforward  weight of a torque feedforward made in the drive, independent of the NC's (0: none)
     """
 
     position_gain_per_s: float
@@ -79,12 +78,12 @@ class Loops:
 
     @property
     def set_point_delay_s(self) -> float:
-        """How late a set point acts on the axis [s]: in the NC's position controller, and on the way to a drive that closes the loop."""
+        """Delay of a set point [s]: in the position controller of the NC, plus on the way to a drive that closes the loop."""
         return self.position_delay_s + self.dsc_delay_s
 
     @property
     def acceleration_weight(self) -> float:
-        """Share of the commissioned inertia's torque that is fed forward, by NC and drive together."""
+        """Sum of the torque feedforward weights of NC and drive, as a share of the torque for the commissioned inertia."""
         return self.torque_feedforward + self.drive_torque_feedforward
 
 
@@ -92,11 +91,12 @@ class Loops:
 class Axis:
     """One axis in SI: positions in m or rad at the axis, torques and inertias at the motor.
 
-    `ratio` is axis units per motor radian: lead / 2 pi for a screw, 1 / gear ratio for a gear, 1 for a direct drive.
-    `commissioned_torque_constant` [Nm/A] is what the control divides torques by: the file's, or the motor's own where the file has
-    none. `constant_torque_nm` is a steady load against +q (counterbalance, hoses, cable drag). `commissioned_inertia` [kg m2 at the motor] is that of the torque feedforward; None: the model's in the home pose.
-    `effort` names the signal that the speed controller commands: current, voltage or torque. `encoder` says which measuring
-    system closes the position loop: scale (at the load) or motor.
+    ratio                         axis units per motor radian: lead / 2 pi (screw), 1 / gear ratio (gear), 1 (direct)
+    commissioned_torque_constant  [Nm/A] by which the control divides torques; the motor's own if the file omits it
+    constant_torque_nm            steady load against +q: counterbalance, hoses, cable drag
+    commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
+    effort                        signal that the speed controller commands: current, voltage or torque
+    encoder                       measuring system that closes the position loop: scale (at the load) or motor
     """
 
     name: str
@@ -121,29 +121,29 @@ class Axis:
 
     @property
     def drive(self) -> str:
-        """What turns the motor into motion, as `twin.machine.parameters` has it: screw, gear, or direct for a linear motor."""
+        """Drive as in `twin.machine.parameters`: screw, gear or direct."""
         if self.kind == "rotary":
             return "gear"
         return "direct" if self.ratio == 1.0 else "screw"
 
     @property
     def has_current_loop(self) -> bool:
-        """Is there a current controller with a winding behind the speed controller?"""
+        """True for a current controller with a winding behind the speed controller."""
         return self.structure == keys.STRUCTURES[0]
 
     @property
     def has_speed_integral(self) -> bool:
-        """Does the speed controller carry a constant force by itself?"""
+        """True if the speed controller has an integral part, which carries a constant force."""
         return math.isfinite(self.loops.speed_integral_time_s)
 
     @property
     def effort_unit(self) -> str:
-        """Unit of the effort: A, V or Nm; N of a direct drive."""
+        """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive."""
         return self.motor_unit if self.effort == "torque" else keys.EFFORTS[self.effort].unit
 
     @property
     def motor_unit(self) -> str:
-        """Unit of what the motor gives: Nm; N of a direct drive."""
+        """Unit of the motor's output: Nm; N for a direct drive."""
         return "N" if self.drive == "direct" else "Nm"
 
     @property
@@ -163,14 +163,14 @@ class Axis:
 
     @property
     def reflected_inertia(self) -> float:
-        """Rotor and screw or gear as seen at the axis [kg or kg m2]."""
+        """Inertia of rotor and screw or gear, referred to the axis [kg or kg m2]."""
         return self.rotor_inertia_kg_m2 / self.ratio**2
 
 
 def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Axis:
-    """The Axis of `[axis.NAME]`; every fault is an InputError that names table and key.
+    """The Axis of `[axis.NAME]`. Raises InputError that names the table and the key.
 
-    Without `checked` the numbers may lie outside their bounds: a fit may pass through values that no file may hold.
+    Without `checked`, numbers may lie outside their bounds, because a fit may pass through such values.
     """
     if not isinstance(table, dict):
         raise InputError(f"{where}: must be a table")
@@ -178,7 +178,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if not isinstance(kind, str) or kind not in keys.AXIS:
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
-        table = sinumerik.completed(table, where)
+        table = sinumerik.with_plain_keys(table, where)
     structure = _word(table, "structure", keys.STRUCTURES, where)
     encoder = _word(table, "encoder", keys.ENCODERS, where)
     direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"
@@ -197,7 +197,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     constant = motor.torque_constant_nm_per_a if constant is None else float(constant)
     loops = dict(typed["loops"])
     if structure != keys.STRUCTURES[0]:
-        # a gain that stands there per unit of the command stays what it is, whatever the actuator makes of it
+        # a gain given per unit of the command does not change with the actuator
         given = {k: float(v) for k, v in plain["loops"].items() if k.startswith("speed_gain_")}
         ratio = 1.0 if direct else typed[""]["ratio"]
         loops["speed_gain_nm_s_per_rad"] = _speed_gain(given, effort, constant, ratio, f"{where[:-1]}.loops]")
@@ -221,7 +221,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
 
 
 def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str) -> None:
-    """Every key of an axis and of its tables known, present and possible."""
+    """Check that every key of an axis and its tables is known, present and possible."""
     own, parts = keys.tables_of_axis(kind, direct, structure, table, where)
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
@@ -248,7 +248,7 @@ def _typed_numbers(plain: Mapping[str, Any], drive: str) -> dict[str, dict[str, 
 
 
 def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str) -> str:
-    """A word of the table; the first known one where it is left out."""
+    """A choice from the table; the first of `known` if omitted."""
     value = table.get(key, known[0])
     if value not in known:
         raise InputError(f"{where}: {key} = {value!r}; {nearest(str(value), known)}")
@@ -262,15 +262,15 @@ def _actuator(table: Mapping[str, Any]) -> tuple[str, Motor]:
 
 
 def _speed_gain(given: Mapping[str, float], effort: str, constant: float, ratio: float, where: str) -> float:
-    """The speed gain in Nm s/rad, whichever of its units the file has: per motor radian or per axis unit, torque or command.
+    """The speed gain in Nm s/rad from any of its units: per motor radian or per axis unit, as torque or as command.
 
-    `constant` is the torque per unit of the command by which the control divides.
+    `constant` is the torque per unit of the command that the control assumes.
     """
     factors = {k: (1.0 if torque else constant) * (ratio if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
     units = [k for k in factors if k in given]
     if len(units) != 1:
         raise InputError(
-            f"{where}: {' and '.join(units)} both stand there; keep one"
+            f"{where}: {' and '.join(units)} are both given; keep one"
             if units
             else f"{where}: the speed gain is missing; give {next(iter(factors))}"
         )
@@ -283,5 +283,5 @@ def _travel(table: Mapping[str, Any], kind: str, where: str) -> tuple[float, flo
         return -math.inf, math.inf
     low, high = (v * si_from_key(key) for v in table[key])
     if low >= high:
-        raise InputError(f"{where}: {key} = {table[key]}: the first limit must lie below the second")
+        raise InputError(f"{where}: {key} = {table[key]}: the first limit must be below the second; correct it")
     return low, high

@@ -1,8 +1,8 @@
-"""Findings about a machine file: what is missing, impossible or unusual, one line each with its numbers.
+"""Findings about a machine file: missing, impossible and unusual values, one line each with the numbers.
 
-missing      a number that `twin machine new` assumed and nobody has replaced, or one that a check would need
-impossible   the axis cannot do what its own data ask: full acceleration, highest speed, hold its weight, stand still
-unusual      outside what is found on machines of this class; the rule stands in the line
+missing      a number that `twin machine new` assumed and nobody has replaced, or that a check needs
+impossible   the axis cannot reach its own full acceleration or highest speed, hold its weight, or be stable
+unusual      outside the usual range for machines of this class; the finding states the rule
 """
 
 from __future__ import annotations
@@ -11,45 +11,41 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-import tomlkit
-
 from twin.effects.change import held_force, load_inertia
+from twin.machine.commented import ASSUMED, assumed_values
 from twin.machine.loops import Loop, Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
 from twin.units import AXIS_UNITS
 
-ASSUMED = "assumed"
-"""The word in the comment behind a value that `twin machine new` made up."""
-
 LEAST_PHASE_DEG = {"current": 40.0, "speed": 40.0, "position": 50.0}
 LEAST_GAIN = 2.0
-"""Margins below which a loop rings: usual rules of control engineering (40 to 60 degrees, 6 dB)."""
+"""Smallest margins, below which a loop rings: usual rules of control engineering (40 to 60 degrees, 6 dB)."""
 
 LEAST_RATIO = 3.0
-"""An inner loop should be this much faster than the one around it."""
+"""An inner loop should be at least this many times faster than the next outer one."""
 
 MOST_PEAK = 1.3
-"""Largest rise of the closed position loop: above it a set point is overshot."""
+"""Largest peak of the closed position loop; above it the position overshoots the set point."""
 
 MOST_INERTIA_RATIO = 10.0
 LEAST_MODE_RATIO = 2.0
-"""Load to rotor, and first mode to the crossover of the speed loop: common rules of drive sizing."""
+"""Largest ratio of load to rotor inertia, and smallest ratio of first mode to speed-loop crossover: common rules of drive sizing."""
 
-MOST_USED = 0.8
+LARGEST_SHARE = 0.8
 """Share of a limit that full acceleration or highest speed may use."""
 
-FINE_ERROR = 10.0
-"""A following error should hold this many steps of the encoder, at a hundredth of the highest speed."""
+LEAST_STEPS = 10.0
+"""A following error at a hundredth of the highest speed should be at least this many encoder steps."""
 
-SLOW = 0.01
-SHOWN = 4
+SLOW_SHARE = 0.01
+MOST_NAMES = 4
 MOST_INERTIA_ERROR = 0.2
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding; its level is missing, impossible or unusual, its axis '' for the machine as a whole."""
+    """One finding. Level: missing, impossible or unusual. Axis: '' for the whole machine."""
 
     level: str
     axis: str
@@ -58,21 +54,21 @@ class Finding:
 
 @dataclass(frozen=True)
 class AxisCheck:
-    """The loops of an axis with their margins, and numbers of its drive."""
+    """The loops of an axis with their margins, and numbers of its drive in the home pose."""
 
     axis: Axis
     loops: tuple[Loop, ...]
     margins: tuple[Margins, ...]
     inertia: float  # kg m2 at the motor, home pose
-    inertia_ratio: float  # load to rotor; inf where the rotor is not known
+    inertia_ratio: float  # load to rotor; inf if the rotor is unknown
     holding: float  # effort that holds the weight [A, V, Nm]
     accelerating: float  # effort of full acceleration with friction and weight
-    voltage: float  # at highest speed under friction, of a motor with a winding [V]
+    voltage: float  # at highest speed with friction [V]; for a motor with a winding
     first_mode_hz: float | None
 
 
 def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
-    """Numbers of one axis in the home pose."""
+    """Check of one axis in the home pose."""
     inertia = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)])
     loops = tuple(loops_of(machine, axis, inertia))
     held = (held_force(machine, axis) + axis.constant_force) * axis.ratio
@@ -94,33 +90,31 @@ def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
 
 
 def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
-    """The numbers of all axes, and the findings with the worst first."""
+    """Checks of all axes, and the findings with the worst first."""
     checks = [check_axis(machine, axis) for axis in machine.axes]
-    findings = [*_of_machine(machine)]
+    findings = [*_machine_findings(machine)]
     for check in checks:
-        for level, text in _of_axis(machine, check):
+        for level, text in _axis_findings(machine, check):
             findings.append(Finding(level, check.axis.name, text))
     order = ("impossible", "missing", "unusual")
     return checks, sorted(findings, key=lambda f: order.index(f.level))
 
 
-def _of_machine(machine: Machine) -> Iterator[Finding]:
+def _machine_findings(machine: Machine) -> Iterator[Finding]:
     assumed = assumed_values(machine)
     for axis in dict.fromkeys(path.split(".")[1] for path in assumed if path.startswith("axis.")):
         of_axis = [path.split(".", 2)[2] for path in assumed if path.startswith(f"axis.{axis}.")]
-        which = (
-            "1 number is still one that was assumed" if len(of_axis) == 1 else f"{len(of_axis)} numbers are still those that were assumed"
-        )
-        yield Finding("missing", axis, f"{which}: {_some(of_axis)}")
+        which = "1 number is still assumed" if len(of_axis) == 1 else f"{len(of_axis)} numbers are still assumed"
+        yield Finding("missing", axis, f"{which}: {_first_names(of_axis)}")
     rest = [path for path in assumed if not path.startswith("axis.")]
     if rest:
-        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still those that were assumed: {_some(rest)}")
+        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still assumed: {_first_names(rest)}")
     noiseless = [a.name for a in machine.axes if not any(vars(machine.noise(a)).values())]
     if noiseless:
         yield Finding(
             "missing",
             "",
-            f"[measurement] has neither noise nor resolution for {', '.join(noiseless)}: gap and diagnosis have no measure of what is small",
+            f"[measurement] has neither noise nor resolution for {', '.join(noiseless)}: gap and diagnosis cannot judge what is significant",
         )
     driven = set(machine.axis_names)
     still = [joint.name for joint in load_spec(machine.model_path).joints if joint.name not in driven]
@@ -128,15 +122,17 @@ def _of_machine(machine: Machine) -> Iterator[Finding]:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
 
 
-def _some(names: list[str]) -> str:
-    """The first few, and how many more."""
-    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more; search the file for '{ASSUMED}'" if len(names) > SHOWN else "")
+def _first_names(names: list[str]) -> str:
+    """The first names, and the number of the others."""
+    return ", ".join(names[:MOST_NAMES]) + (
+        f" and {len(names) - MOST_NAMES} more; search the file for '{ASSUMED}'" if len(names) > MOST_NAMES else ""
+    )
 
 
-def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
+def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
     axis, motor, loops = c.axis, c.axis.motor, c.axis.loops
     effort, unit = axis.effort, axis.effort_unit
-    # what the drive can do
+    # limits of the drive
     if c.holding > motor.peak_current_a:
         yield "impossible", f"holding its weight takes {c.holding:.3g} {unit}, the {effort} limit is {motor.peak_current_a:g} {unit}"
     elif c.accelerating > motor.peak_current_a:
@@ -146,15 +142,15 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             f"full acceleration takes {c.accelerating:.3g} {unit}, the {effort} limit is {motor.peak_current_a:g} {unit}: "
             f"{reached:.3g} of {axis.max_acceleration:.3g} {_unit(axis)}/s2 can be reached",
         )
-    elif c.accelerating > MOST_USED * motor.peak_current_a:
+    elif c.accelerating > LARGEST_SHARE * motor.peak_current_a:
         share = c.accelerating / motor.peak_current_a
         yield (
             "unusual",
-            f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {MOST_USED * 100:.0f} % nothing is left for the loops",
+            f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve",
         )
     if axis.has_current_loop and c.voltage > motor.bus_limit_v:
         yield "impossible", f"the highest speed takes {c.voltage:.3g} V, the bus gives {motor.bus_limit_v:g} V"
-    elif axis.has_current_loop and c.voltage > MOST_USED * motor.bus_limit_v:
+    elif axis.has_current_loop and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
         yield "unusual", f"the highest speed takes {c.voltage / motor.bus_limit_v * 100:.0f} % of the bus voltage"
     if c.inertia_ratio > MOST_INERTIA_RATIO and math.isfinite(c.inertia_ratio):
         yield (
@@ -170,25 +166,25 @@ def _of_axis(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
     if not axis.has_speed_integral and c.holding > 1e-9:
         sag = held_force(machine, axis) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
         error, factor = AXIS_UNITS[axis.kind].error
-        yield "unusual", f"a P speed controller carries the weight by a following error of {sag * factor:.3g} {error}"
-    yield from _of_loops(c)
-    # mechanics and measuring system against the loops
+        yield "unusual", f"the speed controller has no integral part: the weight causes a following error of {sag * factor:.3g} {error}"
+    yield from _loop_findings(c)
+    # mechanics and measuring system compared with the loops
     speed = c.margins[-2]
     if c.first_mode_hz is None:
         if axis.rotor_inertia_kg_m2 > 0.0:
             yield (
                 "missing",
-                "no stiffness between motor and load (effect transmission_compliance): the first mode cannot be held against the speed loop",
+                "no stiffness between motor and load (effect transmission_compliance): the first mode cannot be compared with the speed loop",
             )
     elif c.first_mode_hz < LEAST_MODE_RATIO * speed.crossover:
         yield (
             "unusual",
             f"the first mode of {c.first_mode_hz:.0f} Hz is less than {LEAST_MODE_RATIO:g} times the crossover of the speed loop, {speed.crossover:.0f} Hz",
         )
-    yield from _of_encoder(machine, axis)
+    yield from _encoder_findings(machine, axis)
 
 
-def _of_loops(c: AxisCheck) -> Iterator[tuple[str, str]]:
+def _loop_findings(c: AxisCheck) -> Iterator[tuple[str, str]]:
     for loop, m in zip(c.loops, c.margins):
         if not m.stable:
             yield "impossible", f"the {loop.name} loop is unstable with these gains"
@@ -204,9 +200,9 @@ def _of_loops(c: AxisCheck) -> Iterator[tuple[str, str]]:
                 f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB at {m.phase_crossing:.3g} Hz; 6 dB are usual",
             )
         if not math.isfinite(m.crossover):
-            yield "unusual", f"the {loop.name} loop never reaches a gain of 1: it does nothing"
+            yield "unusual", f"the gain of the {loop.name} loop never reaches 1: it has no effect"
     if c.margins[-1].stable and c.margins[-1].peak > MOST_PEAK:
-        yield "unusual", f"the closed position loop rises to {c.margins[-1].peak:.2f}; above {MOST_PEAK:g} it overshoots"
+        yield "unusual", f"the closed position loop peaks at {c.margins[-1].peak:.2f}; above {MOST_PEAK:g} it overshoots"
     for (inner, fast), (outer, slow) in zip(list(zip(c.loops, c.margins))[:-1], list(zip(c.loops, c.margins))[1:]):
         ratio = fast.crossover / slow.crossover if math.isfinite(slow.crossover) else math.inf
         if fast.stable and slow.stable and ratio < LEAST_RATIO:
@@ -217,17 +213,17 @@ def _of_loops(c: AxisCheck) -> Iterator[tuple[str, str]]:
             )
 
 
-def _of_encoder(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
+def _encoder_findings(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
     noise = machine.noise(axis)
     resolution = noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
     error, factor = AXIS_UNITS[axis.kind].error
-    slow = SLOW * axis.max_velocity
+    slow = SLOW_SHARE * axis.max_velocity
     following = slow * (1.0 / axis.loops.position_gain_per_s + axis.loops.set_point_delay_s)
-    if resolution > following / FINE_ERROR:
+    if resolution > following / LEAST_STEPS:
         yield (
             "unusual",
-            f"a step of the encoder is {resolution * factor:.3g} {error}; the following error at a hundredth of the highest speed is "
-            f"{following * factor:.3g} {error}, which holds fewer than {FINE_ERROR:g} steps",
+            f"an encoder step is {resolution * factor:.3g} {error}; the following error at a hundredth of the highest speed is "
+            f"{following * factor:.3g} {error}, fewer than {LEAST_STEPS:g} steps",
         )
     n = axis.loops.speed_mean_cycles
     if n and noise.motor_resolution:
@@ -236,25 +232,8 @@ def _of_encoder(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]:
             share = step / axis.coulomb_friction_nm if axis.coulomb_friction_nm else math.inf
             yield (
                 "unusual",
-                f"one step of the encoder, differentiated over {n} cycles, makes {share:.1f} times the Coulomb friction: the axis hums at rest",
+                f"one encoder step, differentiated over {n} cycles, causes {share:.1f} times the Coulomb friction: the axis hums at rest",
             )
-
-
-def assumed_values(machine: Machine) -> list[str]:
-    """Paths of the values whose comment in the file says that they were assumed."""
-    if machine.path is None or not machine.path.is_file():
-        return []
-    found: list[str] = []
-
-    def walk(table: object, path: tuple[str, ...]) -> None:
-        for key, value in getattr(table, "items", tuple)():
-            if hasattr(value, "items"):
-                walk(value, (*path, key))
-            elif ASSUMED in getattr(getattr(value, "trivia", None), "comment", ""):
-                found.append(".".join((*path, key)))
-
-    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8")), ())
-    return found
 
 
 def _reached(c: AxisCheck) -> float:

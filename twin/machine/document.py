@@ -1,8 +1,8 @@
-"""The tables of a machine file as the one truth about a machine: checked, and changed by path.
+"""The tables of a machine file: checks, and changes by path.
 
-A path names a number under the names of a screw or gear with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `place`
-finds where this file has that number: an actuator, a direct drive and machine data of a SINUMERIK have names and units of their own.
-Tables are never changed in place: a changed document shares every table that stays.
+A path uses the key names of a screw or gear axis with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `in_file` translates
+it to the keys and units of the file, which differ for actuators, direct drives and SINUMERIK machine data. Tables are never
+changed in in_file: a changed document shares all unchanged tables.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.axis import Axis, axis_of_table
+from twin.machine.axis import Axis
 from twin.machine.parameters import si_from_key, typed_from_file
 
 TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
-"""Keys and tables of a machine file beside `keys.TOP`."""
+"""Keys and tables of a machine file besides `keys.TOP`."""
 
 ADDED = ("effect", "driven_axes", "identified", "frame", "tool", "variables", "program")
-"""Of those, what `changed` may add."""
+"""Those that `changed` may add."""
 
 
 LONGEST_CYCLE, MOST_TICKS = 1.0, 1_000_000
-"""No control is slower [s]; and no cycle has more ticks of the shortest one: their matrices are multiplied so often."""
+"""Longest cycle of a control [s], and most ticks of the shortest cycle in another one (matrices are multiplied that often)."""
 
 
 def check_document(document: Mapping[str, Any], where: str) -> None:
-    """Every table but those of the axes: keys known, numbers possible. Raises InputError with table, key and remedy."""
+    """Check every table except those of the axes. Raises InputError that names the table, the key and the remedy."""
     keys.check_table(document, keys.TOP, where, TABLES)
     for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
         if table not in document and table != "geometry":
@@ -64,7 +64,7 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
 
 
 def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
-    """What programs take from the machine file: [variables] by name, and [program] with the calls that move no axis."""
+    """Check what programs read from the machine file: [variables], and [program] with the calls that move no axis."""
     variables = document.get("variables", {})
     if not isinstance(variables, dict) or not all(isinstance(v, int | float | str) for v in variables.values()):
         raise InputError(f'{where}: each variable in [variables] must be a number or a text; write "$MC_EXAMPLE" = 1.0')
@@ -81,7 +81,7 @@ def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
 
 
 def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str) -> None:
-    """A current loop has a cycle, and every cycle is a whole multiple of the shortest one."""
+    """A current loop needs a cycle, and every cycle must be a whole multiple of the shortest one."""
     control = document["control"]
     looped = [axis.name for axis in axes if axis.has_current_loop]
     if "current_cycle_us" not in control and looped:
@@ -91,19 +91,21 @@ def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str
     for name in ("current_cycle", "speed_cycle", "position_cycle"):
         if not LONGEST_CYCLE / MOST_TICKS <= cycles[name] <= LONGEST_CYCLE:
             raise InputError(
-                f"{where}: [control]: {name}_us = {cycles[name] * 1e6:g} is no cycle of a control; "
+                f"{where}: [control]: {name}_us = {cycles[name] * 1e6:g}: no control has such a cycle; "
                 f"give {LONGEST_CYCLE / MOST_TICKS * 1e6:g} to {LONGEST_CYCLE * 1e6:g}"
             )
         if abs(cycles[name] / shortest - round(cycles[name] / shortest)) > 1e-6:
-            raise InputError(f"{where}: [control]: {name}_us is no whole multiple of the shortest cycle ({shortest * 1e6:g} us); change it")
+            raise InputError(
+                f"{where}: [control]: {name}_us is not a whole multiple of the shortest cycle ({shortest * 1e6:g} us); change it"
+            )
 
 
 LONGEST_TICK = 125e-6
-"""Tick of a machine without current loops, whose file names none [s]: friction that sticks needs a short one."""
+"""Longest tick [s] of a machine without current loops; sticking friction needs a short tick."""
 
 
 def cycles_of(document: Mapping[str, Any]) -> dict[str, float]:
-    """Cycles of the control [s], those left out included: current_cycle, speed_cycle, position_cycle, interpolation_cycle."""
+    """Cycles of the control [s], with defaults for omitted ones: current_cycle, speed_cycle, position_cycle, interpolation_cycle."""
     control = {k: v * si_from_key(k) for k, v in document["control"].items() if k in keys.CONTROL}
     speed, position = control["speed_cycle_us"], control["position_cycle_us"]
     current = control.get("current_cycle_us", speed / max(math.ceil(speed / LONGEST_TICK - 1e-9), 1))
@@ -122,36 +124,36 @@ def _check_body(table: Any, where: str) -> None:
     i = np.array(table["inertia_kg_m2"], float)
     if np.any(i > i.sum() - i + 1e-12):
         raise InputError(
-            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: no body has one principal inertia above the sum of the others"
+            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: a principal inertia cannot exceed the sum of the other two; correct it"
         )
 
 
 def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The document with other values by path; InputError for a path that no machine file of this kind has."""
+    """The document with other values by path. Raises InputError for a path that this kind of machine file cannot have."""
     out = dict(document)
     for asked, value in values.items():
         if asked.startswith("axis.") and asked.count(".") > 1:
             out = _without_contradicting_data(out, asked)
-        path, number = place(out, asked, value)
+        path, number = in_file(out, asked, value)
         *tables, key = path.split(".")
         table: Any = out
         for i, name in enumerate(tables):
             if not isinstance(table, dict) or name not in table:
                 known = table if isinstance(table, dict) else {}
-                if not isinstance(table, dict) or not _may_stand(out, path):
+                if not isinstance(table, dict) or not _is_allowed(out, path):
                     raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
                 table[name] = {}
             if isinstance(table[name], dict):
                 table[name] = dict(table[name])
             table = table[name]
-        if not isinstance(table, dict) or (key not in table and not _may_stand(out, path)):
+        if not isinstance(table, dict) or (key not in table and not _is_allowed(out, path)):
             raise InputError(f"machine {where}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
         table[key] = number
     return out
 
 
-def _may_stand(document: Mapping[str, Any], path: str) -> bool:
-    """May a machine file of this kind have this path, which is not there?"""
+def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
+    """True if a machine file of this kind may have this path."""
     parts = path.split(".")
     if len(parts) == 1:
         return path in ADDED or path in keys.TOP
@@ -168,8 +170,8 @@ def _may_stand(document: Mapping[str, Any], path: str) -> bool:
     return parts[3] in below.get(parts[2], {})
 
 
-def place(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
-    """Path and value of a number as this file has it: `axis.X.coulomb_friction_nm` of a direct drive is its `coulomb_friction_n`."""
+def in_file(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
+    """Path and value of a number in the keys and units of this file: `axis.X.coulomb_friction_nm` of a direct drive is `coulomb_friction_n`."""
     parts = path.split(".")
     table = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
     if not isinstance(table, Mapping):
@@ -181,16 +183,16 @@ def place(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]
         parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
     if table.get("drive") == "direct":
         parts[-1] = keys.DIRECT.get(parts[-1], parts[-1])
-    datum = sinumerik.datum_place(table, ".".join(parts[2:]), value)
+    datum = sinumerik.datum_in_file(table, ".".join(parts[2:]), value)
     if datum is not None:
         return f"axis.{parts[1]}.{datum[0]}", datum[1]
     if parts[-1] in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and parts[2] == "loops" and "actuator" in table:
-        return _speed_gain_place(table, parts, value)
+        return _speed_gain_in_file(table, parts, value)
     return ".".join(parts), value
 
 
-def _speed_gain_place(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
-    """Where the speed gain stands if the file has it per unit of the command, and its value there."""
+def _speed_gain_in_file(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
+    """Path and value of the speed gain where the file gives it per unit of the command."""
     command = table["actuator"]["command"]
     plain = keys.canonical(table) if table.get("drive") == "direct" else table
     constant_key = keys.EFFORTS[command].constant
@@ -204,7 +206,7 @@ def _speed_gain_place(table: Mapping[str, Any], parts: list[str], value: float) 
 
 
 def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str, Any]:
-    """The document in which an axis has plain keys instead of machine data, where these would contradict a new plain value."""
+    """The document, with the machine data of an axis replaced by plain keys if they would contradict the new plain value."""
     _, axis, key = path.split(".", 2)
     table = document["axis"].get(axis)
     if not isinstance(table, Mapping) or not isinstance(table.get("sinumerik"), Mapping):
@@ -214,12 +216,7 @@ def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str
     for name in key.split("."):
         there = there.get(name) if isinstance(there, Mapping) else None
     of_data = key in given or f"{key}.0" in given
-    if not of_data or (there is None and sinumerik.datum_place(table, key, 1.0) is not None):
+    if not of_data or (there is None and sinumerik.datum_in_file(table, key, 1.0) is not None):
         return document
-    plain = sinumerik.completed(table, f"[axis.{axis}]")
+    plain = sinumerik.with_plain_keys(table, f"[axis.{axis}]")
     return {**document, "axis": {**document["axis"], axis: plain}}
-
-
-def axis_in(document: Mapping[str, Any], name: str, where: str, checked: bool) -> Axis:
-    """The typed view of `[axis.NAME]`."""
-    return axis_of_table(name, document["axis"][name], f"{where}: [axis.{name}]", checked)

@@ -1,7 +1,7 @@
-"""A machine from a recording alone: lumped parameters that reproduce it, where no data sheet exists.
+"""A machine from a recording alone: lumped parameters that reproduce it, without a data sheet.
 
-Law and lumps come from `lumps`; gain and integral time of the speed controller, which no signal shows, are those with which the simulated
-axis follows like the recorded one. Each number says in its comment whether it was measured, is a lump, or was assumed.
+`lumps` identifies control law and lumped parameters. No signal shows gain and integral time of the speed controller, so they are
+varied until the simulated axis follows like the recorded one. The comment of each number states its origin.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
 
 LONGEST_TRIED_S = 8.0
-"""Recorded time on which the speed controller is tried [s]."""
+"""Longest recorded time on which speed controllers are tried [s]."""
 LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
 INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
 DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)
@@ -31,8 +31,8 @@ FIRST_INTEGRAL_S = 0.02
 
 
 @dataclass(frozen=True)
-class Followed:
-    """How the machine reproduces an axis: RMS gap of the position, of the following error, of the command and its range, SI."""
+class Reproduction:
+    """How the machine reproduces an axis, SI: RMS gap of the position, RMS following error, RMS gap of the command and its range."""
 
     gap: float
     following: float
@@ -41,21 +41,21 @@ class Followed:
 
     @property
     def merit(self) -> float:
-        """What the trials make small."""
+        """Measure that the trials minimise."""
         position = self.gap / max(self.following, 1e-12)
         return position + (0.3 * self.effort_gap / self.effort_range if self.effort_range > 0.0 else 0.0)
 
 
 @dataclass(frozen=True)
-class Made:
-    """A machine that was written: its axes as understood, and how it follows."""
+class NewMachine:
+    """A machine that was written: the identified axes, and how well they reproduce the recording."""
 
     lumps: tuple[AxisLumps, ...]
-    followed: Mapping[str, Followed]
+    followed: Mapping[str, Reproduction]
 
 
-def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> Made:
-    """Write the machine file and its model. Raises InputError where the campaign shows no axis, or no stable machine reproduces it."""
+def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> NewMachine:
+    """Write the machine file and its model. Raises InputError if no axis moves, or if no stable machine reproduces one."""
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
     model = out.with_suffix(".xml")
@@ -72,16 +72,16 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         lumps.append(lumps_of(runs, name))
     if not lumps:
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
-    tried = _liveliest(runs, common)
+    tried = _runs_with_most_travel(runs, common)
     if not tried:
         raise InputError(f"{folder}: no run has 40 samples; record a longer move")
     tunings = {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
-        def attempt(given: Mapping[str, Tuning]) -> dict[str, Followed]:
+        def attempt(given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
             file = Path(scratch) / "machine.toml"
             write_lumped_machine(file, lumps, given, folder.name)
-            return _followed(load_machine(file), tried, lumps)
+            return _reproductions(load_machine(file), tried, lumps)
 
         tunings, followed = _tuned(attempt, tunings, lumps, say)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
@@ -91,17 +91,17 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     out.parent.mkdir(parents=True, exist_ok=True)
     write_lumped_machine(out, lumps, tunings, folder.name)
     load_machine(out)
-    return Made(tuple(lumps), followed)
+    return NewMachine(tuple(lumps), followed)
 
 
-def _liveliest(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
-    """Runs with most travel, up to LONGEST_TRIED_S; a longer one is cut."""
+def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
+    """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
 
-    def way(run: MeasuredRun) -> float:
+    def travel(run: MeasuredRun) -> float:
         return sum(float(np.abs(np.diff(run.trace.get(a, "setpoint"))).sum()) for a in axes) / max(run.trace.time[-1], 1e-9)
 
     out, total = [], 0.0
-    for run in sorted(runs, key=way, reverse=True):
+    for run in sorted(runs, key=travel, reverse=True):
         count = min(len(run.trace.time), int((LONGEST_TRIED_S - total) / run.trace.period))
         if count < 40:
             break
@@ -111,8 +111,8 @@ def _liveliest(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[Measure
     return out
 
 
-def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Followed]:
-    """Gap of each axis; infinite where the simulation diverges."""
+def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+    """Gap of each axis; infinite if the simulation diverges."""
     rows: dict[str, list[np.ndarray]] = {one.name: [] for one in lumps}
     for run in runs:
         try:
@@ -120,7 +120,7 @@ def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[Axi
         except SimulationError as lost_one:
             lost = re.search(r"axis (\S+)", str(lost_one))
             named = {lost[1]} if lost else set(rows)
-            return {one.name: Followed(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
+            return {one.name: Reproduction(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
         skip = len(run.trace.time) // 20
         for one in lumps:
             where = "position" if one.encoder == "scale" else "motor_position"
@@ -134,7 +134,7 @@ def _followed(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[Axi
     out = {}
     for name, parts in rows.items():
         off, error, force_off, command = np.concatenate(parts).T
-        out[name] = Followed(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
+        out[name] = Reproduction(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
     return out
 
 
@@ -143,14 +143,14 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _tuned(
-    attempt: Callable[[Mapping[str, Tuning]], dict[str, Followed]],
+    attempt: Callable[[Mapping[str, Tuning]], dict[str, Reproduction]],
     tunings: dict[str, Tuning],
     lumps: Sequence[AxisLumps],
     say: Callable[[str], None],
-) -> tuple[dict[str, Tuning], dict[str, Followed]]:
-    """Speed controller of each axis by trial, all axes at once: their gaps do not depend on each other."""
+) -> tuple[dict[str, Tuning], dict[str, Reproduction]]:
+    """Speed controller of each axis by trial. All axes are tried at once, since their gaps are independent."""
     best = attempt(tunings)
-    for _ in range(4):  # a controller that is too stiff for its cycles
+    for _ in range(4):  # a speed controller may be too stiff for its cycles
         if all(math.isfinite(one.gap) for one in best.values()):
             break
         tunings = {n: replace(t, lag=1.8 * t.lag) if not math.isfinite(best[n].gap) else t for n, t in tunings.items()}
@@ -181,8 +181,8 @@ def _tuned(
     return kept, best
 
 
-def followed_text(one: AxisLumps, followed: Followed) -> str:
-    """One line on how the machine reproduces an axis."""
+def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
+    """One line that states how well the machine reproduces an axis."""
     unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
     text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS, {followed.gap / max(followed.following, 1e-12):.2%} of the following error"
     m: Mechanics | None = one.mechanics

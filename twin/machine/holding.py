@@ -1,4 +1,4 @@
-"""What the drives need to stand still: gravity at every axis over the angles of the rotary axes, linear axes at home."""
+"""Forces and efforts that hold the axes against gravity, over the angles of the rotary axes, with the linear axes at home."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import build_plant, remembered
 
 ANGLES = 13
-"""Angles of each rotary axis over its travel; of an endless one a step more divides the circle."""
+"""Angles of each rotary axis over its travel. The circle of an endless axis is divided into one step less."""
 
 UNCHANGED = 1e-6
-"""A holding torque that differs by less from pose to pose, as a share of its largest value, is the same everywhere."""
+"""A holding torque that varies less from pose to pose, as a share of its largest value, counts as constant."""
 
 
 @dataclass(frozen=True)
 class Holding:
-    """Forces (pose, axis) [N, Nm] that hold the axes against gravity, at angles (pose, rotary axis) [rad] of the named axes."""
+    """Forces (pose, axis) [N, Nm] that hold the axes, at angles (pose, rotary axis) [rad] of the axes `rotary`."""
 
     rotary: tuple[str, ...]
     angles: np.ndarray
@@ -30,7 +30,7 @@ class Holding:
 
 @remembered
 def holding_of(machine: Machine) -> Holding:
-    """Gravity at every axis; remembered, because gains and motors do not change it. Effects do not count."""
+    """Gravity at every axis, without effects. Cached, because gains and motors do not change it."""
     plant = build_plant(machine)
     rotary = [a for a, axis in enumerate(machine.axes) if axis.kind == "rotary"]
     grids = [_angles(machine.axes[a]) for a in rotary]
@@ -52,6 +52,6 @@ def _angles(axis: Axis) -> np.ndarray:
 
 
 def holding_effort(machine: Machine, axis: Axis) -> np.ndarray:
-    """Effort (pose,) [A, V, Nm] that holds an axis against gravity and its steady load at each pose of `holding_of`."""
+    """Effort (pose,) [A, V, Nm] that holds an axis against gravity and its constant load, for each pose of `holding_of`."""
     force = holding_of(machine).forces[:, machine.axis_names.index(axis.name)] + axis.constant_force
     return force * axis.ratio / axis.motor.torque_constant_nm_per_a

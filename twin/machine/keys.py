@@ -1,7 +1,6 @@
-"""The keys of a machine file: which table may hold which key, and within which bounds.
+"""The keys of a machine file: which table may have which key, and the bounds of each number.
 
-Those of an axis come from the table in `twin.machine.parameters`. A key that is missing, misspelt or impossible is reported
-with its table and the nearest match.
+Axis keys come from `twin.machine.parameters`. Errors name the table and, for an unknown key, the nearest known one.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from twin.errors import InputError, nearest
 from twin.machine.parameters import INFINITE, PARAMETERS, Key, not_negative, positive
 
 STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
-"""Position, speed and current controller of an axis; the first is a servo drive, the others end in an ideal actuator."""
+"""Position, speed and current controller of an axis. The first is a servo drive; the others end in an ideal actuator."""
 
 ENCODERS = ("scale", "motor")
 DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
@@ -23,10 +22,10 @@ DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
 
 @dataclass(frozen=True)
 class Effort:
-    """What a speed controller commands: its unit, and the keys of an `[axis.N.actuator]` that takes it."""
+    """The command of a speed controller: its unit, and the keys of its `[axis.N.actuator]`."""
 
     unit: str
-    constant: str  # torque per unit of the command ('' where the command is the torque)
+    constant: str  # torque per unit of the command; '' if the command is a torque
     peak: str
 
 
@@ -39,17 +38,17 @@ EFFORTS = {
 TOP = {"gravity_m_per_s2": not_negative(), "parameter_tolerance": Key(0.0, 1.0, required=False)}
 
 SMALLEST, LARGEST = 1e-18, 1e18
-"""No number of a machine is smaller or larger, whatever its unit; squares and quotients of such numbers are still numbers."""
+"""Smallest and largest magnitude of any number in a machine file, so that squares and quotients stay finite."""
 
 CONTROL = {
-    "current_cycle_us": positive(required=False),  # required where an axis has a current loop
+    "current_cycle_us": positive(required=False),  # required if an axis has a current loop
     "speed_cycle_us": positive(),
     "position_cycle_us": positive(),
     "interpolation_cycle_us": positive(required=False),
 }
 
 INTERPOLATIONS = ("cubic", "linear")
-"""How a set point between two position cycles is made; the first is the default."""
+"""Interpolation of set points between position cycles. The first is the default."""
 
 GEOMETRY = {
     "a_axis_to_c_axis_y_m": Key(required=False),
@@ -61,7 +60,7 @@ GEOMETRY = {
 
 
 def _below(table: str, drive: str = "screw") -> dict[str, Key]:
-    """Keys of `[axis.N.table]` ('' for `[axis.N]` itself) with their bounds."""
+    """Keys of `[axis.N.table]` ('' for `[axis.N]`) with their bounds."""
     keys = [(p.key(drive), p.bounds) for p in PARAMETERS]
     return {key.rsplit(".", 1)[-1]: bounds for key, bounds in keys if key and key.rpartition(".")[0] == table}
 
@@ -74,18 +73,18 @@ SPEED_GAIN, DRIVE_FEEDFORWARD = "speed_gain_nm_s_per_rad", "drive_torque_feedfor
 DIRECT = {"torque_constant_nm_per_v": "force_constant_n_per_v", "peak_torque_nm": "peak_force_n"} | {
     p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS if p.direct and p.direct != p.screw
 }
-"""Names of numbers at the axis that a directly driven axis has instead of those at the motor."""
+"""Key names of a direct drive, whose numbers refer to the axis, by the names that refer to the motor."""
 
 _CANONICAL = {direct: plain for plain, direct in DIRECT.items()}
 
 
 def canonical(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a directly driven axis under the names of a screw's."""
+    """The tables of a direct drive with the key names of a screw axis."""
     return {_CANONICAL.get(k, k): canonical(v) if isinstance(v, dict) else v for k, v in table.items()}
 
 
 def speed_gains(effort: str) -> tuple[tuple[str, bool, bool], ...]:
-    """Units in which a speed gain may stand: key, is it a torque (or the command), is it per axis unit (or per motor radian)."""
+    """Keys of a speed gain for a command: key; True for torque, False for the command; True per axis unit, False per motor radian."""
     command = {"current": "a", "voltage": "v"}.get(effort)
     own = ((SPEED_GAIN, True, False),)
     return (
@@ -98,9 +97,9 @@ def speed_gains(effort: str) -> tuple[tuple[str, bool, bool], ...]:
 def tables_of_axis(
     kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str
 ) -> tuple[dict[str, Key], dict[str, dict[str, Key]]]:
-    """Keys of an axis table and of the tables below it, for its kind, drive and structure."""
+    """Keys of an axis table, and of each table below it, for its kind, drive and structure."""
     own = dict(AXIS[kind])
-    # a cascade down to the winding has the NC's torque feedforward alone: no fit would part it from one of the drive
+    # with a current loop the torque feedforward of the NC and that of the drive cannot be identified separately
     parts = {"motor": dict(MOTOR), "loops": {k: v for k, v in LOOPS.items() if k != DRIVE_FEEDFORWARD}, "commissioned": dict(COMMISSIONED)}
     if structure != STRUCTURES[0]:
         actuator = table.get("actuator")
@@ -150,7 +149,7 @@ MEASUREMENT = {
 
 
 def check_table(table: Mapping[str, Any], keys: Mapping[str, Key], where: str, also: tuple[str, ...] = ()) -> None:
-    """Each key known, each required one there, each value possible; `also` names keys that are checked elsewhere."""
+    """Check that each key is known, each required key is present and each value is possible. `also`: keys checked elsewhere."""
     for given in table:
         if given not in keys and given not in also:
             raise InputError(f"{where}: unknown key '{given}'; {nearest(given, [*keys, *also])}")

@@ -1,4 +1,4 @@
-"""The loops of an axis as a picture: open and closed frequency response of each, with its margins."""
+"""Picture of the loops of an axis: open and closed frequency response of each loop, with its margins."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LOWEST_DB, _HIGHEST_DB = -50.0, 50.0
 
 
 def loop_figure(check: AxisCheck, machine: str) -> Figure:
-    """One column a loop, from the inside out: magnitude above, phase below."""
+    """One column per loop, innermost first: magnitude above, phase below."""
     figure, cells = new_figure(2, len(check.loops), width=4.4 * len(check.loops), height=2.9, sharex="col", height_ratios=[1.25, 1.0])
     for column, (loop, margins) in enumerate(zip(check.loops, check.margins)):
         _draw(cells[0, column], cells[1, column], loop, margins)
@@ -39,10 +39,9 @@ def _draw(magnitude: Axes, phase: Axes, loop: Loop, margins: Margins) -> None:
     nyquist = 0.5 / loop.period
     f = np.geomspace(max(centre / 100.0, 1e-2), nyquist * 0.995, 1500)
     response = loop.open_response(f)
-    closed = response / (1.0 + response)
     magnitude.axhline(0.0, color=SOFT, linewidth=0.8)
     magnitude.semilogx(f, 20.0 * np.log10(np.abs(response)), color=BLUE, label="open")
-    magnitude.semilogx(f, 20.0 * np.log10(np.abs(closed)), color=AMBER, label="closed")
+    magnitude.semilogx(f, 20.0 * np.log10(np.abs(loop.closed_response(f))), color=AMBER, label="closed")
     angle = np.degrees(np.unwrap(np.angle(response)))
     angle -= 360.0 * np.round((angle[np.argmin(np.abs(f - centre))] + 120.0) / 360.0)
     phase.semilogx(f, angle, color=BLUE)

@@ -1,4 +1,4 @@
-"""The file of a machine made from a recording alone: each number with a comment that says whether it was measured, is a lump, or was assumed."""
+"""Machine file from a recording alone. The comment of each number says whether it was measured, lumped, tried or assumed."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ import json
 import math
 from pathlib import Path
 import re
+from xml.sax.saxutils import escape
 
 from twin.files import write_whole
-from twin.machine.check import ASSUMED
-from twin.machine.lumps import AxisLumps, Mechanics
+from twin.machine.commented import ASSUMED, commented, number_line
+from twin.machine.lumps import AxisLumps
 
 LUMP = "lump"
-BY_LOAD = "measured against the recorded outside load"
+BY_LOAD = "measured by the recorded external load"
 ROOM = 1.5
-"""Speeds and accelerations of the file are this much above the recorded ones."""
+"""Factor from recorded to permitted speed and acceleration."""
 PEAK_ROOM = 4.0
-"""The same of the peak command: the recording need not show the limit, and a limit set too low would be a fault of its own."""
+"""Factor from the recorded peak command to its limit. The recording need not reach the limit, and a limit set too low adds a fault."""
 TRAVEL_ROOM_M = 2.0
 LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
-"""Speed that every axis of the file may reach at least [m/s, rad/s]: another recording may be quicker than this one."""
+"""Least permitted speed of an axis [m/s, rad/s], because another recording may be faster."""
 SMALL_FORCE = 0.02
-"""A constant force below this part of the peak command is left out."""
+"""A constant force below this share of the peak command is omitted."""
 UNKNOWN_MASS = 10.0
 _COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
 G = 9.81
@@ -31,7 +32,7 @@ G = 9.81
 
 @dataclass(frozen=True)
 class Tuning:
-    """Speed controller and delay of one axis, as tried."""
+    """Speed controller and delay of one axis, found by trial."""
 
     lag: float
     integral: float
@@ -53,7 +54,7 @@ def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping
 
 
 _MODEL = """<mujoco model="{name}">
-  <!-- Lumped axes of the recording {source}, side by side: how they stand on each other the recording does not say. -->
+  <!-- Lumped axes of the recording {source}, side by side: the recording does not show how they carry each other. -->
   <compiler angle="radian" inertiafromgeom="false"/>
   <worldbody>
 {bodies}
@@ -70,33 +71,33 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     speed = cycle if whole else _part_of(cycle, 125e-6)
     lines = [
         f"# Machine of the recording {source}, made by: twin machine new --from-recording",
-        "# No data sheet is behind it. Drive and load are lumps: a number with the word 'lump' is counted at the axis in units of the recorded",
-        "# command, with a torque constant of 1 that stands for all between command and motion (torque constant, gear, lead). Its absolute",
-        "# value means nothing, its ratio to the other lumps does. 'measured' follows from the recording alone, 'tried' was chosen so that the",
-        f"# simulated axis follows like the recorded one, '{ASSUMED}' was made up: replace what you know better.",
+        "# There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",
+        "# constant of 1 in place of torque constant, gear and lead. Only ratios between lumped parameters are meaningful, not their values.",
+        "# 'measured' comes from the recording alone. 'tried' was chosen so that the simulated axis follows like the recorded one.",
+        f"# '{ASSUMED}' is an assumption: replace it if you know better.",
         "",
         f"name = {json.dumps(out.stem)}",
         f"model = {json.dumps(model.name)}",
         f"gravity_m_per_s2 = {G}",
-        f"parameter_tolerance = 0.05                 # {ASSUMED}; the lumps of another recording lie this close",
+        f"parameter_tolerance = 0.05                 # {ASSUMED}; tolerance of the lumped parameters between recordings",
         f"axis_order = [{', '.join(json.dumps(one.name) for one in lumps)}]",
         "",
         "[control]",
-        _line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
-        _line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
+        number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
+        number_line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
     ]
     if measured:
-        lines.append(_aligned('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
+        lines.append(commented('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
     return lines
 
 
 def _part_of(period: float, longest: float) -> float:
-    """The longest whole part of a period that is not above `longest`."""
+    """The longest integer fraction of a period that does not exceed `longest`."""
     return period / math.ceil(period / longest - 1e-9)
 
 
 def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
-    linear, m = one.kind == "linear", _forces(one)
+    linear, m = one.kind == "linear", one.forces
     known = m is not None and m.force_per_unit is not None
     table = f"axis.{_key(one.name)}"
     unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
@@ -104,10 +105,10 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     lumped = BY_LOAD if known else LUMP
     structure = "P/PI" if one.law.integral else "P/P"
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
-    lines.append(_aligned(f'structure = "{structure}"', "no winding and no current loop: their lag is part of the speed controller"))
+    lines.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
     if linear:
-        lines.append(_aligned('drive = "direct"', "lead and motor are unknown: all numbers stand at the axis"))
-    lines.append(_aligned(f'encoder = "{one.encoder}"', "closes the position loop"))
+        lines.append(commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"))
+    lines.append(commented(f'encoder = "{one.encoder}"', "closes the position loop"))
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
     low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
@@ -116,37 +117,36 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     if linear:
         weight = m.constant / G if vertical and m else inertia
         lines += [
-            _aligned(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel and {TRAVEL_ROOM_M:g} m on both sides"),
-            _line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
-            _line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            _line("max_jerk_m_per_s3", 50.0 * acceleration),
-            _line("moving_mass_kg", weight, f"{lump}; as heavy as it hangs" if vertical else lump),
+            commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end"),
+            number_line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
+            number_line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            number_line("max_jerk_m_per_s3", 50.0 * acceleration),
+            number_line("moving_mass_kg", weight, f"{lump}; from its weight" if vertical else lump),
         ]
         if vertical:
-            lines.append(_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
+            lines.append(number_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
         lines += [
-            _line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
+            number_line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            number_line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
         ]
     else:
         turn = 2.0 * math.pi
         lines += [
-            _aligned('travel_deg = "endless"', ASSUMED),
-            _line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
-            _line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            _line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
-            _line("gear_ratio", 1.0, "the gear is unknown: all numbers stand at the axis"),
-            _line("rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} stand in the model"),
-            _line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            _line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED),
+            commented('travel_deg = "endless"', ASSUMED),
+            number_line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
+            number_line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
+            number_line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
+            number_line("gear_ratio", 1.0, "the gear is unknown: all numbers refer to the axis"),
+            number_line(
+                "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
+            ),
+            number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
+            number_line(
+                "viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED
+            ),
         ]
     lines += [] if vertical else _constant(one, unit)
     return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
-
-
-def _forces(one: AxisLumps) -> Mechanics | None:
-    """Mechanics of an axis as the file counts them: in newtons where a known load fixes them, else lumps."""
-    return one.mechanics.forces if one.mechanics else None
 
 
 def _actuator(one: AxisLumps, table: str) -> list[str]:
@@ -154,17 +154,17 @@ def _actuator(one: AxisLumps, table: str) -> list[str]:
     lines = [f"[{table}.actuator]"]
     if m is None:
         peak = 20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1)
-        return [*lines, 'command = "torque"', _line("peak_force_n" if linear else "peak_torque_nm", peak)]
-    lines.append(_aligned(f'command = "{m.effort}"', "as recorded"))
+        return [*lines, 'command = "torque"', number_line("peak_force_n" if linear else "peak_torque_nm", peak)]
+    lines.append(commented(f'command = "{m.effort}"', "as recorded"))
     letter = {"current": "a", "voltage": "v"}.get(m.effort)
     if letter:
         key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
-        said = f"{LUMP}: stands for all between command and motion" if m.force_per_unit is None else BY_LOAD
-        lines.append(_line(key, m.scale, said))
-        return [*lines, _line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
+        said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
+        lines.append(number_line(key, m.scale, said))
+        return [*lines, number_line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
     return [
         *lines,
-        _line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
+        number_line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
     ]
 
 
@@ -176,59 +176,61 @@ def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[s
     said = "measured" if law.measured else ASSUMED
     lines = [
         f"[{table}.loops]",
-        _line("position_gain_per_s", law.gain, said),
-        _line(
+        number_line("position_gain_per_s", law.gain, said),
+        number_line(
             key,
             law.speed_gain or inertia / tuning.lag,
             "measured" if law.speed_gain else f"tried: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
         ),
     ]
     if law.integral:
-        lines.append(_line("speed_integral_time_s", tuning.integral, "tried"))
+        lines.append(number_line("speed_integral_time_s", tuning.integral, "tried"))
     elif law.mean_cycles:
         lines.append(
-            _aligned(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions so many cycles apart")
+            commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions this many cycles apart")
         )
     lines += [
-        _line("velocity_feedforward", law.feedforward, said),
-        _line("position_delay_s", tuning.delay, said),
-        _line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
+        number_line("velocity_feedforward", law.feedforward, said),
+        number_line("position_delay_s", tuning.delay, said),
+        number_line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
     ]
     if law.dsc_delay:
-        lines.append(_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop, the command reaches it so late"))
+        lines.append(
+            number_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop and gets the command this late")
+        )
     return lines
 
 
 _BODY_PART = 0.1
-"""Part of a rotary lump that stands in the model."""
+"""Share of a rotary inertia that is in the model."""
 
 
 def _hangs(one: AxisLumps) -> bool:
-    """Is the constant force of a slide its weight? Only where both directions show it apart from friction, and inertia allows it."""
-    m = _forces(one)
+    """True if the constant force of a slide is its weight: motion both ways separates it from friction, and the inertia permits it."""
+    m = one.forces
     if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
         return False
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
 
 
 def _constant(one: AxisLumps, unit: str) -> list[str]:
-    """The steady load of an axis that does not hang."""
-    m = _forces(one)
+    """The constant load of an axis that is not vertical."""
+    m = one.forces
     if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
         return []
     key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
     return [
-        _line(
+        number_line(
             key,
             m.constant,
-            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; weight, counterbalance or friction one way: one recording cannot separate them",
+            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; one recording cannot separate weight, counterbalance and one-way friction",
         )
     ]
 
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:
-    """A slide or a hinge with a box to look at."""
-    m, place = _forces(one), f"0 {0.4 * i:.3g} 0"
+    """A slide or a hinge with a box as its shape."""
+    m, place = one.forces, f"0 {0.4 * i:.3g} 0"
     inertia = m.inertia if m else UNKNOWN_MASS
     shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
     if one.kind == "linear":
@@ -240,7 +242,7 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
             f'      <inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{side:.6g} {side:.6g} {side:.6g}"/>\n'
             f'      <joint name="{_xml(one.name)}" type="slide" axis="{axis}"/>\n{shape}'
         )
-    # weight that turns with the axis: a mass off the axis whose own inertia is a small part of the lump
+    # gravity that turns with the axis: a mass off the axis, with a small part of the inertia
     own = _BODY_PART * inertia
     cosine, sine = m.gravity if m and math.hypot(*m.gravity) > SMALL_FORCE * m.peak else (0.0, 0.0)
     weight = math.hypot(cosine, sine) / G
@@ -255,8 +257,8 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 
 
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
-    lines = ["", "[measurement]                              # noise: of single samples, in the quietest part of the recording"]
-    lines.append(_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
+    lines = ["", "[measurement]                              # noise of single samples in the quietest part of the recording"]
+    lines.append(number_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
     for kind, scale, motor in (
         ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
         ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),
@@ -264,9 +266,9 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
         own = [one for one in lumps if one.kind == kind]
         for key, encoder in ((scale, "scale"), (motor, "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
-                lines.append(_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
+                lines.append(number_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
-    return [*lines, *([_line("current_noise_a", max(currents), "measured")] if currents else [])]
+    return [*lines, *([number_line("current_noise_a", max(currents), "measured")] if currents else [])]
 
 
 def _key(name: str) -> str:
@@ -274,13 +276,4 @@ def _key(name: str) -> str:
 
 
 def _xml(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;").replace("--", "- -")
-
-
-def _line(key: str, value: float, comment: str = ASSUMED) -> str:
-    number = f"{float(value):.9g}"
-    return _aligned(f"{key} = {number if any(c in number for c in '.en') else number + '.0'}", comment)
-
-
-def _aligned(text: str, comment: str) -> str:
-    return f"{text:42} # {comment}"
+    return escape(text, {'"': "&quot;", "--": "- -"})

@@ -1,12 +1,12 @@
-"""What a recording says of an axis whose data sheet nobody has: its control law, and lumped mechanics.
+"""Control law and lumped mechanics of an axis from its recording, without a data sheet.
 
-    command:   w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 where the speed set point w* and, maybe, the feedforward f are recorded
-    in drive:  w(t + lag) = w*(t - Td) - Kv (x(t) - x(t - Td))       with Td = 0 where the NC closes the position loop
-    mechanics: u = m dv/dt + d sign(v) + b v + c - f/K               u the recorded current, voltage or torque, f a known outside load
+command:   w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 speed set point w* is recorded; feedforward f may be
+in drive:  w(t + lag) = w*(t - Td) - Kv (x(t) - x(t - Td))       Td = 0 if the NC closes the position loop
+mechanics: u = m dv/dt + d sign(v) + b v + c - f/K               u: recorded current, voltage or torque; f: known external load
 
-A machine of unknown lead, ratio and motor shows m, d, b, c only in units of its command: m is inertia over torque constant, counted at the
-axis, in A/(m/s2) or the like. These are the lumps. Where an outside load is recorded, the command answers it, and K [N or Nm per unit of the
-command] turns lumps into kilograms and newtons. SI throughout; positions m or rad.
+Without lead, ratio and motor data, m, d, b and c are known only in units of the command: m is the inertia over the torque constant,
+referred to the axis, in A/(m/s2) or the like. These are the lumped parameters. If a known external load is recorded, the response of
+the command gives K [N or Nm per unit of the command], which converts them to kilograms and newtons. SI; positions in m or rad.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import lsq_linear
-from scipy.signal import butter, sosfiltfilt
 
 from twin.errors import InputError
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.force_sign import recorded_sign
+from twin.recordings.force_sign import low_passed, recorded_sign
+from twin.recordings.least_squares import solved
 
 BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
 LONGEST_DSC_S = 0.012
 LONGEST_LAG_S = 0.006
-DSC_BETTER = 0.6
-"""The position loop is taken to be closed in the drive where that leaves less than this part of the speed's error."""
-LAW_HOLDS = 0.02
-"""The command follows the law where less than this part of it (RMS) is left."""
+DSC_RESIDUAL = 0.6
+"""The position loop is closed in the drive if that leaves less than this share of the speed error."""
+LARGEST_RESIDUAL = 0.02
+"""The command follows the law if less than this share (RMS) is left."""
 MOVING = 0.02
-"""Part of the highest speed above which an axis moves."""
+"""Share of the highest speed above which an axis moves."""
 EXPLAINED = 0.5
-"""Part of the command's variance that the balance must explain, or it says nothing about the mechanics."""
-LOAD_SEEN = 0.3
-"""An outside load is answered where its share of the command (RMS) is more than this part of what the balance leaves."""
+"""Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
+LEAST_LOAD = 0.3
+"""The response to an external load is visible if its share of the command (RMS) exceeds this share of the residual."""
 EFFORTS = ("current", "voltage", "torque")
 MOST_MEAN_CYCLES = 4
 
 
 @dataclass(frozen=True)
 class Law:
-    """Position controller as recorded: gain [1/s], delays [s], feedforward weight, what is left of the command [m/s, RMS]."""
+    """Identified position controller: gain [1/s], delays [s], feedforward weight; `left` is the residual of the command [m/s, RMS]."""
 
     gain: float
     delay: float
@@ -54,32 +54,32 @@ class Law:
     dsc_delay: float = 0.0
     lag: float = 0.0  # of the speed loop
     integral: bool = True
-    speed_gain: float = 0.0  # command per m/s; 0: from the lag
+    speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
     mean_cycles: int = 0
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Lumps in units of the command per axis unit; `explained` is the part of the command's variance that they make."""
+    """Lumped parameters in units of the command per axis unit. `explained`: share of the command's variance that they explain."""
 
     effort: str
     inertia: float
     coulomb: float
     viscous: float
     constant: float
-    gravity: tuple[float, float]  # of cos q and sin q, rotary axes
+    gravity: tuple[float, float]  # factors of cos q and sin q, for rotary axes
     explained: float
     peak: float
-    force_per_unit: float | None = None  # N or Nm that one unit of the command makes, where a known outside load shows it
+    force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
 
     @property
     def scale(self) -> float:
-        """What turns lumps into forces: 1 where no load shows it."""
+        """Factor from lumped parameters to forces; 1 if no load gives it."""
         return self.force_per_unit or 1.0
 
     @property
     def forces(self) -> Mechanics:
-        """The same in N and kg or Nm and kg m2 where a known load shows them, else the lumps."""
+        """The same in N and kg or Nm and kg m2 if a known load gives the scale, else unchanged."""
         k = self.scale
         return replace(
             self, inertia=k * self.inertia, coulomb=k * self.coulomb, viscous=k * self.viscous, constant=k * self.constant,
@@ -89,7 +89,7 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class AxisLumps:
-    """All that is known of an axis; `notes` say what could not be seen."""
+    """All identified data of an axis. `notes` name what could not be identified."""
 
     name: str
     kind: str
@@ -104,6 +104,11 @@ class AxisLumps:
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
 
+    @property
+    def forces(self) -> Mechanics | None:
+        """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
+        return self.mechanics.forces if self.mechanics else None
+
 
 @dataclass(frozen=True)
 class _Run:
@@ -115,12 +120,12 @@ class _Run:
     command: np.ndarray | None
     feedforward: np.ndarray | None
     effort: np.ndarray | None
-    load: np.ndarray | None = None  # known outside load [N, Nm at the axis]
-    injected: np.ndarray | None = None  # added to the command by a rig, in its unit
+    load: np.ndarray | None = None  # known external load [N, Nm at the axis]
+    injected: np.ndarray | None = None  # added to the command by a test rig, in its unit
 
 
 def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
-    """Lumps of one axis from all runs of a campaign. Raises InputError where nothing measured follows its set point."""
+    """Law and lumped parameters of one axis from all runs of a campaign. Raises InputError if no position or motion is recorded."""
     traces = [run.trace for run in runs if run.trace.has(axis, "setpoint")]
     kind = traces[0].kinds[axis]
     encoder = "scale" if all(t.has(axis, "position") for t in traces) else "motor"
@@ -146,13 +151,13 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         if len(t.time) >= 40 and np.ptp(t.get(axis, "setpoint")) > 0.0
     ]
     if not parts:
-        raise InputError(f"axis {axis}: no run of 40 samples in which it moves; record a longer move")
+        raise InputError(f"axis {axis}: it moves in no run of 40 samples or more; record a longer move")
     notes: list[str] = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
     law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)
     if not effort:
-        notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be seen, they are assumed")
+        notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     low, high = min(float(p.setpoint.min()) for p in parts), max(float(p.setpoint.max()) for p in parts)
     speeds, accelerations = zip(*(_motion(p) for p in parts))
     return AxisLumps(
@@ -161,22 +166,22 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     )  # fmt: skip
 
 
-def _at(values: np.ndarray, period: float, delay: float) -> np.ndarray:
-    """Values `delay` [s] ago, on straight lines between samples as a control reads them; constant before the first."""
+def _delayed(values: np.ndarray, period: float, delay: float) -> np.ndarray:
+    """Values delayed by `delay` [s], linear between samples as in a control; constant before the first."""
     times = np.arange(len(values)) * period
     return np.interp(times - delay, times, values)
 
 
 def _position_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[str]) -> Law:
-    """Gain, delay and feedforward of the position controller, and where the loop is closed."""
+    """Gain, delay and feedforward of the position controller, and where the position loop is closed."""
     law = _command_law([p for p in parts if p.command is not None])
     if law is None:
         return _lag_law(parts, feedforward_flag, notes)
-    return _where_closed([p for p in parts if p.command is not None], law)
+    return _with_drive_loop([p for p in parts if p.command is not None], law)
 
 
 def _command_law(parts: Sequence[_Run]) -> Law | None:
-    """w* = Kv (s(t - d) - x) + a f by least squares, d on a grid; None where the command does not follow it."""
+    """Fit w* = Kv (s(t - d) - x) + a f by least squares, with d on a grid; None if the command does not follow this law."""
     if not parts:
         return None
     tp = parts[0].period
@@ -187,27 +192,23 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
         rows, values = [], []
         for p in parts:
             assert p.command is not None
-            error = _at(p.setpoint, tp, delay) - p.position
+            error = _delayed(p.setpoint, tp, delay) - p.position
             fed = p.feedforward if p.feedforward is not None else _slope(p, ff_delay or 0.0)
             rows.append(np.column_stack([error, fed, np.ones_like(error)])[cut:])
             values.append(p.command[cut:])
         x, y = np.concatenate(rows), np.concatenate(values)
-        b = np.linalg.lstsq(x / (scale := np.maximum(np.abs(x).max(axis=0), 1e-300)), y, rcond=None)[0] / scale
+        b = solved(x, y)
         return float(np.sqrt(np.mean((y - x @ b) ** 2))), b
 
+    def best_of(delays: Sequence[float]) -> tuple[float, np.ndarray, float, float | None]:
+        return min(((*fit(d, f), d, f) for d in delays for f in ((None,) if own else (0.0, d))), key=lambda r: r[0])
+
     own = all(p.feedforward is not None for p in parts)
-    best = min(
-        ((*fit(d, f), d, f) for d in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4) for f in ((None,) if own else (0.0, d))),
-        key=lambda r: r[0],
-    )
+    best = best_of(_steps(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4))
     for step in (tp / 16, tp / 128):
-        span = 4.0 * step
-        best = min(
-            ((*fit(d, f), d, f) for d in _grid(max(best[2] - span, 0.0), best[2] + span, step) for f in ((None,) if own else (0.0, d))),
-            key=lambda r: r[0],
-        )
+        best = best_of(_steps(max(best[2] - 4.0 * step, 0.0), best[2] + 4.0 * step, step))
     left, (gain, weight, _), delay, ff_delay = best
-    if not gain > 0.0 or left > LAW_HOLDS * size:
+    if not gain > 0.0 or left > LARGEST_RESIDUAL * size:
         return None
     if own:
         ff_delay, fed = _feedforward_delay(parts, tp)
@@ -217,25 +218,25 @@ def _command_law(parts: Sequence[_Run]) -> Law | None:
 
 def _slope(p: _Run, delay: float) -> np.ndarray:
     """Backward difference of the set point over one cycle."""
-    return (_at(p.setpoint, p.period, delay) - _at(p.setpoint, p.period, delay + p.period)) / p.period
+    return (_delayed(p.setpoint, p.period, delay) - _delayed(p.setpoint, p.period, delay + p.period)) / p.period
 
 
 def _feedforward_delay(parts: Sequence[_Run], tp: float) -> tuple[float, float]:
-    """(delay [s], weight) of the recorded feedforward against the slope of the set point."""
+    """Delay [s] and weight of the recorded feedforward relative to the slope of the set point."""
     best = (np.inf, 0.0, 1.0)
     cut = LONGEST_DELAY_CYCLES + 3
     y = np.concatenate([p.feedforward[cut:] for p in parts])  # type: ignore[index]
     if not np.any(y):
         return 0.0, 0.0
-    for delay in _grid(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4):
+    for delay in _steps(0.0, LONGEST_DELAY_CYCLES * tp, tp / 4):
         x = np.concatenate([_slope(p, delay)[cut:] for p in parts])
         weight = float(x @ y) / max(float(x @ x), 1e-300)
         best = min(best, (float(np.mean((y - weight * x) ** 2)), delay, weight))
     return best[1], best[2]
 
 
-def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
-    """Delay of the command to a drive that closes the loop itself (0: the NC does), and lag of the speed loop behind its set point."""
+def _with_drive_loop(parts: Sequence[_Run], law: Law) -> Law:
+    """The law with the delay of the command to the drive (0: the NC closes the loop), and the lag of the speed loop."""
     tp = parts[0].period
     shown: dict[float, tuple[float, float]] = {}
     prepared = []
@@ -244,8 +245,8 @@ def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
         inner = time[12:-6] if len(time) > 60 else time[2:-2]
         position, command = CubicSpline(time, _smooth(p.position, tp)), CubicSpline(time, p.command)
         prepared.append((inner, position, command))
-    lags = _grid(0.0, LONGEST_LAG_S, 0.25e-3)
-    for dsc in _grid(0.0, LONGEST_DSC_S, 0.25e-3):
+    lags = _steps(0.0, LONGEST_LAG_S, 0.25e-3)
+    for dsc in _steps(0.0, LONGEST_DSC_S, 0.25e-3):
         errors = []
         for lag in lags:
             total, count = 0.0, 0
@@ -258,13 +259,13 @@ def _where_closed(parts: Sequence[_Run], law: Law) -> Law:
             errors.append((np.sqrt(total / max(count, 1)), lag))
         shown[dsc] = min(errors)
     best = min(shown, key=lambda d: shown[d][0])
-    if best > 0.0 and shown[best][0] < DSC_BETTER * shown[0.0][0]:
+    if best > 0.0 and shown[best][0] < DSC_RESIDUAL * shown[0.0][0]:
         return replace(law, dsc_delay=best, lag=shown[best][1])
     return replace(law, lag=shown[0.0][1])
 
 
 def _direct_law(parts: Sequence[_Run]) -> Law | None:
-    """u = ks (Kv (s - x) - dx_n) where a proportional speed controller commands directly; None where the command is not that."""
+    """Fit u = ks (Kv (s - x) - dx_n), a proportional speed controller that commands directly; None if the command does not follow this law."""
     tp = parts[0].period
     y = np.concatenate([(p.effort if p.injected is None else p.effort - p.injected)[8:] for p in parts])  # type: ignore[index, operator]
     best: tuple[float, int, np.ndarray] | None = None
@@ -273,14 +274,13 @@ def _direct_law(parts: Sequence[_Run]) -> Law | None:
             [np.column_stack([p.setpoint - p.position, _difference(p.position, n) / (n * tp), np.ones_like(p.position)])[8:] for p in parts]
         )
         limited = np.abs(y) > 0.995 * np.abs(y).max()
-        scale = np.maximum(np.abs(x).max(axis=0), 1e-300)
-        b = np.linalg.lstsq(x[~limited] / scale, y[~limited], rcond=None)[0] / scale
+        b = solved(x[~limited], y[~limited])
         left = float(np.sqrt(np.mean((y - x @ b)[~limited] ** 2)))
         if best is None or left < best[0]:
             best = (left, n, b)
     assert best is not None
     left, n, (error_gain, speed_gain, _) = best
-    if left > LAW_HOLDS * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
+    if left > LARGEST_RESIDUAL * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
         return None
     gain = -float(speed_gain)
     return Law(float(error_gain) / gain, 0.0, 0.0, 0.0, left, integral=False, speed_gain=gain, mean_cycles=n)
@@ -293,33 +293,27 @@ def _difference(values: np.ndarray, n: int) -> np.ndarray:
 
 
 def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[str]) -> Law:
-    """What following says without a recorded speed set point: one lag between set point and position."""
+    """The law without a recorded speed set point: one lag between set point and position."""
     notes.append(
-        "no speed set point that follows a position controller is recorded: gain and delays are one number, the lag of the position"
+        "no speed set point that follows a position controller is recorded: gain and delays cannot be separated, only their sum, the lag"
     )
     tp = parts[0].period
-    best = (np.inf, 0.0)
-    for lag in _grid(0.0, 0.3, max(tp / 8, 0.25e-3)):
-        best = min(
-            best,
-            (
-                sum(
-                    float(np.sum((p.position - _at(p.setpoint, tp, lag) - np.mean(p.position - _at(p.setpoint, tp, lag))) ** 2))
-                    for p in parts
-                ),
-                lag,
-            ),
-        )
-    lag = max(best[1], 1e-3)
+
+    def left(lag: float) -> float:
+        return sum(len(p.position) * float(np.var(p.position - _delayed(p.setpoint, tp, lag))) for p in parts)
+
+    lag = max(min(_steps(0.0, 0.3, max(tp / 8, 0.25e-3)), key=left), 1e-3)
     if feedforward_flag in ("velocity", "velocity+torque") or (feedforward_flag is None and lag < 12e-3):
-        notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as delay under full velocity feedforward; the gain is assumed")
+        notes.append(
+            f"the lag of the position, {lag * 1e3:.2f} ms, is taken as a delay under full velocity feedforward; the gain is assumed"
+        )
         return Law(50.0, max(lag - 1.5e-3, 0.0), 1.0, max(lag - 1.5e-3, 0.0), measured=False, lag=1.5e-3)
-    notes.append(f"lag of the position {lag * 1e3:.2f} ms taken as 1 / gain without feedforward")
+    notes.append(f"the lag of the position, {lag * 1e3:.2f} ms, is taken as 1 / gain without feedforward")
     return Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=min(2e-3, 0.1 * lag))
 
 
 def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) -> Mechanics | None:
-    """Lumps by least squares with signs that bodies have, at the samples where the axis moves."""
+    """Lumped parameters by least squares with physical signs, from the samples where the axis moves."""
     rows, values = [], []
     for p in parts:
         assert p.effort is not None
@@ -338,9 +332,9 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     x, y = np.concatenate(rows), np.concatenate(values)
     peak = max(float(np.abs(p.effort).max()) for p in parts if p.effort is not None)
     if len(y) < 40:
-        notes.append(f"the axis hardly moves: the {effort} says nothing about mass and friction")
+        notes.append(f"the axis hardly moves: mass and friction cannot be identified from the {effort}")
         return None
-    # at one speed in one direction friction, weight and viscous friction are one number
+    # at a single speed in one direction Coulomb friction, weight and viscous friction cannot be separated
     scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
     low = np.full(x.shape[1], -np.inf)
     low[:3] = 0.0
@@ -350,42 +344,42 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     one_way = min(np.mean(x[:, 1] > 0), np.mean(x[:, 1] < 0)) < 0.02
     columns = [i for i in range(x.shape[1]) if not (one_way and i == 1)]
     if one_way:
-        notes.append(f"the axis moves one way only: Coulomb friction and constant force are one number, given as constant {effort}")
+        notes.append(
+            f"the axis moves one way only: Coulomb friction and constant force cannot be separated, both are given as constant {effort}"
+        )
     found = lsq_linear(x[:, columns] / scale[columns], y, bounds=(low[columns], np.full(len(columns), np.inf)))
     b = np.zeros(x.shape[1])
     b[columns] = found.x / scale[columns]
     left = float(np.std(y - x @ b))
     explained = 1.0 - left**2 / max(float(np.var(y)), 1e-300)
     if explained < EXPLAINED or b[0] <= 0.0:
-        notes.append(f"motion explains {max(explained, 0.0):.0%} of the {effort}: mass and friction cannot be seen, they are assumed")
+        notes.append(f"motion explains {max(explained, 0.0):.0%} of the {effort}: mass and friction cannot be identified and are assumed")
         return None
     gravity = (float(b[4]), float(b[5])) if kind == "rotary" else (0.0, 0.0)
     force = None
-    if loaded and float(b[-1]) * float(np.std(x[:, -1])) > LOAD_SEEN * left:
+    if loaded and float(b[-1]) * float(np.std(x[:, -1])) > LEAST_LOAD * left:
         force = 1.0 / float(b[-1]) if effort != "torque" else None
     elif loaded:
         notes.append(
-            f"the {effort} does not answer the recorded load: it is too small to be seen, or it is part of the {effort} "
+            f"the {effort} does not respond to the recorded load: the load is too small, or it is part of the {effort} "
             '(then map it as signal = "injected_command")'
         )
     return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak, force)
 
 
 def _smooth(values: np.ndarray, period: float) -> np.ndarray:
-    """Zero-phase low-pass."""
-    band = min(BAND_HZ, 0.15 / period)
-    return np.asarray(sosfiltfilt(butter(2, band, fs=1.0 / period, output="sos"), values))
+    return low_passed(values, period, BAND_HZ)
 
 
 def _motion(p: _Run) -> tuple[float, float]:
-    """Highest speed and acceleration of the set point, without what rounding makes."""
+    """Highest speed and acceleration of the set point, without those caused by rounding."""
     s = _smooth(p.setpoint, p.period)
     speed = np.gradient(s, p.period)
     return float(np.abs(speed).max()), float(np.abs(np.gradient(speed, p.period)).max())
 
 
 def _noise(columns: Sequence[np.ndarray]) -> float:
-    """Deviation of single samples in the quietest part: third differences of white noise are sqrt(20) times as large."""
+    """Standard deviation of single samples in the quietest part, from third differences (sqrt(20) times that of white noise)."""
     found = []
     for values in columns:
         third = np.diff(values, 3)
@@ -394,5 +388,5 @@ def _noise(columns: Sequence[np.ndarray]) -> float:
     return float(np.percentile(found, 20)) / np.sqrt(20.0) if found else 0.0
 
 
-def _grid(first: float, last: float, step: float) -> list[float]:
+def _steps(first: float, last: float, step: float) -> list[float]:
     return [first + i * step for i in range(round((last - first) / step) + 1)]

@@ -1,14 +1,13 @@
-"""A machine is data: an MJCF model and a TOML of drives, loops, friction, limits and measuring systems.
+"""A machine: an MJCF model, and a TOML file of drives, loops, friction, limits and measuring systems.
 
-`load_machine` reads and checks the file, `write_machine` writes it back with its MJCF beside it. The tables of the file
-(`Machine.document`) are the one truth; axes, bodies and cycles are derived from them, in SI. Every variant (`with_values`,
-`with_axis`, `with_axes`, `with_feedforward`) changes the tables, so that it is the same machine when written and read again.
+`load_machine` reads and checks the file. `write_machine` writes it with its MJCF beside it. `Machine.document` holds the tables of
+the file and is the only source of data; axes, bodies and cycles are derived from it in SI. The `with_...` methods change
+the tables, so a variant stays the same machine when it is written and read again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import copy
 from dataclasses import InitVar, dataclass, field
 import functools
 from pathlib import Path
@@ -18,8 +17,8 @@ from twin.documents import named_file, read_toml
 from twin.errors import InputError, nearest
 from twin.files import write_whole
 from twin.machine import keys
-from twin.machine.axis import Axis
-from twin.machine.document import axis_in, changed, check_cycles, check_document, cycles_of, place
+from twin.machine.axis import Axis, axis_of_table
+from twin.machine.document import changed, check_cycles, check_document, cycles_of, in_file
 from twin.machine.model_file import check_mjcf, copy_model, state_of_model
 from twin.machine.parameters import file_from_typed, key_of, si_from_key
 
@@ -39,7 +38,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Noise:
-    """Measuring noise of one axis in SI: standard deviations, resolutions (0: none); `motor` is the motor encoder's own."""
+    """Measuring noise of one axis, SI: standard deviations and resolutions, 0 for none. `motor` is the noise of the motor encoder."""
 
     position: float
     position_resolution: float
@@ -51,16 +50,16 @@ class Noise:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine: the tables of its file, and where file and MJCF lie. `dataclasses.replace` takes only these three.
+    """The tables of a machine file, and the paths of the file and its MJCF. `dataclasses.replace` accepts only these three fields.
 
     document    tables of the machine file, in its keys and units; never changed in place
     model_path  the MJCF
-    path        the machine file, None for one made in memory
+    path        the machine file; None for a machine made in memory
 
-    Derived from the document, in SI: `axes` (the driven ones, in the file's order), `bodies`, `geometry`, `gravity` [m/s2],
-    `parameter_tolerance`, the cycles [s] of current, speed and position controller and of the interpolation, `sample_period` [s]
-    of the record, `setpoint_interpolation`. Making one raises InputError for a value that is impossible, unless `checked` is False.
-    `like` is a machine whose typed axes are taken over where the tables are the same objects.
+    Derived from the document, in SI: `axes` (driven axes in the order of the file), `bodies`, `geometry`, `gravity` [m/s2],
+    `parameter_tolerance`, the cycles [s] of the current, speed and position controllers and of the interpolator, `sample_period` [s]
+    of the record, `setpoint_interpolation`. An impossible value raises InputError, unless `checked` is False. Axes whose table is the
+    same object in the machine `like` are reused from it.
     """
 
     document: Mapping[str, Any] = field(repr=False)
@@ -91,7 +90,7 @@ class Machine:
         for name in document.get("axis_order", document["axis"]):
             table = document["axis"][name]
             same = known[name][1] if name in known and known[name][0] is table else None
-            parsed[name] = (table, same or axis_in(document, name, where, checked))
+            parsed[name] = (table, same or axis_of_table(name, table, f"{where}: [axis.{name}]", checked))
         if checked:
             check_cycles(document, tuple(axis for _, axis in parsed.values()), where)
         driven = document.get("driven_axes", list(parsed))
@@ -115,7 +114,7 @@ class Machine:
 
     @property
     def where(self) -> str:
-        """What messages call this machine: its file, or its name."""
+        """Name of this machine in messages: its file, or its name."""
         return str(self.path or self.document.get("name", "machine"))
 
     @property
@@ -129,28 +128,28 @@ class Machine:
 
     @property
     def forces(self) -> frozenset[str]:
-        """Names of the axes whose motor gives a force [N], not a torque [Nm]: direct linear drives."""
+        """Names of the axes whose motor gives a force [N] instead of a torque [Nm]: direct linear drives."""
         return frozenset(axis.name for axis in self.axes if axis.motor_unit == "N")
 
     @property
     def base_tick(self) -> float:
-        """The shortest cycle [s]; the others are whole multiples of it."""
+        """The shortest cycle [s]. The other cycles are whole multiples of it."""
         return min(self.current_cycle, self.speed_cycle, self.position_cycle)
 
     @property
     def effects(self) -> tuple[Mapping[str, Any], ...]:
-        """The `[[effect]]` tables as they stand in the file; `twin.effects` gives them their meaning."""
+        """The `[[effect]]` tables of the file, unchecked; `twin.effects.settings_of` checks and interprets them."""
         return tuple(self.document.get("effect", ()))
 
     def axis(self, name: str) -> Axis:
-        """The axis of that name, or an InputError with the nearest one."""
+        """The axis with this name. Raises InputError that suggests the nearest name."""
         for axis in self.axes:
             if axis.name == name:
                 return axis
         raise InputError(f"machine {self.name}: no axis {name}; {nearest(name, self.axis_names)}")
 
     def noise(self, axis: Axis) -> Noise:
-        """Measuring noise of an axis, from the table `[measurement]`."""
+        """Measuring noise of an axis, from `[measurement]`."""
         table = self.document.get("measurement", {})
 
         def value(key: str) -> float:
@@ -160,21 +159,23 @@ class Machine:
             scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
         else:
             scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
-        current = value("current_noise_a") if axis.has_current_loop else 0.0  # a command is no measurement
+        current = (
+            value("current_noise_a") if axis.has_current_loop else 0.0
+        )  # without a current loop the command is recorded, not a measurement
         motor = "motor_encoder_noise_m" if axis.kind == "linear" else "motor_encoder_noise_rad"
         position, position_resolution, motor_resolution, speed = (value(key) for key in scale)
         return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))
 
     def with_axes(self, names: Sequence[str]) -> Machine:
-        """The same machine with only these axes driven (`driven_axes` of the file); the others stand still."""
+        """The machine with only these axes driven (`driven_axes` in the file). The other axes stand still."""
         for name in names:
             self.axis(name)
         return self._changed({"driven_axes": [name for name in self.axis_names if name in names]}, checked=False)
 
     def with_axis(self, name: str, **numbers: Any) -> Machine:
-        """A variant by typed fields of one axis, its motor or loops, in SI: with_axis("X", max_velocity=0.5, peak_current_a=20.0).
+        """A variant with other values of typed fields of one axis, its motor or loops, SI: with_axis("X", max_velocity=0.5, peak_current_a=20.0).
 
-        Unlike `with_values` it takes impossible numbers, through which a fit may pass; such a machine can be simulated, not written.
+        Unlike `with_values` it accepts impossible numbers, because a fit may pass through them. Such a machine can be simulated, not written.
         """
         kind = self.axis(name).kind
         values = {}
@@ -185,16 +186,16 @@ class Machine:
         return self._changed(values, checked=False)
 
     def with_feedforward(self, feedforward: str | None) -> Machine:
-        """The machine with feedforward 'off', 'velocity' or 'velocity+torque' on all axes; None leaves the file's weights.
+        """The machine with feedforward 'off', 'velocity' or 'velocity+torque' on all axes. None keeps the weights of the file.
 
-        A weight that the file has is kept where the word switches it on; a weight of 0 there becomes 1.
+        A weight that is switched on keeps its value, or becomes 1 if it was 0.
         """
         if feedforward is None:
             return self
         if feedforward not in FEEDFORWARD:
             raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}")
         values = {}
-        for axis in self.axes:
+        for _, axis in self._axis_of.values():  # also those that are not driven
             for word in ("velocity", "torque"):
                 now = getattr(axis.loops, f"{word}_feedforward")
                 wanted = (now or 1.0) if word in feedforward else 0.0
@@ -203,10 +204,10 @@ class Machine:
         return self._changed(values, checked=False)
 
     def with_values(self, values: Mapping[str, Any]) -> Machine:
-        """A variant by paths into the file, in the file's units: {'axis.X.moving_mass_kg': 690.0}.
+        """A variant with other values by path, in the units of the file: {'axis.X.moving_mass_kg': 690.0}.
 
-        `effect` replaces the list of effects. A number that the file leaves out is added. Raises InputError for a path that no
-        machine file has and for a value that is impossible.
+        `effect` replaces the list of effects. A number that the file omits is added. Raises InputError for a path that no machine
+        file has, and for an impossible value.
         """
         return self._changed(values)
 
@@ -219,7 +220,7 @@ class Machine:
         return Machine(document, self.model_path, self.path, checked=checked, like=self)
 
     def with_body(self, name: str, factor: float) -> Machine:
-        """A variant in which mass and inertia of a body are multiplied."""
+        """A variant with the mass and inertia of one body multiplied by a factor."""
         for body in self.bodies:
             if body.name == name:
                 values = {"mass_kg": factor * body.mass_kg, "inertia_kg_m2": [factor * i for i in body.inertia_kg_m2]}
@@ -227,7 +228,7 @@ class Machine:
         raise InputError(f"machine {self.name}: no body {name}; {nearest(name, [b.name for b in self.bodies])}")
 
     def has(self, path: str) -> bool:
-        """Does the file itself have the number at this path?"""
+        """True if the file contains the number at this path."""
         at: Any = self.document
         for key in self.in_file(path, 1.0)[0].split("."):
             if not isinstance(at, Mapping) or key not in at:
@@ -236,24 +237,14 @@ class Machine:
         return True
 
     def in_file(self, path: str, value: Any) -> tuple[str, Any]:
-        """Path and value of a number as this file has it: 'axis.X.coulomb_friction_nm' of a direct drive is its `coulomb_friction_n`."""
-        return place(self.document, path, value)
+        """Path and value of a number in the keys and units of this file: 'axis.X.coulomb_friction_nm' of a direct drive is `coulomb_friction_n`."""
+        return in_file(self.document, path, value)
 
 
 def default_machine_path() -> Path:
-    """The Mikron that ships with the package (in a checkout: models/ at its top)."""
+    """Path of the Mikron that ships with the package (in a checkout: models/)."""
     inside = Path(__file__).parents[1] / "models" / DEFAULT_MACHINE
     return inside if inside.is_file() else Path(__file__).parents[2] / "models" / DEFAULT_MACHINE
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    about = path.stat()
-    return _parsed(path, about.st_mtime_ns, about.st_size, about.st_ino)
-
-
-@functools.lru_cache(maxsize=8)
-def _parsed(path: Path, changed_ns: int, size: int, place: int) -> dict[str, Any]:
-    return read_toml(path)
 
 
 @functools.lru_cache(maxsize=8)
@@ -262,28 +253,28 @@ def _check_model(path: Path, _state: bytes) -> None:
 
 
 def load_machine(path: str | Path | None = None) -> Machine:
-    """Read a machine file (default: the Mikron UCP 710); every fault is an InputError with table, key and remedy."""
+    """Read a machine file (default: the Mikron UCP 710). Raises InputError that names the table, the key and the remedy."""
     path = default_machine_path() if path is None else Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such machine file; give a .toml with the keys of {DEFAULT_MACHINE}")
-    document = _read_document(path)
+    document = read_toml(path)
     model = document.get("model")
     if not isinstance(model, str):
         raise InputError(f"{path}: 'model' is missing; name the MJCF of the machine, e.g. model = \"mikron_ucp710.xml\"")
     model_path = named_file(model, path.parent, f"{path}: model")
     _check_model(model_path, state_of_model(model_path))
-    return Machine(copy.deepcopy(document), model_path, path)
+    return Machine(document, model_path, path)
 
 
 def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
     """Write a machine file and copy its MJCF beside it.
 
-    Comments of the file that the machine came from are kept; `comments` maps paths ('axis.X.moving_mass_kg') to the
-    comment behind that value (grade, interval, source). Raises InputError for a machine that could not be read again.
+    Comments of the source file are kept. `comments` maps paths ('axis.X.moving_mass_kg') to new comments (grade, interval, source).
+    Raises InputError for a machine that could not be read again.
     """
     import tomlkit
 
-    Machine(machine.document, machine.model_path, machine.path)  # impossible values are refused here, not by the next reader
+    Machine(machine.document, machine.model_path, machine.path)  # refuse impossible values now
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     source = machine.path.read_text(encoding="utf-8") if machine.path and machine.path.is_file() else ""
@@ -295,12 +286,12 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
         for name in tables:
             table = table[name]
         table[key].comment(comment)
-    copy_model(machine.model_path, path.parent)  # the model first: a machine file that is there can be loaded
+    copy_model(machine.model_path, path.parent)  # first the model, so that a machine file on disk can always be loaded
     write_whole(path, tomlkit.dumps(written))
 
 
 def _update(target: Any, source: Mapping[str, Any]) -> None:
-    """Bring a parsed TOML to the values of `source` and keep comments where values stay."""
+    """Set a parsed TOML to the values of `source`; comments stay."""
     for key in [k for k in target if k not in source]:
         del target[key]
     for key, value in source.items():

@@ -1,8 +1,8 @@
-"""Model files of other people: read safely, and refused in one line where they are no tree of slides and hinges.
+"""Model files from unknown sources: read safely, and refused in one line if they are not a tree of slides and hinges.
 
-An MJCF or URDF is XML that names further files. Here it is parsed without entities and external references (defusedxml),
-every file that it names must exist inside the folder of the model, and what a machine of axes cannot be (free and ball
-joints, closed loops, moving bodies without mass) is refused before the engine reads it.
+An MJCF or URDF is XML that names further files. It is parsed without entities and external references (defusedxml), and every
+file that it names must exist inside the folder of the model. Features that a machine of axes cannot have (free and ball joints,
+closed loops, moving bodies without mass) are refused before MuJoCo reads the file.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 LARGEST_BYTES = 50_000_000
-"""Largest MJCF or URDF that is read [bytes]. A machine needs less; meshes are files of their own."""
+"""Largest MJCF or URDF [bytes], without the meshes that it names."""
 
 MOST_ATTACHED = 4
-"""Models that attach models that attach models."""
+"""Most levels of models that attach models."""
 
 _ASSET_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "texturedir", "texture": "texturedir"}
 _LOOPS = ("connect", "weld")
@@ -36,7 +36,7 @@ _PHYSICAL = ("mass", "diaginertia")
 
 
 def read_xml(path: Path) -> Element:
-    """Root element of an XML file; document types, entities and external references are refused."""
+    """Root element of an XML file. Document types, entities and external references are refused."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, parse
 
@@ -44,20 +44,20 @@ def read_xml(path: Path) -> Element:
         raise InputError(f"{path}: no such file; give an MJCF or a URDF")
     _check_encoding(path)
     if path.stat().st_size > LARGEST_BYTES:
-        raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no description of a machine; move meshes into files of their own")
+        raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is too large for a machine; move meshes into files of their own")
     try:
         root: Element = parse(str(path), forbid_dtd=True).getroot()
     except DefusedXmlException as error:
         what = type(error).__name__.replace("Forbidden", "").replace("DTD", "a document type").replace("Entities", "entities")
         raise InputError(f"{path}: holds {what}, which can read other files or fill the memory; remove the <!DOCTYPE ...>") from None
     except (ParseError, OSError, UnicodeError, ValueError, LookupError, RecursionError) as error:
-        raise InputError(f"{path}: no readable XML ({error}); correct it there") from None
+        raise InputError(f"{path}: not readable XML ({error}); correct it") from None
     check_depth(root, path)
     return root
 
 
 def _check_encoding(path: Path) -> None:
-    """Refuse what another parser could read otherwise: the engine takes every file for UTF-8."""
+    """Refuse an encoding that another parser might read differently: MuJoCo reads every file as UTF-8."""
     with path.open("rb") as file:
         head = file.read(200)
     said = re.match(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"']", head.removeprefix(b"\xef\xbb\xbf"))
@@ -66,11 +66,11 @@ def _check_encoding(path: Path) -> None:
         or head[:2] in (b"\xff\xfe", b"\xfe\xff")
         or (said and said[1].lower() not in (b"utf-8", b"utf8", b"us-ascii", b"ascii"))
     ):
-        raise InputError(f"{path}: not written in UTF-8; save it as UTF-8 and say so in its first line, or leave the encoding out")
+        raise InputError(f"{path}: not written in UTF-8; save it as UTF-8 and declare that in its first line, or omit the encoding")
 
 
 def check_mjcf(path: Path) -> Element:
-    """Refuse an MJCF that is unsafe or no tree of slides and hinges; returns its root with all includes in place."""
+    """Refuse an MJCF that is unsafe or not a tree of slides and hinges. Returns its root with all includes expanded."""
     root = check_safe(path)
     for tag in ("model", "attach"):
         if root.find(f".//{tag}") is not None:
@@ -83,32 +83,32 @@ def check_mjcf(path: Path) -> Element:
         name = body.get("name", "without name")
         kinds = [joint.get("type", "") for joint in body.findall("joint")]
         if body.find("freejoint") is not None or "free" in kinds:
-            raise InputError(f"{path}: body '{name}' is free; a machine stands on its bed: remove the free joint")
+            raise InputError(f"{path}: body '{name}' is free, but a machine stands on its bed; remove the free joint")
         if "ball" in kinds:
-            raise InputError(f"{path}: body '{name}' turns on a ball joint; an axis is a slide or a hinge: use three hinges or none")
+            raise InputError(f"{path}: body '{name}' turns on a ball joint, but an axis is a slide or a hinge; use three hinges or none")
         for values in (body.find("inertial"), *body.findall("geom")):
             _check_masses(values, f"{path}: body '{name}'")
     for equality in root.iter("equality"):
         for loop in (child for tag in _LOOPS for child in equality.findall(tag)):
             raise InputError(
-                f"{path}: <{loop.tag}> closes a loop of bodies; a machine is a tree of axes: remove it, or model one side of the loop"
+                f"{path}: <{loop.tag}> closes a loop of bodies, but a machine is a tree of axes; remove it, or model one side of the loop"
             )
         if len(equality):
-            raise InputError(f"{path}: <{equality[0].tag}> ties joints together; drive each axis by itself: remove it")
+            raise InputError(f"{path}: <{equality[0].tag}> couples joints, but each axis has its own drive; remove it")
     if root.find("tendon") is not None and len(root.find("tendon") or ()):
-        raise InputError(f"{path}: tendons are no axes; drive the joints themselves")
+        raise InputError(f"{path}: tendons cannot be axes; drive the joints themselves")
     return root
 
 
 def check_safe(path: Path, seen: tuple[Path, ...] = ()) -> Element:
-    """Refuse an MJCF that reads other folders, or is too large for the engine; returns its root with all includes in place.
+    """Refuse an MJCF that reads other folders or is too large. Returns its root with all includes expanded.
 
-    `seen` are the models that attach this one.
+    `seen`: the models that attach this one.
     """
     root = read_xml(path)
     if root.tag != "mujoco":
         raise InputError(
-            f"{path}: <{str(root.tag)[:40]}> is no MJCF; a URDF becomes one with: twin machine new {path.name} --out machine.toml"
+            f"{path}: <{str(root.tag)[:40]}> is not an MJCF; convert a URDF with: twin machine new {path.name} --out machine.toml"
         )
     _include(root, path, [path.resolve()])
     for file in _named_files(root, path):
@@ -134,43 +134,35 @@ def files_of(path: Path) -> list[Path]:
 
 
 def state_of_model(path: Path) -> bytes:
-    """Digest of an MJCF and of all that it names: equal as long as no content changed. Meshes count by their size and time."""
-    text = _read(path) if path.is_file() else b""
-    digest = hashlib.sha256(text)
-    for file in _named_in(path, text):
-        whole = path.parent / file
-        if file.suffix.lower() == ".xml" and whole.is_file():
-            digest.update(_read(whole))
-        elif whole.is_file():
-            about = whole.stat()
+    """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
+    texts: tuple[bytes, ...] = ()
+    while True:  # an included file may name others: repeat until the list of files belongs to the texts as they are now
+        files = (Path(path.name), *_named_in(path, texts))
+        now = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
+        if now == texts:
+            break
+        texts = now
+    digest = hashlib.sha256(b"\0".join(texts))
+    for file in files:
+        if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
+            about = (path.parent / file).stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
     return digest.digest()
 
 
-def _read(path: Path) -> bytes:
-    """The content of a file; read again where size, time or place of it changed. A fit asks for it at every simulation."""
-    about = path.stat()
-    return _content(path, about.st_mtime_ns, about.st_size, about.st_ino)
-
-
 @functools.lru_cache(maxsize=32)
-def _content(path: Path, changed_ns: int, size: int, place: int) -> bytes:
-    return path.read_bytes()
-
-
-@functools.lru_cache(maxsize=32)
-def _named_in(path: Path, text: bytes) -> tuple[Path, ...]:
-    """Files that an MJCF with this text names; where an included one changes what is named, it is read again because its text changed."""
-    if b"file" not in text:
+def _named_in(path: Path, texts: tuple[bytes, ...]) -> tuple[Path, ...]:
+    """Files that an MJCF names. `texts`: its content and that of the XML files that it includes."""
+    if not any(b"file" in text for text in texts):
         return ()
     try:
         return tuple(files_of(path))
-    except InputError:  # said where the model is checked
+    except InputError:  # reported where the model is checked
         return ()
 
 
 def copy_model(path: Path, folder: Path) -> None:
-    """Copy an MJCF and the files that it names, at the same places below `folder`."""
+    """Copy an MJCF and the files that it names to the same relative places below `folder`."""
     for file in (Path(path.name), *files_of(path)):
         target = folder / file
         if target.resolve() != (path.parent / file).resolve():
@@ -180,7 +172,7 @@ def copy_model(path: Path, folder: Path) -> None:
 
 
 def _include(element: Element, path: Path, seen: list[Path], keep: bool = False) -> None:
-    """Put the children of included files where they are included; `seen` are the files that are in place already."""
+    """Replace each include by the children of its file. `seen`: files included so far."""
     for child in list(element):
         if child.tag == "include":
             file = _inside(Path(child.get("file", "")), path)
@@ -207,7 +199,7 @@ def _named_files(root: Element, path: Path) -> Iterator[Path]:
             if value := compiler.get(kind, common):
                 folders[kind] = value
         if compiler.get("strippath", "false") == "true":
-            raise InputError(f"{path}: strippath hides where files lie; write their paths in full and remove it")
+            raise InputError(f"{path}: strippath hides the folders of files; write their full paths and remove it")
     for flexible in root.iter("flexcomp"):
         if name := flexible.get("file"):
             yield Path(folders.get("meshdir", "")) / name
@@ -217,11 +209,11 @@ def _named_files(root: Element, path: Path) -> Iterator[Path]:
                 if name := child.get(key):
                     yield Path(folders.get(_ASSET_FOLDERS.get(child.tag, ""), "")) / name
     for plugin in root.iter("plugin"):
-        raise InputError(f"{path}: plugin '{plugin.get('plugin', '')}' is code from elsewhere; remove it")
+        raise InputError(f"{path}: plugin '{plugin.get('plugin', '')}' runs foreign code; remove it")
 
 
 def _inside(file: Path, path: Path) -> Path:
-    """The file that a model names: it must lie inside the model's folder and exist."""
+    """A file that the model names; it must exist inside the model's folder."""
     folder = path.parent
     return named_file(str(file), folder, str(path))
 
@@ -234,16 +226,16 @@ def _check_masses(element: Element | None, where: str) -> None:
 
 
 def positive_mass(text: str, where: str, zero: bool = False) -> None:
-    """Refuse a mass or a moment of inertia that no body can have; `zero` is allowed for a shape without mass."""
+    """Refuse an impossible mass or moment of inertia. `zero`: allow 0, for a shape without mass."""
     try:
         value = float(text)
     except ValueError:
-        raise InputError(f"{where} = '{text}' is no number; correct it") from None
+        raise InputError(f"{where} = '{text}' is not a number; correct it") from None
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
         raise InputError(f"{where} = {value:g} is impossible; give {'a number of at least' if zero else 'a number above'} 0")
 
 
 def _only_default(root: Element, name: str) -> bool:
-    """Do the joints of that name stand outside the tree of bodies (a sensor, an equality)?"""
+    """True if fewer than two of the joints of that name are in the tree of bodies (others: a sensor, an equality)."""
     world = root.findall("worldbody")
     return sum(joint.get("name") == name for w in world for joint in w.iter("joint")) < 2

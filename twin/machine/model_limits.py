@@ -1,8 +1,8 @@
-"""How large a model file may be before the engine sees it: elements, depth, and what a single attribute makes of nothing.
+"""Limits on a model file before MuJoCo reads it: elements, depth, and the size of what one attribute can generate.
 
-The engine takes memory by what a file says (`<replicate count>`, `<hfield nrow>`, `<texture width>`, `<size memory>`) and follows a
-model that attaches itself until the process ends. Here all of it is counted first. What a file names can still be damaged: a model that
-names files or generates parts is compiled once in a process of its own, with limits on memory and time (`compiles`).
+MuJoCo allocates what the file asks for (`<replicate count>`, `<hfield nrow>`, `<texture width>`, `<size memory>`), and a model that
+attaches itself ends the process. This module counts first. Files that the model names can still be damaged, so a model that
+names files or generates parts is first compiled in a process of its own with limits on memory and time (`compiles`).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     import mujoco
 
 MOST_ELEMENTS = 20_000
-"""Elements of a model with all that its <replicate> make."""
+"""Elements of a model, copies by <replicate> included."""
 MOST_JOINTS = 300
-"""The engine's matrices grow with the square of the joints, a step with more."""
+"""MuJoCo's matrices grow with the square of the number of joints."""
 DEEPEST = 150
-"""Bodies inside bodies."""
+"""Depth of nested elements."""
 MOST_VALUES = 20_000_000
-"""Heights of a field, pixels of a picture, cells of a table: what one element may make."""
+"""Values that one element may generate: heights of a field, pixels of a texture, cells of a table."""
 TRIAL_BYTES = 6_000_000_000
 TRIAL_SECONDS = 30
 TRIAL = """
@@ -42,22 +42,22 @@ try:
     resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[3]),) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 except ImportError:
-    pass  # no such limits on this system
+    pass  # this system has no such limits
 import mujoco
 try:
     mujoco.MjSpec.from_file(sys.argv[1]).compile()
 except MemoryError:
     sys.exit(3)
 except Exception:
-    sys.exit(0)  # said by the process that asked, with its place
+    sys.exit(0)  # the calling process reports the error
 """
 
 
 @functools.cache
 def quiet_engine() -> None:
-    """Keep the engine's own warnings off standard error and out of MUJOCO_LOG.TXT in the current folder.
+    """Keep MuJoCo's warnings off standard error and out of MUJOCO_LOG.TXT.
 
-    They stay in `MjData.warning`, where `refuse_singular` and the bounds of a run look.
+    They remain in `MjData.warning`, which `refuse_singular` and the limits of a run check.
     """
     import mujoco
 
@@ -67,7 +67,7 @@ def quiet_engine() -> None:
 
 
 def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
-    """Compile a spec; errors in one line that says where. What the engine warns of (masses) is none: `refuse_singular` names the joint where it counts."""
+    """Compile a spec. Raises InputError in one line. Warnings about masses are ignored here; `refuse_singular` names the joint."""
     import mujoco
 
     try:
@@ -78,7 +78,7 @@ def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
 
 
 def refuse_singular(model: mujoco.MjModel, data: mujoco.MjData, where: str) -> None:
-    """Refuse a state whose inertia matrix the engine could not factor, naming the joint; call it behind `mj_forward`."""
+    """Refuse a state whose inertia matrix MuJoCo could not factor, and name the joint. Call it after `mj_forward`."""
     import mujoco
 
     warning = data.warning[mujoco.mjtWarning.mjWARN_INERTIA]
@@ -101,11 +101,11 @@ _TABLES = {
     "sensor": ("dim", "nsample"),
     "user": ("dim",),
 }
-"""Attributes whose product is the number of values that an element makes."""
+"""Attributes whose product is the number of values that an element generates."""
 
 
 def check_size(root: Element, path: Path) -> None:
-    """Refuse a model, with all its includes in place, that is too large for the engine, with the estimate and the limit."""
+    """Refuse a model (includes expanded) that is too large; the message gives the size and the limit."""
     check_depth(root, path)
     elements, joints, waiting = 0.0, 0.0, [(root, 1.0)]
     while waiting:
@@ -119,21 +119,21 @@ def check_size(root: Element, path: Path) -> None:
         elements += copies
         joints += copies * (element.tag in ("joint", "freejoint"))
         waiting += [(child, copies) for child in element]
-    refuse_above(elements, MOST_ELEMENTS, "elements with all copies", str(path), "leave out what is no part of the machine")
-    refuse_above(joints, MOST_JOINTS, "joints", str(path), "leave out what is no axis")
+    refuse_above(elements, MOST_ELEMENTS, "elements with all copies", str(path), "remove parts that do not belong to the machine")
+    refuse_above(joints, MOST_JOINTS, "joints", str(path), "remove joints that are not axes")
 
 
 def check_depth(root: Element, path: Path) -> None:
-    """Refuse elements inside each other that no reader behind this one follows."""
+    """Refuse elements that are nested too deeply for the readers."""
     level, depth = [root], 0
     while level:
         if depth > DEEPEST:
-            raise InputError(f"{path}: elements inside each other more than {DEEPEST} deep; a machine is no such chain: correct it")
+            raise InputError(f"{path}: elements nested more than {DEEPEST} deep; no machine needs that: correct it")
         level, depth = [child for element in level for child in element], depth + 1
 
 
 def compiles(path: Path, root: Element) -> None:
-    """Refuse a model on which the engine crashes, fills the memory or takes for ever; a model that is plain needs no trial."""
+    """Refuse a model that crashes MuJoCo, fills the memory or never finishes. A model without files or generated parts is not tried."""
     plain = all(e.tag not in _GENERATING and not any(k.startswith("file") for k in e.attrib) for e in root.iter())
     if plain:
         return
@@ -151,12 +151,12 @@ def compiles(path: Path, root: Element) -> None:
         )
     if code != 0:
         raise InputError(
-            f"{path}: the engine crashes on this model or needs more than {TRIAL_SECONDS} s for it; remove what is no plain body, joint or mesh"
+            f"{path}: the engine crashes on this model or needs more than {TRIAL_SECONDS} s for it; keep only plain bodies, joints and meshes"
         )
 
 
 def _check_values(element: Element, path: Path) -> None:
-    """Refuse what one element makes by a number alone, and numbers that are none."""
+    """Refuse one element that generates too many values, and attributes that are not finite numbers."""
     sizes = [_numbers(element.get(key, "1"), f"{path}: <{element.tag}>: {key}") for key in _TABLES.get(str(element.tag), ())]
     total = math.prod(max(v, 1.0) for values in sizes for v in values)
     refuse_above(total, MOST_VALUES, "values", f"{path}: <{element.tag}>", "make it smaller")
@@ -175,13 +175,13 @@ def _check_values(element: Element, path: Path) -> None:
         refuse_above(corners, 1e5, "corners", f"{path}: <mesh builtin>", "make it coarser")
     for key, text in element.items():
         if key not in _NAMES and text.strip().lower().lstrip("+-") in ("nan", "inf", "infinity"):
-            raise InputError(f"{path}: <{element.tag}>: {key} = '{text}' is no finite number; correct it")
+            raise InputError(f"{path}: <{element.tag}>: {key} = '{text}' is not a finite number; correct it")
         if key not in _NAMES and any(word.lower().lstrip("+-") == "nan" for word in text.split()):
-            raise InputError(f"{path}: <{element.tag}>: {key} = '{text[:60]}' holds a number that is none (NaN); correct it")
+            raise InputError(f"{path}: <{element.tag}>: {key} = '{text[:60]}' contains NaN; correct it")
 
 
 _NAMES = ("name", "class", "childclass", "model", "file", "data", "joint", "body", "site", "material", "mesh", "prefix", "text")
-"""Attributes that hold words."""
+"""Attributes that contain text."""
 
 
 def _numbers(text: str, where: str) -> list[float]:
@@ -192,7 +192,7 @@ def _number(text: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise InputError(f"{where} = '{text[:60]}' is no number; correct it") from None
+        raise InputError(f"{where} = '{text[:60]}' is not a number; correct it") from None
     if not math.isfinite(value):
-        raise InputError(f"{where} = '{text[:60]}' is no finite number; correct it")
+        raise InputError(f"{where} = '{text[:60]}' is not a finite number; correct it")
     return value

@@ -1,8 +1,8 @@
-"""A commented machine file from an MJCF or a URDF: what the model knows is computed, the rest assumed and marked so.
+"""A commented machine file from an MJCF or a URDF: data of the model are computed, the other numbers are marked as assumed.
 
-Assumed numbers make an axis that runs: a screw of 10 mm (a gear of 100) with a rotor as heavy as its load, loops at 8, 50 and
-400 Hz, friction of a few per cent, and a motor with twice the current of full acceleration. `twin machine check` names them
-until somebody replaces them and takes the word out of the comment.
+The assumed numbers give an axis that runs: a screw of 10 mm (a gear of 100), a rotor as heavy as its load, loops at 8, 50 and
+400 Hz, friction of a few per cent, and a motor with twice the current for full acceleration. `twin machine check` lists them
+until you replace them and delete the word from the comment.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.machine.check import ASSUMED
+from twin.machine.commented import ASSUMED, commented, number_line
 from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
@@ -35,21 +35,21 @@ SPARE_CURRENT = 2.0
 
 @dataclass(frozen=True)
 class JointFacts:
-    """What a model says of one joint, SI at the axis."""
+    """Data of one joint in a model, SI at the axis."""
 
     name: str
     linear: bool
     travel: tuple[float, float] | None
     inertia: float  # of the load, home pose
     mass: float  # all that it moves
-    weight: float  # force against gravity, home pose
+    weight: float  # force that holds it against gravity, home pose
     limits: JointLimits
 
 
 def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_data: Path | None = None) -> tuple[list[str], list[str]]:
-    """Write the machine file (and its MJCF beside it); returns its axes and the machine data that were left alone.
+    """Write the machine file, and its MJCF beside it. Returns the axes, and the machine data that the file has no place for.
 
-    Raises InputError where the model is no tree of slides and hinges with masses, or a file would be overwritten.
+    Raises InputError if the model is not a tree of slides and hinges with masses, or if a file would be overwritten.
     """
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
@@ -76,7 +76,7 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
     lines = _head(model, beside, facts, structure, control_cycles(data.get("", {})))
     for fact in facts:
         known = plain_values(data[fact.name], kinds[fact.name]) if fact.name in data else {}
-        lines += _axis(fact, structure, known, machine_data.name if machine_data else "")
+        lines += _axis(fact, structure, MachineData(known, machine_data.name if machine_data else ""))
         left += [f"{d.label} of {fact.name}" for d in DATA[kinds[fact.name]] if d.key in known]
     lines += _measurement(facts)
     write_whole(out, "\n".join(lines) + "\n")
@@ -85,12 +85,12 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
 
 
 def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Path) -> list[JointFacts]:
-    """Slides and hinges of a model with what they move, in the order of the tree."""
+    """Slides and hinges of a model with their load, in the order of the tree."""
     model = compiled_spec(spec, str(path))
     if model.njnt == 0:
-        raise InputError(f"{path}: no slide and no hinge; a machine has at least one axis")
+        raise InputError(f"{path}: no slide and no hinge; a machine needs at least one axis")
     model.opt.gravity[:] = (0.0, 0.0, -9.81)
-    model.dof_armature[:], model.actuator_armature[:] = 0.0, 0.0  # rotors are the machine file's
+    model.dof_armature[:], model.actuator_armature[:] = 0.0, 0.0  # rotors belong to the machine file
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
@@ -104,7 +104,7 @@ def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Pa
         if not name:
             raise InputError(f"{path}: joint {j + 1} (body '{model.body(model.jnt_bodyid[j]).name}') has no name; an axis needs one")
         if "." in name or " " in name:
-            raise InputError(f"{path}: joint '{name}': the name of an axis has neither dots nor spaces; rename it")
+            raise InputError(f"{path}: joint '{name}': the name of an axis must not contain dots or spaces; rename it")
         dof = int(model.jnt_dofadr[j])
         linear = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
         limited = bool(model.jnt_limited[j])
@@ -143,14 +143,14 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
     names = ", ".join(f'"{f.name}"' for f in facts)
     lines = [
         f"# Machine file of {model.name}, begun by: twin machine new",
-        "# A number with the word 'assumed' behind it was made up so that the machine runs: replace it by the data sheet's or your own",
-        "# measurement, and write there where it comes from. What is missing, impossible or unusual:  twin machine check FILE",
-        "# Units stand in the keys; the model's own numbers are computed for all joints at zero.",
+        "# 'assumed' marks a number that was assumed so that the machine runs: replace it by a value of the data sheet or your own measurement,",
+        "# and state its source there. For missing, impossible or unusual values run:  twin machine check FILE",
+        "# Units are part of the keys. Numbers from the model hold with all joints at zero.",
         "",
         f'name = "{beside.stem}"',
         f'model = "{beside.name}"',
         "gravity_m_per_s2 = 9.81",
-        f"parameter_tolerance = 0.01                 # {ASSUMED}; parameters of the real machine lie this close to those below",
+        f"parameter_tolerance = 0.01                 # {ASSUMED}; tolerance of the parameters below",
         f"axis_order = [{names}]",
         "",
         "[control]                                  # cycles of the controllers",
@@ -158,146 +158,160 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
     for key, value in values.items():
         if key == "current_cycle_us" and not current:
             continue
-        lines.append(_line(key, value, "" if key in cycles else ASSUMED))
+        lines.append(number_line(key, value, "" if key in cycles else ASSUMED))
     return lines
 
 
-def _axis(f: JointFacts, structure: str, known: dict[str, float], source: str) -> list[str]:
-    """Tables of one axis; of `known`, plain values of machine data from the file `source`, those are left that have no place in them."""
+@dataclass
+class MachineData:
+    """Plain values of an axis from machine data of the file `source`. `line` removes what it uses; the rest has no place in the file."""
 
-    def value(key: str, number: float, comment: str = ASSUMED) -> str:
-        leaf = key.rsplit(".", 1)[-1]
-        return _line(leaf, known.pop(key), f"from {source}") if key in known else _line(leaf, number, comment)
+    values: dict[str, float]
+    source: str
 
-    speed, acceleration, jerk = _motion(f)
-    ratio = known["screw_lead_m_per_rev"] / (2.0 * math.pi) if "screw_lead_m_per_rev" in known else _ratio(f)
-    ratio = 1.0 / known["gear_ratio"] if "gear_ratio" in known else ratio
+    def line(self, key: str, number: float, comment: str = ASSUMED) -> str:
+        """Line of a key, with the value of the machine data if there is one, else with this number and comment."""
+        if key in self.values:
+            number, comment = self.values.pop(key), f"from {self.source}"
+        return number_line(key.rpartition(".")[2], number, comment)
+
+
+def _axis(f: JointFacts, structure: str, data: MachineData) -> list[str]:
+    """Tables of one axis."""
+    speed, acceleration, _ = _motion(f)
+    ratio = _ratio(f, data.values)
     load = f.inertia * ratio**2
     rotor = _round(load)
-    inertia = load + rotor
     friction = f.limits.friction or 0.03 * f.inertia * acceleration
     damping = f.limits.damping or 0.03 * f.inertia * acceleration / speed
-    constant = known.get("motor.torque_constant_nm_per_a", 1.0)
-    needed = (abs(f.weight) + friction + damping * speed) * ratio + inertia * acceleration / ratio
+    needed = (abs(f.weight) + friction + damping * speed) * ratio + (load + rotor) * acceleration / ratio
     peak = f.limits.effort * ratio if f.limits.effort else SPARE_CURRENT * needed
     of_model = "from the model" if f.limits.friction or f.limits.damping else ASSUMED
     lines = ["", f"[axis.{f.name}]", f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"']
-    lines.append(_travel_line(f, known, source))
-    if f.linear:
-        lines += [
-            value("max_velocity_m_per_min", speed * 60.0, "from the model" if f.limits.speed else ASSUMED),
-            value("max_acceleration_m_per_s2", acceleration),
-            value("max_jerk_m_per_s3", jerk),
-            value(
-                "screw_lead_m_per_rev",
-                ratio * 2.0 * math.pi,
-                f'{ASSUMED}; a linear motor: drive = "direct" and the keys of docs/own_machine.md',
-            ),
-            _line("moving_mass_kg", f.mass, "all that this axis moves, from the model"),
-            _line("rotor_and_screw_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
-        ]
-    else:
-        turn = 2.0 * math.pi
-        lines += [
-            value("max_velocity_rev_per_min", speed * 60.0 / turn, "from the model" if f.limits.speed else ASSUMED),
-            value("max_acceleration_rev_per_s2", acceleration / turn),
-            value("max_jerk_rev_per_s3", jerk / turn),
-            value("gear_ratio", 1.0 / ratio, f"{ASSUMED}; motor turns a turn of the axis"),
-            _line("rotor_and_gear_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
-        ]
+    lines += [_travel_line(f, data), *_motion_lines(f, ratio, rotor, data)]
     lines += [
-        _line("coulomb_friction_nm", _round(friction * ratio), f"{of_model}, at the motor"),
-        _line("viscous_friction_nm_s_per_rad", _round(damping * ratio**2), f"{of_model}, at the motor"),
+        number_line("coulomb_friction_nm", _round(friction * ratio), f"{of_model}, at the motor"),
+        number_line("viscous_friction_nm_s_per_rad", _round(damping * ratio**2), f"{of_model}, at the motor"),
+        *_drive(f, structure, peak, speed / ratio, data),
+        *_loops(f, structure, load + rotor, data),
     ]
-    peak_comment = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
-    if structure == STRUCTURES[0]:
-        emf = _round(constant / math.sqrt(3.0))
-        lines += [
-            f"[axis.{f.name}.motor]",
-            value("motor.torque_constant_nm_per_a", constant),
-            _line("back_emf_v_s_per_rad", emf, f"{ASSUMED}: torque constant / sqrt(3)"),
-            _line("resistance_ohm", 0.5),
-            _line("inductance_h", 5e-3),
-            value("motor.peak_current_a", _round(peak / constant), peak_comment),
-            _line("bus_limit_v", _round(max(300.0, 1.5 * emf * speed / ratio)), ASSUMED),
-        ]
-    else:
-        lines += [
-            f"[axis.{f.name}.actuator]",
-            'command = "torque"                         # what the speed controller commands: torque, current or voltage',
-            _line("peak_torque_nm", _round(peak), peak_comment),
-        ]
-    lines += [
-        f"[axis.{f.name}.loops]",
-        value("loops.position_gain_per_s", POSITION_GAIN),
-        value(
-            "loops.speed_gain_nm_s_per_rad",
-            _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia),
-            f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz",
-        ),
-    ]
-    if structure != "P/P":
-        lines.append(value("loops.speed_integral_time_s", INTEGRAL_S))
-    if structure == STRUCTURES[0]:
-        lines += [
-            value("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
-            value("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),
-        ]
-    lines += [
-        value("loops.velocity_feedforward", 1.0, f"{ASSUMED}; weight, 0 switches off"),
-        value("loops.torque_feedforward", 0.0, f"{ASSUMED}; weight, 0 switches off"),
-        value("loops.position_delay_s", 0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
-        _line("feedforward_delay_s", 0.0),
-    ]
-    if "loops.dsc_delay_s" in known:
-        lines.append(value("loops.dsc_delay_s", 0.0))
-    if known.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
-        lines += [f"[axis.{f.name}.commissioned]", _line("inertia_kg_m2", known.pop("commissioned.inertia_kg_m2"), f"from {source}")]
+    if data.values.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
+        lines += [f"[axis.{f.name}.commissioned]", data.line("commissioned.inertia_kg_m2", 0.0)]
     return lines
 
 
+def _motion_lines(f: JointFacts, ratio: float, rotor: float, data: MachineData) -> list[str]:
+    """Limits of motion, ratio and masses."""
+    speed, acceleration, jerk = _motion(f)
+    turn = 2.0 * math.pi
+    of_speed = "from the model" if f.limits.speed else ASSUMED
+    if f.linear:
+        screw = f'{ASSUMED}; a linear motor: drive = "direct" and the keys of docs/own_machine.md'
+        return [
+            data.line("max_velocity_m_per_min", speed * 60.0, of_speed),
+            data.line("max_acceleration_m_per_s2", acceleration),
+            data.line("max_jerk_m_per_s3", jerk),
+            data.line("screw_lead_m_per_rev", ratio * turn, screw),
+            number_line("moving_mass_kg", f.mass, "all that this axis moves, from the model"),
+            number_line("rotor_and_screw_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
+        ]
+    return [
+        data.line("max_velocity_rev_per_min", speed * 60.0 / turn, of_speed),
+        data.line("max_acceleration_rev_per_s2", acceleration / turn),
+        data.line("max_jerk_rev_per_s3", jerk / turn),
+        data.line("gear_ratio", 1.0 / ratio, f"{ASSUMED}; motor turns per turn of the axis"),
+        number_line("rotor_and_gear_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
+    ]
+
+
+def _drive(f: JointFacts, structure: str, peak: float, motor_speed: float, data: MachineData) -> list[str]:
+    """The motor, or the ideal actuator of a structure without a current loop. `peak` torque [Nm], highest `motor_speed` [rad/s]."""
+    of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
+    if structure != STRUCTURES[0]:
+        return [
+            f"[axis.{f.name}.actuator]",
+            'command = "torque"                         # what the speed controller commands: torque, current or voltage',
+            number_line("peak_torque_nm", _round(peak), of_peak),
+        ]
+    constant = data.values.get("motor.torque_constant_nm_per_a", 1.0)
+    emf = _round(constant / math.sqrt(3.0))
+    return [
+        f"[axis.{f.name}.motor]",
+        data.line("motor.torque_constant_nm_per_a", constant),
+        number_line("back_emf_v_s_per_rad", emf, f"{ASSUMED}: torque constant / sqrt(3)"),
+        number_line("resistance_ohm", 0.5),
+        number_line("inductance_h", 5e-3),
+        data.line("motor.peak_current_a", _round(peak / constant), of_peak),
+        number_line("bus_limit_v", _round(max(300.0, 1.5 * emf * motor_speed))),
+    ]
+
+
+def _loops(f: JointFacts, structure: str, inertia: float, data: MachineData) -> list[str]:
+    """Gains, feedforward and delays for an inertia at the motor [kg m2]."""
+    speed_gain = _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia)
+    lines = [
+        f"[axis.{f.name}.loops]",
+        data.line("loops.position_gain_per_s", POSITION_GAIN),
+        data.line("loops.speed_gain_nm_s_per_rad", speed_gain, f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"),
+    ]
+    if structure != "P/P":
+        lines.append(data.line("loops.speed_integral_time_s", INTEGRAL_S))
+    if structure == STRUCTURES[0]:
+        lines += [
+            data.line("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
+            data.line("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),
+        ]
+    lines += [
+        data.line("loops.velocity_feedforward", 1.0, f"{ASSUMED}; weight, 0 switches off"),
+        data.line("loops.torque_feedforward", 0.0, f"{ASSUMED}; weight, 0 switches off"),
+        data.line("loops.position_delay_s", 0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
+        number_line("feedforward_delay_s", 0.0),
+    ]
+    return [*lines, *([data.line("loops.dsc_delay_s", 0.0)] if "loops.dsc_delay_s" in data.values else [])]
+
+
 def _motion(f: JointFacts) -> tuple[float, float, float]:
-    """Speed, acceleration, jerk that an axis of this kind may have."""
+    """Assumed speed, acceleration and jerk of an axis."""
     speed = f.limits.speed or (0.5 if f.linear else 2.0)
     acceleration = 2.0 if f.linear else 5.0
     return speed, acceleration, 20.0 * acceleration
 
 
-def _ratio(f: JointFacts) -> float:
-    return 0.010 / (2.0 * math.pi) if f.linear else 0.01
+def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:
+    """Axis units per motor radian: from machine data, else of a 10 mm screw or a gear of 100."""
+    if "gear_ratio" in known:
+        return 1.0 / known["gear_ratio"]
+    return known.get("screw_lead_m_per_rev", 0.010) / (2.0 * math.pi) if f.linear else 0.01
 
 
-def _travel_line(f: JointFacts, known: dict[str, float], source: str) -> str:
+def _travel_line(f: JointFacts, data: MachineData) -> str:
     key, factor = ("travel_m", 1.0) if f.linear else ("travel_deg", 180.0 / math.pi)
+    known = data.values
     if f"{key}.0" in known and f"{key}.1" in known:
-        return _aligned(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {source}")
+        return commented(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {data.source}")
     if f.travel is not None:
-        return _aligned(f"{key} = [{f.travel[0] * factor:.9g}, {f.travel[1] * factor:.9g}]", "from the model")
-    return _aligned("travel_m = [-0.5, 0.5]", ASSUMED) if f.linear else _aligned('travel_deg = "endless"', "the model has no limit")
+        return commented(f"{key} = [{f.travel[0] * factor:.9g}, {f.travel[1] * factor:.9g}]", "from the model")
+    return commented("travel_m = [-0.5, 0.5]", ASSUMED) if f.linear else commented('travel_deg = "endless"', "the model has no limit")
 
 
 def _measurement(facts: Iterable[JointFacts]) -> list[str]:
     facts = list(facts)
-    lines = ["", "[measurement]", _line("sample_period_us", 1000.0, "of recorded traces")]
+    lines = ["", "[measurement]", number_line("sample_period_us", 1000.0, "of recorded traces")]
     if any(f.linear for f in facts):
-        lines += [_line("linear_scale_resolution_m", 1e-8), _line("linear_scale_noise_m", 2e-8), _line("speed_noise_m_per_s", 1e-5)]
+        lines += [
+            number_line("linear_scale_resolution_m", 1e-8),
+            number_line("linear_scale_noise_m", 2e-8),
+            number_line("speed_noise_m_per_s", 1e-5),
+        ]
     if any(not f.linear for f in facts):
         lines += [
-            _line("rotary_encoder_resolution_deg", 1e-6),
-            _line("rotary_encoder_noise_deg", 2e-6),
-            _line("speed_noise_deg_per_s", 1e-3),
+            number_line("rotary_encoder_resolution_deg", 1e-6),
+            number_line("rotary_encoder_noise_deg", 2e-6),
+            number_line("speed_noise_deg_per_s", 1e-3),
         ]
-    return [*lines, _line("current_noise_a", 0.02)]
-
-
-def _line(key: str, value: float, comment: str = ASSUMED) -> str:
-    return _aligned(f"{key} = {float(value):.9g}" if value % 1.0 or abs(value) >= 1e9 else f"{key} = {value:.1f}", comment)
-
-
-def _aligned(text: str, comment: str) -> str:
-    return f"{text:42} # {comment}" if comment else text
+    return [*lines, number_line("current_noise_a", 0.02)]
 
 
 def _round(value: float) -> float:
-    """Two significant digits: no more is known of an assumed number."""
+    """Two significant digits, since an assumed number is not known better."""
     return float(f"{value:.2g}")

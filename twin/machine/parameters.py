@@ -1,13 +1,12 @@
-"""The numbers of an axis in one table: typed field, key in the machine file, bounds, and machine datum of a SINUMERIK.
+"""The table of all numbers of an axis: typed field, key in the machine file, bounds, SINUMERIK machine datum.
 
-The key carries the unit (`max_velocity_m_per_min`). An axis has one of three drives, and each drive has its own keys:
+The key contains the unit (`max_velocity_m_per_min`). An axis has one of three drives, each with its own keys:
 
-    screw    linear axis with a ball screw: numbers at the motor
-    gear     rotary axis
-    direct   linear axis with a linear motor, or with a screw that nobody knows: numbers at the axis, in N, kg and m/s
+screw    linear axis with a ball screw; numbers at the motor
+gear     rotary axis; numbers at the motor
+direct   linear motor, or linear axis with an unknown screw; numbers at the axis, in N, kg and m/s
 
-Everything that reads or writes a number of an axis by its name (file, typed view, variants, tolerance, identification, truth)
-takes the name from here.
+All code that handles a number of an axis by name (file, typed view, variants, tolerance, identification, truth) uses this table.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ import math
 
 INFINITE = math.inf
 MOST_MEAN_CYCLES = 16
-"""Speed cycles over which a position may be differentiated."""
+"""Most speed cycles over which a position may be differentiated."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """Bounds of a number in the file's own unit, and whether it may be left out."""
+    """Bounds of a number in the unit of the file, and whether it is required."""
 
     low: float = -INFINITE
     high: float = INFINITE
     required: bool = True
-    above: bool = False  # the lower bound itself is impossible (a mass of 0)
+    above: bool = False  # excludes the lower bound itself (a mass of 0)
     count: int = 1  # how many numbers
 
 
@@ -42,7 +41,7 @@ def not_negative(required: bool = True) -> Key:
 
 @dataclass(frozen=True)
 class Datum:
-    """One machine datum: number, name, unit on the control, the plain key that it stands for and the factor to it."""
+    """One machine datum: number, name, unit on the control, the plain key that it replaces, and the factor from datum to key."""
 
     number: int
     name: str
@@ -57,9 +56,9 @@ class Datum:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an axis. `field` is its place in `twin.machine.axis.Axis`, the keys its places below `[axis.N]` ('' where there is none).
+    """One number of an axis: `field` of `twin.machine.axis.Axis`, and its key below `[axis.N]` for each drive ('' if it has none).
 
-    `data` are machine data (number, name, unit, factor to the key's unit) of a linear and of a rotary axis.
+    `data`: machine data (number, name, unit, factor to the unit of the key) of a linear and of a rotary axis.
     """
 
     field: str
@@ -70,16 +69,16 @@ class Parameter:
     data: tuple[tuple[int, str, str, float] | None, tuple[int, str, str, float] | None] = (None, None)
 
     def key(self, drive: str) -> str:
-        """Key below `[axis.N]` of an axis with this drive."""
+        """Key below `[axis.N]` for this drive."""
         return {"screw": self.screw, "gear": self.gear, "direct": self.direct}[drive]
 
     def unit(self, drive: str) -> str:
-        """Unit of the number of an axis with this drive, as its key says it; '1' for a plain number."""
+        """Unit for this drive, from the key; '1' for a plain number."""
         return unit_of_key(self.key(drive).rsplit(".", 1)[-1]) or "1"
 
 
 def _same(key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "") -> Parameter:
-    """A number whose key does not depend on the kind of the axis; `direct` is its leaf where that is another one."""
+    """A number with the same key for screw and gear; `direct` is the last part of the key of a direct drive if it differs."""
     *tables, leaf = key.split(".")
     return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum))
 
@@ -113,7 +112,7 @@ PARAMETERS = (
     _same("motor.inductance_h", positive()),
     _same("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
     _same("motor.bus_limit_v", positive()),
-    # ratings of the data sheet: nothing simulated depends on them, studies hold the load against them
+    # ratings of the data sheet: not used in simulation; studies compare the load with them
     _same("motor.rated_torque_nm", positive(required=False), direct="rated_force_n"),
     _same("motor.rated_speed_rev_per_min", positive(required=False), field="motor.rated_speed", direct="rated_speed_m_per_min"),
     _same("motor.max_speed_rev_per_min", positive(required=False), field="motor.max_speed", direct="max_speed_m_per_min"),
@@ -132,7 +131,7 @@ PARAMETERS = (
     _same("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
     _same("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
     _same("loops.drive_torque_feedforward", Key(0.0, 5.0, required=False)),
-    # what the control was commissioned with; it keeps these whatever motor and load really are
+    # values with which the control was commissioned; they do not change with motor and load
     _same(
         "commissioned.torque_constant_nm_per_a",
         positive(required=False),
@@ -157,23 +156,23 @@ SPREAD = {
     "coulomb_friction": "coulomb_friction_nm",
     "viscous_friction": "viscous_friction_nm_s_per_rad",
 }
-"""Quantities that differ from machine to machine within `parameter_tolerance`, by their name in a truth, and their fields."""
+"""Quantities that vary between machines within `parameter_tolerance`: name in a truth file -> field."""
 
 _BY_FIELD = {p.field: p for p in PARAMETERS} | {p.field.rsplit(".", 1)[-1]: p for p in PARAMETERS}
 
 
 def parameter(field: str) -> Parameter:
-    """The parameter of a typed field, with or without its table (`motor.resistance_ohm`, `resistance_ohm`); KeyError where there is none."""
+    """The parameter of a typed field, with or without its table (`motor.resistance_ohm`, `resistance_ohm`). Raises KeyError if unknown."""
     return _BY_FIELD[field]
 
 
 def key_of(field: str, kind: str) -> str:
-    """Key below `[axis.N]` of a field, under the names of a screw or a gear: 'motor.resistance_ohm'."""
+    """Key below `[axis.N]` of a field for a screw (linear) or gear (rotary) axis: 'motor.resistance_ohm'."""
     return parameter(field).key("screw" if kind == "linear" else "gear")
 
 
 def machine_data_of(kind: str) -> tuple[Datum, ...]:
-    """Machine data of a linear or rotary axis with the keys that they stand for."""
+    """Machine data of a linear or rotary axis, with the keys that they replace."""
     out = []
     for p in PARAMETERS:
         datum = p.data[kind != "linear"]
@@ -186,7 +185,7 @@ def machine_data_of(kind: str) -> tuple[Datum, ...]:
     return tuple(out)
 
 
-# longest first: '_rev_per_s2' must not be read as '_per_s'
+# longest first, so that '_rev_per_s2' is not read as '_per_s'
 _SUFFIX_TO_SI = {
     "_deg_per_s": math.pi / 180.0,
     "_rev_per_min": 2.0 * math.pi / 60.0,
@@ -203,13 +202,13 @@ _UNIT_WORDS |= {word: word for word in ("m", "kg", "s", "us", "rad", "deg", "rev
 
 
 def unit_of_key(key: str) -> str:
-    """Unit at the end of a key: 'm/rev' of screw_lead_m_per_rev, 'Nm s/rad' of a damping; '' where the key has none."""
+    """Unit at the end of a key: 'm/rev' for screw_lead_m_per_rev, 'Nm s/rad' for a damping; '' if the key has none."""
     units = [_UNIT_WORDS[word] for word in itertools.takewhile(_UNIT_WORDS.__contains__, reversed(key.split("_")))]
     return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
 
 
 def si_from_key(key: str) -> float:
-    """Factor to SI that the unit at the end of a key asks for (1 where the unit is SI already)."""
+    """Factor from the unit at the end of a key to SI; 1 for an SI unit."""
     for suffix, factor in _SUFFIX_TO_SI.items():
         if key.endswith(suffix):
             return factor
@@ -217,14 +216,14 @@ def si_from_key(key: str) -> float:
 
 
 def typed_from_file(key: str, value: float) -> float:
-    """A number of the file as its typed field has it: SI; a lead or gear ratio becomes axis units per motor radian."""
+    """Value of the typed field for a number of the file: SI; a lead or gear ratio becomes axis units per motor radian."""
     if key == "screw_lead_m_per_rev":
         return value / (2.0 * math.pi)
     return 1.0 / value if key == "gear_ratio" else value * si_from_key(key)
 
 
 def file_from_typed(key: str, value: float) -> float:
-    """The number that stands in the file for a typed one."""
+    """Number of the file for the value of a typed field."""
     if key == "screw_lead_m_per_rev":
         return value * 2.0 * math.pi
     return 1.0 / value if key == "gear_ratio" else value / si_from_key(key)

@@ -1,4 +1,4 @@
-"""The data sheet of a machine as text: what each axis is, its drive, its loops, its measuring systems."""
+"""The data sheet of a machine as text: axes, drives, loops, measuring systems."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import math
 
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
-from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data
+from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
 from twin.simulation.summary import table
 from twin.units import AXIS_UNITS, deg_from_rad
 
 
 def sheet(machine: Machine) -> str:
-    """All axes side by side, one number a row."""
+    """All axes side by side, one number per row."""
     kinds = {axis.structure for axis in machine.axes}
     rows: list[list[str]] = []
 
@@ -68,25 +68,26 @@ def sheet(machine: Machine) -> str:
 
 
 def sinumerik_sheet(machine: Machine) -> str:
-    """Machine data of all axes as a TOML that `twin machine new --sinumerik` and `[axis.X.sinumerik]` read."""
+    """Machine data of all axes as a TOML for `twin machine new --sinumerik` and `[axis.X.sinumerik]`."""
     lines = [
-        f"# {machine.name}: machine data of a Sinumerik 840D with 611D drives",
+        f"# {machine.name}: machine data of a SINUMERIK 840D with 611D drives",
         f"# MD1000 CURRCTRL_CYCLE_TIME = {machine.current_cycle * 1e6 / CYCLE_UNIT_US:g}, MD1001 SPEEDCTRL_CYCLE_TIME = "
         f"{machine.speed_cycle * 1e6 / CYCLE_UNIT_US:g} (in 31.25 us); position cycle {machine.position_cycle * 1e3:g} ms",
     ]
     for axis in machine.axes:
         lines += ["", f"[{axis.name}]"]
         if not axis.has_current_loop:
-            lines.append(f"# {axis.structure} on a {axis.effort}: no such drive behind a Sinumerik")
+            lines.append(f"# {axis.structure} on a {axis.effort}: not a drive of a SINUMERIK")
             continue
-        data = machine_data(_plain_table(axis))
+        plain = machine.document["axis"][axis.name]
+        data = machine_data(with_plain_keys(plain, f"[axis.{axis.name}]") if "sinumerik" in plain else plain)
         width = max(len(f"{d.label} = {v:.10g}") for d, v in data)
         lines += [f"{f'{d.label} = {v:.10g}':{width}}  # {d.name} [{d.unit}]" for d, v in data]
     return "\n".join(lines)
 
 
 def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
-    """Margins of all loops, numbers of the drives, and what there is to say."""
+    """Margins of all loops, numbers of the drives, and the findings."""
     rows = []
     for c in checks:
         for loop, m in zip(c.loops, c.margins):
@@ -123,31 +124,6 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
     else:
         parts.append("nothing is missing, impossible or unusual")
     return "\n\n".join(parts)
-
-
-def _plain_table(axis: Axis) -> dict:  # type: ignore[type-arg]
-    """The axis as the table of a machine file in plain keys, from its SI values."""
-    linear = axis.kind == "linear"
-    per_turn = 2.0 * math.pi
-    if linear:
-        own = {
-            "screw_lead_m_per_rev": axis.ratio * per_turn,
-            "max_velocity_m_per_min": axis.max_velocity * 60.0,
-            "max_acceleration_m_per_s2": axis.max_acceleration,
-            "max_jerk_m_per_s3": axis.max_jerk,
-        }
-    else:
-        own = {
-            "gear_ratio": 1.0 / axis.ratio,
-            "max_velocity_rev_per_min": axis.max_velocity * 60.0 / per_turn,
-            "max_acceleration_rev_per_s2": axis.max_acceleration / per_turn,
-            "max_jerk_rev_per_s3": axis.max_jerk / per_turn,
-        }
-    travel = {}
-    if math.isfinite(axis.travel[0]):
-        travel = {"travel_m": list(axis.travel)} if linear else {"travel_deg": [deg_from_rad(v) for v in axis.travel]}
-    commissioned = {"inertia_kg_m2": axis.commissioned_inertia} if axis.commissioned_inertia is not None else {}
-    return {"kind": axis.kind, **own, **travel, "motor": vars(axis.motor), "loops": vars(axis.loops), "commissioned": commissioned}
 
 
 def _travel(axis: Axis) -> str:

@@ -1,14 +1,14 @@
-"""Machine data of a Sinumerik 840D with 611D drives beside the plain keys of a machine file.
+"""Machine data of a SINUMERIK 840D with 611D drives, as an alternative to the plain keys of a machine file.
 
-An axis may have a table of machine data by number or name,
+An axis may have a table of machine data by number or name:
 
-    [axis.X.sinumerik]
-    MD32200 = 3.0            # POSCTRL_GAIN [1000/min]
-    SPEEDCTRL_GAIN_1 = 3.4   # MD1407 [Nms/rad]
+[axis.X.sinumerik]
+MD32200 = 3.0            # POSCTRL_GAIN [1000/min]
+SPEEDCTRL_GAIN_1 = 3.4   # MD1407 [Nms/rad]
 
-each standing for the plain key below; where both stand they must agree. `plain = factor * datum`. Machine data archives
-(lines `N32200 $MA_POSCTRL_GAIN[0,AX1]=3`) are read by `read_machine_data`. MD32620 FFW_MODE says which feedforward is on. What
-has no counterpart in the twin's law (filters, adaptations, motor data per phase) is left alone.
+Each datum replaces a plain key: plain = factor * datum. If a file gives both, they must agree. `read_machine_data` also reads
+archives of machine data (lines `N32200 $MA_POSCTRL_GAIN[0,AX1]=3`). MD32620 FFW_MODE selects the feedforward. Data without a
+counterpart in the twin's control law (filters, adaptations, motor data per phase) are ignored.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ from twin.tables import is_number
 DATA = {kind: machine_data_of(kind) for kind in ("linear", "rotary")}
 """Machine data by kind of axis, from the table of parameters."""
 
-# not by axis: cycles of control and drive; on the control in units of 31.25 us, in s, or as multiples
+# cycles of control and drive, not of an axis; in units of 31.25 us, in s, or as multiples
 CYCLE_UNIT_US = 31.25
 GEAR_DENOMINATOR = Datum(31050, "DRIVE_AX_RATIO_DENOM", "1", "", 1.0)
 GEAR_NUMERATOR = Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "", 1.0)
 FFW_MODE = Datum(32620, "FFW_MODE", "-", "", 1.0)
 DSC_ENABLE = Datum(32640, "STIFFNESS_CONTROL_ENABLE", "-", "", 1.0)
+WITHOUT_KEY = (GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE, DSC_ENABLE)
+"""Machine data of an axis that change the keys of other data."""
 CYCLES = {
     1000: "CURRCTRL_CYCLE_TIME",
     1001: "SPEEDCTRL_CYCLE_TIME",
@@ -42,7 +44,7 @@ CYCLES = {
     10070: "IPO_SYSCLOCK_TIME_RATIO",
 }
 DIVISORS = (1113, 31030, GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number)
-"""What others are divided by: 0 has no meaning."""
+"""Data that serve as divisors and must not be 0."""
 
 _EQUAL = 1e-6
 _KEY = re.compile(r"^(?:MD)?_?(\d{4,5})(?:_\w+)?$", re.IGNORECASE)
@@ -50,13 +52,12 @@ _ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?
 
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
-    """Machine data of one axis by number, whether the file has their numbers or names."""
-    known = {d.number: d.name for d in (*DATA[kind], GEAR_DENOMINATOR, GEAR_NUMERATOR, FFW_MODE, DSC_ENABLE)}
-    names = {name: number for number, name in (known | CYCLES).items()}
+    """Machine data of one axis by number; the file may give numbers or names."""
+    known = {d.number: d.name for d in (*DATA[kind], *WITHOUT_KEY)}
+    names = [*known.values(), *CYCLES.values()]
     out: dict[int, float] = {}
     for key, value in table.items():
-        match = _KEY.match(key)
-        number = int(match[1]) if match else names.get(key.upper())
+        number = _number_of(key, kind)
         if number in CYCLES:
             raise InputError(
                 f"{where}: {key} belongs to the whole control, not to an axis; give the cycle in [control] of the machine file"
@@ -67,9 +68,17 @@ def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, floa
             raise InputError(f"{where}: {key} = {value!r}: expected a number")
         _check_divisor(number, value, where)
         if number in out:
-            raise InputError(f"{where}: MD{number} stands twice, by number and by name; keep one")
+            raise InputError(f"{where}: MD{number} is given twice, by number and by name; keep one")
         out[number] = float(value)
     return out
+
+
+def _number_of(key: str, kind: str) -> int | None:
+    """Number of a machine datum that the file gives by number or by name; None if unknown."""
+    if match := _KEY.match(key):
+        return int(match[1])
+    names = {d.name: d.number for d in (*DATA[kind], *WITHOUT_KEY)} | {name: number for number, name in CYCLES.items()}
+    return names.get(key.upper())
 
 
 def _check_divisor(number: int, value: float, where: str) -> None:
@@ -78,13 +87,13 @@ def _check_divisor(number: int, value: float, where: str) -> None:
 
 
 def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
-    """Plain keys below the axis (dotted) with the values that machine data stand for."""
+    """Plain keys below the axis (dotted) with the values of the machine data."""
     out: dict[str, Any] = {d.key: d.factor * data[d.number] for d in DATA[kind] if d.number in data}
     ratio = data.get(GEAR_NUMERATOR.number, 1.0) / data.get(GEAR_DENOMINATOR.number, 1.0)
     if kind == "rotary" and {GEAR_NUMERATOR.number, GEAR_DENOMINATOR.number} & data.keys():
         out["gear_ratio"] = ratio
     elif "screw_lead_m_per_rev" in out:
-        out["screw_lead_m_per_rev"] /= ratio  # per turn of the motor
+        out["screw_lead_m_per_rev"] /= ratio  # per motor revolution
     if FFW_MODE.number in data:
         mode = int(data[FFW_MODE.number])
         if mode == 0:
@@ -93,12 +102,12 @@ def plain_values(data: Mapping[int, float], kind: str) -> dict[str, Any]:
             out.setdefault("loops.velocity_feedforward", 1.0)
         out["loops.torque_feedforward"] = 1.0 if mode in (2, 4) else 0.0
     if data.get(DSC_ENABLE.number) == 0.0:
-        out.pop("loops.dsc_delay_s", None)  # its delay may stand there and not act
+        out.pop("loops.dsc_delay_s", None)  # the delay has no effect while MD32640 is 0
     return out
 
 
-def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """An axis table in which its `sinumerik` table has become plain keys; two values that disagree are an InputError."""
+def with_plain_keys(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """An axis table with its `sinumerik` table replaced by plain keys. Raises InputError if two values disagree."""
     plain = copy.deepcopy(dict(table))
     given = plain.pop("sinumerik")
     kind = plain.get("kind")
@@ -117,7 +126,7 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
             for name in tables:
                 target = target.setdefault(name, {})
                 if not isinstance(target, dict):
-                    raise InputError(f"{where[:-1]}.{name}]: must be a table; machine data in [sinumerik] belong into it")
+                    raise InputError(f"{where[:-1]}.{name}]: must be a table; machine data in [sinumerik] belong in it")
             slot, present = last, last in target
         old = target[slot] if present else value
         if isinstance(old, int | float) and not math.isclose(old, value, rel_tol=_EQUAL, abs_tol=1e-12):
@@ -125,32 +134,30 @@ def completed(table: Mapping[str, Any], where: str) -> dict[str, Any]:
         target[slot] = value
     for key in ("travel_m", "travel_deg"):
         if isinstance(plain.get(key), list) and None in plain[key]:
-            raise InputError(f"{where}: only one of MD36100 and MD36110 stands there; give both ends of the travel")
+            raise InputError(f"{where}: only one of MD36100 and MD36110 is given; give both ends of the travel")
     return plain
 
 
-def datum_place(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
-    """The machine datum of an axis table that alone gives a plain key, as (key below the axis, value there); None where there is none."""
+def datum_in_file(table: Mapping[str, Any], key: str, value: Any) -> tuple[str, Any] | None:
+    """Place of a plain key that the file gives only as a machine datum: (key below the axis, value there); None otherwise."""
     given = table.get("sinumerik")
     if not isinstance(given, Mapping) or table.get("kind") not in DATA:
         return None
-    for datum in DATA[table["kind"]]:
-        for written in given:
-            match = _KEY.match(written)
-            same = int(match[1]) == datum.number if match else written.upper() == datum.name
-            alone = datum.number != GEAR_NUMERATOR.number and not (key.endswith("_feedforward") and _has(given, FFW_MODE))
-            alone = alone and not (key == "screw_lead_m_per_rev" and (_has(given, GEAR_NUMERATOR) or _has(given, GEAR_DENOMINATOR)))
-            if datum.key == key and same and alone and isinstance(value, int | float):
-                return f"sinumerik.{written}", value / datum.factor
-    return None
-
-
-def _has(given: Mapping[str, Any], datum: Datum) -> bool:
-    return any(int(m[1]) == datum.number if (m := _KEY.match(w)) else w.upper() == datum.name for w in given)
+    written = {_number_of(name, table["kind"]): name for name in given}
+    datum = next((d for d in DATA[table["kind"]] if d.key == key and d.number in written), None)
+    gear = GEAR_NUMERATOR.number, GEAR_DENOMINATOR.number
+    shared = (
+        (key == "gear_ratio")
+        or (key.endswith("_feedforward") and FFW_MODE.number in written)
+        or (key == "screw_lead_m_per_rev" and any(number in written for number in gear))
+    )
+    if datum is None or shared or not isinstance(value, int | float):
+        return None
+    return f"sinumerik.{written[datum.number]}", value / datum.factor
 
 
 def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
-    """Machine data of a plain axis table, those that it has values for."""
+    """Machine data of an axis table in plain keys, as far as it has values."""
     out = []
     for datum in DATA[table["kind"]]:
         value: Any = table
@@ -166,7 +173,7 @@ def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
 
 
 def control_cycles(data: Mapping[int, float]) -> dict[str, float]:
-    """Keys of `[control]` that machine data give."""
+    """Keys of `[control]` from machine data."""
     out = {}
     for number, key in ((1000, "current_cycle_us"), (1001, "speed_cycle_us")):
         if number in data:
@@ -179,10 +186,10 @@ def control_cycles(data: Mapping[int, float]) -> dict[str, float]:
 
 
 def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, dict[int, float]], list[str]]:
-    """Machine data of each axis from a TOML (`[X]` or `[axis.X]` tables) or an archive, and what was left alone.
+    """Machine data of each axis from a TOML (`[X]` or `[axis.X]` tables) or an archive, and the data that were ignored.
 
-    `axes` maps axis names to their kind; in an archive AX1 is the first of them, or the one that AXCONF_MACHAX_NAME_TAB names.
-    Data without an axis (cycles) come under ''.
+    `axes` maps axis names to kinds. In an archive AX1 is the first of them, unless AXCONF_MACHAX_NAME_TAB names another. Data
+    without an axis (cycles) have the key ''.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give machine data as TOML or as an archive of the control")
@@ -190,7 +197,7 @@ def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, di
         document = read_toml(path)
         tables = document.get("axis", document)
         if not isinstance(tables, Mapping):
-            raise InputError(f"{path}: axis = {tables!r} is no table; write [axis.X] and the data below it")
+            raise InputError(f"{path}: axis = {tables!r} is not a table; write [axis.X] and the data below it")
         out = {}
         for name, table in tables.items():
             if name not in axes:
@@ -219,12 +226,8 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
                 of_index[f"AX{int(index[0]) + 1}"] = same[0]
             continue
         axis = of_index.get(index[-1], index[-1] if index[-1] in axes else "")
-        known = (
-            set(CYCLES)
-            if not axis
-            else {d.number for d in DATA[axes[axis]]} | {GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number, FFW_MODE.number, DSC_ENABLE.number}
-        )
-        first = len(index) < 2 or index[0] in ("", "0")  # parameter set 0, the one that is active
+        known = {d.number for d in (*DATA[axes[axis]], *WITHOUT_KEY)} if axis else set(CYCLES)
+        first = len(index) < 2 or index[0] in ("", "0")  # parameter set 0 is the active one
         try:
             number_value = float(value)
         except ValueError:

@@ -6,11 +6,11 @@ from twin.machine.axis import Axis
 from twin.machine.parameters import SPREAD, key_of
 
 TOLERANCED = {name: field.rsplit(".", 1)[-1] for name, field in SPREAD.items()}
-"""Name of each toleranced parameter, and the field of the axis or its motor that holds it."""
+"""Name of each toleranced parameter -> field of the axis or its motor."""
 
 
 def has(axis: Axis, parameter: str) -> bool:
-    """True where an axis has this parameter, so that it can deviate."""
+    """True if the axis has this parameter."""
     return {
         "torque_constant": axis.effort != "torque",
         "resistance": axis.has_current_loop,
@@ -26,7 +26,7 @@ def toleranced(axis: Axis) -> list[str]:
 
 
 def inertia_of(axis: Axis) -> str:
-    """The parameter that stands for all inertia of an axis: the rotor's, or the mass of a drive without a rotor."""
+    """Name of the parameter that scales the whole inertia: the rotor's, or the moving mass of a drive without a rotor."""
     return "rotor_inertia" if axis.rotor_inertia_kg_m2 > 0.0 else "moving_mass"
 
 
@@ -37,5 +37,5 @@ def field_value(axis: Axis, parameter: str) -> float:
 
 
 def path_of(axis: Axis, parameter: str) -> str:
-    """Path of a toleranced parameter under the names of a screw or gear; `Machine.in_file` says where a file has it."""
+    """Path of a toleranced parameter with the key names of a screw or gear; `Machine.in_file` translates it to the file."""
     return f"axis.{axis.name}.{key_of(SPREAD[parameter], axis.kind)}"

@@ -1,10 +1,11 @@
-"""A URDF of other people: read safely, its tree, vectors and names checked, its meshes looked for where a package may lie.
+"""A URDF from an unknown source: read safely; tree, vectors and names checked; meshes located in packages.
 
-Every reader of a URDF begins with `read_urdf`; `check_urdf` also refuses what is no machine of axes.
+Every reader of a URDF starts with `read_urdf`. `check_urdf` also refuses what cannot be a machine of axes.
 """
 
 from __future__ import annotations
 
+from graphlib import CycleError, TopologicalSorter
 import logging
 import math
 from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 JOINTS = ("prismatic", "revolute", "continuous", "fixed", "floating", "planar")
 LARGEST_NUMBER = 1e9
-"""No length, angle, mass or limit of a machine is larger, in SI."""
+"""Largest length, angle, mass or limit, SI."""
 
 _VECTORS = {
     ("origin", "xyz"): 3, ("origin", "rpy"): 3, ("axis", "xyz"): 3, ("box", "size"): 3, ("mesh", "scale"): 3, ("color", "rgba"): 4,
@@ -30,12 +31,12 @@ _VECTORS = {
     **{("dynamics", key): 1 for key in ("damping", "friction")},
     **{("mimic", key): 1 for key in ("multiplier", "offset")},
 }  # fmt: skip
-"""Numbers that an attribute of an element holds."""
+"""How many numbers an attribute of an element has."""
 _NEEDED = {("cylinder", "radius"), ("cylinder", "length"), ("sphere", "radius"), ("box", "size"), ("mass", "value")}
 
 
 def read_urdf(path: Path) -> Any:
-    """The robot of a URDF as yourdfpy has it; every fault is an InputError in one line."""
+    """The robot of a URDF, as yourdfpy returns it. Raises InputError in one line."""
     from yourdfpy import URDF  # type: ignore[import-untyped]
 
     checked_tree(path)
@@ -43,18 +44,18 @@ def read_urdf(path: Path) -> Any:
     try:
         return URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
     except Exception as error:
-        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it there") from None
+        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it") from None
 
 
 def check_urdf(path: Path) -> Element:
-    """Refuse a URDF that is unsafe or no tree of slides and hinges; returns its root."""
+    """Refuse a URDF that is unsafe or not a tree of slides and hinges. Returns its root."""
     root = checked_tree(path)
     for joint in root.findall("joint"):
         name, kind = joint.get("name", ""), joint.get("type", "")
         if kind in ("floating", "planar"):
-            raise InputError(f"{path}: joint '{name}' is {kind}; an axis is prismatic, revolute or continuous: fix or split it")
+            raise InputError(f"{path}: joint '{name}' is {kind}, but an axis is prismatic, revolute or continuous; fix or split it")
         if joint.find("mimic") is not None:
-            raise InputError(f"{path}: joint '{name}' follows another one (mimic); drive each axis by itself: remove it")
+            raise InputError(f"{path}: joint '{name}' follows another one (mimic), but each axis has its own drive; remove it")
     for element in root.findall("link"):
         if (mass := element.find("inertial/mass")) is not None:
             positive_mass(mass.get("value", ""), f"{path}: link " + repr(element.get("name")) + ": mass")
@@ -64,10 +65,10 @@ def check_urdf(path: Path) -> Element:
 
 
 def checked_tree(path: Path) -> Element:
-    """The root of a URDF whose links have names and form a tree, and whose vectors are finite and complete."""
+    """The root of a URDF, checked: links have names and form a tree, vectors are complete and finite."""
     root = read_xml(path)
     if root.tag != "robot":
-        raise InputError(f"{path}: <{str(root.tag)[:40]}> is no URDF; its root must be <robot>")
+        raise InputError(f"{path}: <{str(root.tag)[:40]}> is not a URDF; its root must be <robot>")
     check_size(root, path)
     _check_numbers(root, path)
     links, joints = (_names(root, tag, path) for tag in ("link", "joint"))
@@ -83,28 +84,23 @@ def checked_tree(path: Path) -> Element:
             if link not in links:
                 raise InputError(f"{path}: joint '{name}' names link '{link}', which does not exist; correct it")
         if child in parents:
-            raise InputError(f"{path}: link '{child}' hangs on two joints, which closes a loop; a machine is a tree of axes: remove one")
+            raise InputError(
+                f"{path}: link '{child}' hangs on two joints, which closes a loop, but a machine is a tree of axes; remove one"
+            )
         if (mimic := joint.find("mimic")) is not None and mimic.get("joint", "") not in joints:
             raise InputError(f"{path}: joint '{name}' follows joint '{mimic.get('joint', '')}', which does not exist; correct it")
         parents[child] = parent
-    reached = {link for link in links if link not in parents}
-    children: dict[str, list[str]] = {}
-    for child, parent in parents.items():
-        children.setdefault(parent, []).append(child)
-    waiting = list(reached)
-    while waiting:
-        found = children.get(waiting.pop(), [])
-        reached.update(found)
-        waiting += found
-    if circle := next((link for link in links if link not in reached), None):
-        raise InputError(f"{path}: link '{circle}' hangs on itself: its joints form a circle; one link must have no parent")
+    try:
+        TopologicalSorter({child: [parent] for child, parent in parents.items()}).prepare()
+    except CycleError as error:
+        raise InputError(f"{path}: link '{error.args[1][0]}' hangs on itself: its joints form a circle; give one link no parent") from None
     return root
 
 
 def mesh_of_urdf(name: str, path: Path, where: str) -> Path:
     """The file of a mesh: beside the URDF, or for `package://a/b/c` inside the package `a`.
 
-    A package is a folder of that name beside or above the URDF; elsewhere it must hold a `package.xml`. What a name leaves is refused.
+    A package is a folder with that name beside or above the URDF; elsewhere it must contain a `package.xml`. Paths that leave it are refused.
     """
     if not name.startswith("package://"):
         return named_file(name.removeprefix("file://"), path.parent, where)
@@ -140,7 +136,7 @@ def _names(root: Element, tag: str, path: Path) -> set[str]:
 
 
 def _check_numbers(root: Element, path: Path) -> None:
-    """Every vector has its components, every number is finite; an axis points somewhere."""
+    """Check that every vector is complete, every number is finite and no axis is zero."""
     for element in root.iter():
         for key in {key for tag, key in _VECTORS if tag == element.tag}:
             count, text = _VECTORS[element.tag, key], element.get(key)
@@ -152,10 +148,10 @@ def _check_numbers(root: Element, path: Path) -> None:
             try:
                 values = [float(word) for word in text.split()]
             except ValueError:
-                raise InputError(f"{where} = '{text[:60]}' is no number; correct it") from None
+                raise InputError(f"{where} = '{text[:60]}' is not a number; correct it") from None
             if len(values) != count:
                 raise InputError(f"{where} = '{text[:60]}' has {len(values)} numbers; give {count}")
             if not all(math.isfinite(v) and abs(v) <= LARGEST_NUMBER for v in values):
                 raise InputError(f"{where} = '{text[:60]}': impossible; give finite numbers up to {LARGEST_NUMBER:g}")
             if element.tag == "axis" and not any(values):
-                raise InputError(f"{where} = '{text[:60]}' points nowhere; give a direction")
+                raise InputError(f"{where} = '{text[:60]}' points nowhere; give a direction other than zero")

@@ -1,12 +1,14 @@
-"""What is seen of any robot or machine described by a URDF: its tree brought to the engine's form, its meshes read.
+"""The visible parts of any robot or machine in a URDF: its tree as a MuJoCo model, its meshes read.
 
-Links become bodies, revolute and continuous joints hinges, prismatic ones slides, the others are rigid. Only what is seen is
-read: masses and collision shapes are not needed to replay a motion.
+Links become bodies, revolute and continuous joints become hinges, prismatic ones slides; other joints are rigid. Masses and collision
+shapes are not read, because a replay does not need them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +21,16 @@ from twin.machine.model_limits import compiled_spec, quiet_engine
 from twin.machine.urdf_file import mesh_of_urdf, read_urdf
 
 _GREY = (160, 164, 170, 255)
-_KINDS = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
+MOVING = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "continuous": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
 _MASS = 1.0
-"""Every body needs a mass to compile; nothing here is simulated."""
+"""Mass of every body; MuJoCo needs one to compile, and nothing here is simulated."""
 
 
 @dataclass(frozen=True)
 class Visuals:
-    """The tree of a URDF as a model without masses of its own, the shapes on its bodies, and joints that follow others.
+    """The tree of a URDF as a model with dummy masses, the shapes on its bodies, and the joints that follow others.
 
-    `mimics`: joint -> (other, factor, offset).
+    `mimics`: joint -> (other joint, factor, offset).
     """
 
     name: str
@@ -38,25 +40,12 @@ class Visuals:
 
 
 def read_visuals(path: Path) -> Visuals:
-    """Read a URDF file; one that cannot be read or lacks a mesh is an InputError."""
+    """Read a URDF file. Raises InputError if it cannot be read or lacks a mesh."""
     robot = read_urdf(path)
     quiet_engine()
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    children = {joint.child for joint in robot.joint_map.values()}
-    roots = [name for name in robot.link_map if name not in children]
-    bodies: dict[str, Any] = {}
-    for root in roots:
-        bodies[root] = spec.worldbody if root == "world" else _add_body(spec.worldbody, root, np.eye(4))
-    # parents before children, whatever the order of the file
-    waiting = list(robot.joint_map.values())
-    while waiting:
-        ready = [joint for joint in waiting if joint.parent in bodies]
-        for joint in ready:
-            body = _add_body(bodies[joint.parent], joint.child, joint.origin if joint.origin is not None else np.eye(4))
-            _add_joint(body, joint)
-            bodies[joint.child] = body
-        waiting = [joint for joint in waiting if joint not in ready]
+    add_tree(spec, robot, _massless_body)
     model = compiled_spec(spec, str(path))
     shapes = [shape for name, link in robot.link_map.items() for shape in _shapes(link, model.body(name).id, robot, path)]
     mimics = {
@@ -67,25 +56,33 @@ def read_visuals(path: Path) -> Visuals:
     return Visuals(robot.robot.name or path.stem, model, tuple(shapes), mimics)
 
 
-def _add_body(parent: Any, name: str, parent_from_child: np.ndarray) -> Any:
-    return parent.add_body(
-        name=name,
-        pos=parent_from_child[:3, 3],
-        quat=_quaternion(parent_from_child[:3, :3]),
-        mass=_MASS,
-        inertia=[_MASS] * 3,
-        explicitinertial=True,
-    )
+def add_tree(spec: mujoco.MjSpec, robot: Any, add_body: Callable[[Any, Any, np.ndarray], Any]) -> dict[str, Any]:
+    """Add the links and joints of a robot to a spec; returns the bodies by link. `add_body(parent, link, parent_from_link)` makes one body."""
+    above = {joint.child: joint for joint in robot.joint_map.values()}
+    bodies: dict[str, Any] = {}
+    for name in TopologicalSorter({link: [above[link].parent] if link in above else [] for link in robot.link_map}).static_order():
+        if (joint := above.get(name)) is None:
+            bodies[name] = spec.worldbody if name == "world" else add_body(spec.worldbody, robot.link_map[name], np.eye(4))
+            continue
+        bodies[name] = add_body(bodies[joint.parent], robot.link_map[name], np.eye(4) if joint.origin is None else joint.origin)
+        if joint.type in MOVING:
+            _add_joint(bodies[name], joint)
+    return bodies
+
+
+def _massless_body(parent: Any, link: Any, parent_from_link: np.ndarray) -> Any:
+    """A body with the mass that MuJoCo requires."""
+    position, orientation = parent_from_link[:3, 3], quaternion_of(parent_from_link[:3, :3])
+    return parent.add_body(name=link.name, pos=position, quat=orientation, mass=_MASS, inertia=[_MASS] * 3, explicitinertial=True)
 
 
 def _add_joint(body: Any, joint: Any) -> None:
-    if joint.type not in _KINDS:
-        return
     axis = np.asarray(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
-    added = body.add_joint(name=joint.name, type=_KINDS[joint.type], axis=axis / np.linalg.norm(axis))
-    if joint.limit is not None and joint.limit.lower is not None and joint.limit.upper is not None and joint.type != "continuous":
-        added.range = [joint.limit.lower, joint.limit.upper]
-        added.limited = True
+    added = body.add_joint(name=joint.name, type=MOVING[joint.type], axis=axis / np.linalg.norm(axis))
+    low, high = (None, None) if joint.limit is None or joint.type == "continuous" else (joint.limit.lower, joint.limit.upper)
+    if low is not None and high is not None and low < high:
+        added.range = [low, high]
+        added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
@@ -105,7 +102,7 @@ def _shapes(link: Any, body: int, robot: Any, path: Path) -> list[Shape]:
         else:
             continue
         colour = _colour(visual.material, robot)
-        shapes.append(Shape(body, name, kind, place[:3, 3].copy(), _quaternion(place[:3, :3]), colour, size, vertices, faces))
+        shapes.append(Shape(body, name, kind, place[:3, 3].copy(), quaternion_of(place[:3, :3]), colour, size, vertices, faces))
     return shapes
 
 
@@ -120,7 +117,7 @@ def _mesh(mesh: Any, link: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:
-    """Colour of a material, given there or by name at the top of the file."""
+    """Colour of a material: its own, or that of the file's material of the same name."""
     if material is None:
         return _GREY
     colour = material.color
@@ -133,7 +130,8 @@ def _colour(material: Any, robot: Any) -> tuple[int, int, int, int]:
     return red, green, blue, alpha
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
     return quaternion

@@ -1,4 +1,4 @@
-"""Recordings: traces, campaigns, and the import of what other controls and instruments write."""
+"""Recordings: traces, campaigns, and the import of files from controls and instruments."""
 
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace

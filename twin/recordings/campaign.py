@@ -1,28 +1,28 @@
-"""Campaigns: a folder of measured runs with a `campaign.toml` that says how each was recorded.
+"""Campaigns: folders of measured runs with a `campaign.toml` that describes each run.
 
     machine = "my_machine"
     [[run]]
     file = "stroke.parquet"
     feedforward = "velocity"           # off | velocity | velocity+torque
     started_at_s = 0.0
-    [[run.channel]]                    # what the import found of a channel before anything was fitted; each key may be missing
+    [[run.channel]]                    # findings of the import about a channel; every key is optional
     axis = "1"
     signal = "position"
-    latency_s = 0.003                  # recorded this much later than the first encoder of the axis ...
-    latency_deviation_s = 2e-5
-    taken_back_s = 0.003               # ... of which this was taken back in the trace
-    offset_m = 1.2e-4                  # constant difference to the motor encoder (offset_rad on a rotary axis) ...
-    offset_taken_out = true            # ... which the trace no longer has
-    sign = -1                          # turned round at the import
-    against = true                     # pushes against the motion, and was not turned round
-    unsigned = true                    # a force of which only the size is recorded
-    [run.labels]                       # columns that held still: load, trial
+    latency_s = 0.003                  # lateness relative to the first encoder of the axis
+    latency_deviation_s = 2e-5         # its standard deviation
+    taken_back_s = 0.003               # part of the latency that was removed from the trace
+    offset_m = 1.2e-4                  # constant difference to the motor encoder (offset_rad on a rotary axis)
+    offset_taken_out = true            # the offset was removed from the trace
+    sign = -1                          # the sign was reversed at the import
+    against = true                     # pushes against the motion; the sign was kept
+    unsigned = true                    # only the magnitude of a force is recorded
+    [run.labels]                       # columns that are constant within the run: load, trial
     load = 20.0
-    [run.ballbar]                      # positions are what a ballbar between two axes saw, see `twin.recordings.ballbar`
+    [run.ballbar]                      # positions come from a ballbar between two axes, see `twin.recordings.ballbar`
     axes = ["X", "Y"]
-    noise_m = 1e-7                     # of a radius
+    noise_m = 1e-7                     # standard deviation of a radius
 
-Block events of a control stand beside the traces in `events.parquet`: time [s] in the trace of `run`, channel, block, text, run.
+Program block events are in `events.parquet` beside the traces: time [s] in the trace of `run`, channel, block, text, run.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ EVENTS = "events.parquet"
 
 @dataclass(frozen=True)
 class ChannelFact:
-    """What the import found of one channel of a run: latency [s], constant offset [m or rad], sign; see the module's head."""
+    """Findings of the import about one channel of a run; see the head of this module."""
 
     latency: float = 0.0
     latency_deviation: float = 0.0
@@ -59,18 +59,18 @@ class ChannelFact:
 
     @property
     def latency_left(self) -> float:
-        """Latency [s] that the trace still has."""
+        """Latency [s] that remains in the trace."""
         return self.latency - self.taken_back
 
     @property
     def offset_left(self) -> float:
-        """Offset [m or rad] that the trace still has."""
+        """Offset [m or rad] that remains in the trace."""
         return 0.0 if self.offset_taken_out else self.offset
 
 
 @dataclass(frozen=True)
 class BlockEvent:
-    """A block of the program that became active: time [s] in the run's trace (below 0: before it), channel of the control, block, text."""
+    """Start of a program block: time [s] in the run's trace (negative: before it), channel of the control, block, text."""
 
     time: float
     channel: int
@@ -80,11 +80,13 @@ class BlockEvent:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run of a campaign: its name (file name without ending), trace, feedforward that was on, start time [s].
+    """One run of a campaign: name (file name without ending), trace, feedforward in use, start time [s].
 
-    `facts` are what the import found of channels, by (axis, signal); `labels` what a column said of the whole run; `events` in order of time.
-    `own_zeros` are axes whose two encoders have no common zero: the mean of their difference is taken out of the trace, and of what is compared with it.
-    `ballbar` is what saw the positions, where no scales did.
+    facts      findings of the import, by (axis, signal)
+    labels     values of label columns
+    events     program blocks in order of time
+    own_zeros  axes whose encoders have no common zero; comparisons remove the mean of their difference from the trace
+    ballbar    the instrument that measured the positions instead of scales
     """
 
     name: str
@@ -98,18 +100,18 @@ class MeasuredRun:
     ballbar: Ballbar | None = None
 
     def fact(self, axis: str, signal: str) -> ChannelFact:
-        """What is known of a channel; the default where nothing was found."""
+        """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact())
 
     def block_at(self, time: float, channel: int | None = None) -> BlockEvent | None:
-        """The block that was active at a time [s] of the trace, or None where none is recorded."""
+        """The program block that was active at a time [s] of the trace; None if none is recorded."""
         past = [e for e in self.events if e.time <= time and channel in (None, e.channel)]
         return past[-1] if past else None
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Runs in the order of the file, and the machine that `campaign.toml` names."""
+    """Runs in the order of the file, and the machine named in `campaign.toml`."""
 
     path: Path
     machine_name: str
@@ -117,7 +119,7 @@ class Campaign:
 
 
 def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
-    """Read `campaign.toml` and its traces, checked against the machine's axes (None: no machine is known yet)."""
+    """Read `campaign.toml` and its traces, checked against the axes of the machine (None: unknown machine)."""
     path = Path(path)
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; a campaign is a folder with campaign.toml and traces")
@@ -138,7 +140,7 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
 
 
 def _read_events(path: Path) -> dict[str, list[BlockEvent]]:
-    """Events by run; none where the file is absent."""
+    """Events by run; empty if the file does not exist."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -149,7 +151,9 @@ def _read_events(path: Path) -> dict[str, list[BlockEvent]]:
         named = [(str(r["run"]), BlockEvent(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: no table of events with time, channel, block, text, run ({reason}); remove it or import again") from None
+        raise InputError(
+            f"{path}: not a table of events with time, channel, block, text, run ({reason}); remove it or import again"
+        ) from None
     out: dict[str, list[BlockEvent]] = {}
     for run, event in sorted(named, key=lambda one: one[1].time):
         out.setdefault(run, []).append(event)
@@ -189,7 +193,7 @@ def _labels(table: object, where: str) -> dict[str, float]:
 
 def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
     if not isinstance(table, dict):
-        raise InputError(f'{where}: {table!r} is no run; write each as [[run]] with file = "circle.parquet"')
+        raise InputError(f'{where}: {table!r} is not a run; write each as [[run]] with file = "circle.parquet"')
     known_keys(table, _RUN_KEYS, where)
     if not isinstance(table.get("file"), str):
         raise InputError(f"{where}: 'file' is missing; name the trace of this run")
@@ -210,12 +214,12 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, ev
 def _ballbar(table: object, trace: Trace, where: str) -> Ballbar:
     """[run.ballbar]."""
     if not isinstance(table, dict):
-        raise InputError(f'{where}: {table!r} is no table; write [run.ballbar] and axes = ["X", "Y"] below it')
+        raise InputError(f'{where}: {table!r} is not a table; write [run.ballbar] and axes = ["X", "Y"] below it')
     known_keys(table, ("axes", "noise_m"), where)
     axes = listed(table, "axes", where)
     if len(axes) != 2 or axes[0] == axes[1] or any(axis not in trace.axes for axis in axes):
         raise InputError(f"{where}: axes = {axes!r}; name two axes of the trace ({', '.join(trace.axes)})")
     ballbar = ballbar_of(trace, axes, positive(table, "noise_m", where))
     if not ballbar.measured.any():
-        raise InputError(f"{where}: the set points of {' and '.join(axes)} run no circle with 90 degrees before and behind it")
+        raise InputError(f"{where}: the set points of {' and '.join(axes)} form no circle with 90 degrees of overlap at each end")
     return ballbar

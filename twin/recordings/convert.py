@@ -1,4 +1,4 @@
-"""From the recorded number to the signal in SI: the file's unit, the map's scale, motor turns to travel, force to torque at the motor."""
+"""Conversion of recorded numbers to SI: unit of the file, scale of the map, motor revolutions to travel, force to motor torque."""
 
 from __future__ import annotations
 
@@ -24,37 +24,39 @@ _MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angu
 
 @dataclass(frozen=True)
 class Conversion:
-    """value [SI] = factor * recorded + offset; `unit` is the one that the number was taken to be in, `kind` the axis' if the unit shows it."""
+    """value [SI] = factor * recorded + offset. `unit`: assumed unit of the number. `kind` of the axis, if the unit implies one."""
 
     factor: float
     offset: float
     unit: str
     kind: str | None
-    si: str = ""  # unit of the result where the signal leaves it open (disturbance, injected_command): V, A, Nm, N
+    si: str = ""  # unit of the result for signals with several (disturbance, injected_command): V, A, Nm, N
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         return values * self.factor + self.offset if self.offset else values * self.factor
 
 
 def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
-    """How a recorded column becomes the mapped signal; refused where unit and signal do not go together."""
+    """Conversion of a recorded column to the mapped signal. Raises InputError if unit and signal do not match."""
     where = f"{where}: column '{column.name}'"
     unit = column.unit or signal.unit
     if not unit:
-        raise InputError(f'{where}: the file says no unit; give it in the map, e.g. unit = "{_example(column.signal)}"')
+        raise InputError(f'{where}: the file gives no unit; give it in the map, e.g. unit = "{_example(column.signal)}"')
     if column.unit and signal.unit and column.unit != signal.unit and not column.scaled:
         remedy = (
-            "say scale = 1.0 to overrule the file"
+            "give scale = 1.0 to overrule the file"
             if dimension_recorded(column.unit) == dimension_recorded(signal.unit)
-            else (f"say scale = ... [{column.unit} per {signal.unit}]")
+            else (f"give scale = ... [{column.unit} per {signal.unit}]")
         )
-        raise InputError(f"{where}: the file says [{signal.unit}], the map says [{column.unit}]; leave unit out of the map, or {remedy}")
+        raise InputError(
+            f"{where}: the unit is [{signal.unit}] in the file, [{column.unit}] in the map; leave unit out of the map, or {remedy}"
+        )
     quantity, factor = dimension_recorded(unit), RECORDED_UNITS[unit][1]
     if column.signal in BY_UNIT:
         si = {"voltage": "V", "current": "A", "torque": "Nm", "force": "N"}.get(quantity, "")
         if not si:
             raise InputError(
-                f"{where}: [{unit}] is no unit of {column.signal}; use N, Nm (an outside load, or the force that an injected command makes), V or A"
+                f"{where}: [{unit}] is not a unit of {column.signal}; use N, Nm (external load, or effect of an injected command), V or A"
             )
         return Conversion(column.factor * factor, column.offset * factor, unit, None, si)
     wanted = _wanted(column.signal)
@@ -62,7 +64,7 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
     if quantity in ("turns", "turning speed"):
         if column.per_turn is None:
             raise InputError(
-                f"{where}: [{unit}] are turns of the motor; say mm_per_rev or deg_per_rev in the map (a direct drive has none)"
+                f"{where}: [{unit}] is a unit of the motor; give mm_per_rev or deg_per_rev in the map (a direct drive has none)"
             )
         factor *= column.per_turn / (2.0 * math.pi)
         quantity, kind = ("position" if quantity == "turns" else "velocity"), column.kind
@@ -70,12 +72,12 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
         quantity = _MOTION.get(quantity, "acceleration")
     if quantity == "force" and wanted == "torque":
         if column.per_turn is None and column.kind is None:
-            raise InputError(f"{where}: a force becomes the motor's torque by the travel of a turn; say mm_per_rev in the map")
-        factor *= column.per_turn / (2.0 * math.pi) if column.per_turn else 1.0  # a direct drive: N stands for Nm
+            raise InputError(f"{where}: converting a force to motor torque needs the travel per revolution; give mm_per_rev in the map")
+        factor *= column.per_turn / (2.0 * math.pi) if column.per_turn else 1.0  # a direct drive uses N in place of Nm
         quantity = "torque"
     if quantity != wanted:
         raise InputError(
-            f"{where}: [{unit}] is no unit of a {column.signal}; use [{_example(column.signal)}] or the like, with scale where needed"
+            f"{where}: [{unit}] is not a unit of a {column.signal}; use [{_example(column.signal)}] or the like, with scale if needed"
         )
     if kind and column.kind and kind != column.kind:
         raise InputError(f"{where}: axis {column.axis} is {column.kind}, but [{unit}] is a unit of a {kind} axis; correct unit or axis")
@@ -83,7 +85,7 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
 
 
 def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], where: str) -> dict[str, str]:
-    """Linear or rotary by axis, as the units of its positions and speeds say."""
+    """Linear or rotary by axis, from the units of its positions and speeds."""
     kinds: dict[str, str] = {}
     for column, conversion in zip(columns, conversions):
         kind = conversion.kind or column.kind

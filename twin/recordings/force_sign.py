@@ -1,9 +1,9 @@
-"""Does a force push along the motion, against it, or is only its size recorded? Found from the record before anything is fitted.
+"""Sign of a recorded force: along the motion, against it, or only the magnitude. Estimated from the recording alone.
 
-    f = m a + d sign(v) + b v + c          (plus cos, sin of the place on a rotary axis: gravity turns with it)
+f = m a + d sign(v) + b v + c          (plus cos, sin of the position on a rotary axis, for gravity)
 
-A signed force has m, d, b of one sign: positive along the motion, negative where the control counts the other way round. A record of the
-size alone is never below zero and goes better with |m a + d sign(v)|, whichever way the axis moves.
+For a signed force m, d and b have the same sign: positive along the motion, negative if the control counts in the opposite direction. A
+magnitude is never negative and fits |m a + d sign(v)| better, in both directions of motion.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.least_squares import solved
 
 BAND_HZ = 30.0
 CLEAR = 0.25
-"""Share of the force's variance that the balance must explain; below, nothing is said of its sign."""
+"""Share of the force's variance that the balance must explain; below, the sign is not judged."""
 BETTER = 1.2
-"""Unsigned: what |balance| leaves must be smaller by this factor than what the signed balance leaves."""
+"""Factor by which the residual of |balance| must be smaller than that of the signed balance to count as unsigned."""
 
 MOST = 3.0
-"""Parts of the balance that push backwards must outweigh those that push forwards by this factor, before a sign is turned."""
+"""Factor by which negative parts of the balance must outweigh positive ones before a sign is reversed."""
 
 
 @dataclass(frozen=True)
 class ForceSign:
-    """`sign` -1: turn it round; `unsigned`: only the size is recorded; `remark` for the map, `doubt` where it cannot be used."""
+    """`sign` -1: reverse it. `unsigned`: only the magnitude is recorded. `remark` for the map; `doubt` if it cannot be used."""
 
     sign: int = 1
     unsigned: bool = False
@@ -36,10 +37,10 @@ class ForceSign:
 
 
 def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:
-    """Sign of a current, torque or voltage (sample,) against a position (sample,) in any units."""
+    """Sign of a current, torque or voltage (sample,) relative to a position (sample,), in any units."""
     if len(force) < 60 or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
         return ForceSign()
-    motion, f = _smooth(position, period), _smooth(force, period)
+    motion, f = low_passed(position, period, BAND_HZ), low_passed(force, period, BAND_HZ)
     speed = np.gradient(motion, period)
     acceleration = np.gradient(speed, period)
     moving = np.abs(speed) > 0.02 * np.abs(speed).max()
@@ -52,34 +53,33 @@ def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str
         ahead = np.sign(acceleration * speed) * np.abs(acceleration)
         size, _ = _fit(np.column_stack([ahead, np.abs(direction), np.abs(speed), np.ones_like(f)])[inner], f[inner])
         if size * BETTER < signed:
-            return ForceSign(unsigned=True, remark="only its size is recorded, without a sign")
+            return ForceSign(unsigned=True, remark="only the magnitude is recorded, without a sign")
     if signed > 1.0 - CLEAR:
         return ForceSign()
-    # inertia, Coulomb and viscous friction, each by its part of the force: where most of it pushes backwards, the sign is
+    # inertia, Coulomb and viscous friction weighted by their part of the force: the sign is wrong if most of it is negative
     parts = coefficients[:3] * np.column_stack([acceleration, direction, speed])[inner].std(axis=0)
     if -parts[parts < 0.0].sum() > MOST * parts[parts > 0.0].sum():
-        return ForceSign(sign=-1, remark="turned round: as recorded it pushes against the motion")
+        return ForceSign(sign=-1, remark="sign reversed: as recorded it pushes against the motion")
     return ForceSign()
 
 
 def recorded_sign(run: MeasuredRun, axis: str, signal: str) -> ForceSign:
-    """Sign of a force of an imported or given run: what the import noted of it, else what its own motion says."""
+    """Sign of a force of a run: from the import if it noted one, else from its own motion."""
     trace = run.trace
     if run.fact(axis, signal).unsigned:
-        return ForceSign(unsigned=True, remark="only its size is recorded, without a sign")
+        return ForceSign(unsigned=True, remark="only the magnitude is recorded, without a sign")
     where = next((s for s in ("position", "motor_position") if trace.has(axis, s)), None)
     if where is None or not trace.has(axis, signal):
         return ForceSign()
     return force_sign(trace.get(axis, signal), trace.get(axis, where), trace.period, trace.kinds[axis])
 
 
-def _smooth(values: np.ndarray, period: float) -> np.ndarray:
-    band = min(BAND_HZ, 0.15 / period)
-    return np.asarray(sosfiltfilt(butter(2, band, fs=1.0 / period, output="sos"), values))
+def low_passed(values: np.ndarray, period: float, band_hz: float) -> np.ndarray:
+    """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate."""
+    return np.asarray(sosfiltfilt(butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
 
 
 def _fit(columns: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
-    """(share of the variance that is left, coefficients)."""
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    b = np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
+    """(unexplained share of the variance, coefficients)."""
+    b = solved(columns, y)
     return float(np.var(y - columns @ b) / max(float(np.var(y)), 1e-300)), b

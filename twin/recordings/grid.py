@@ -1,7 +1,7 @@
-"""Signals with their own intervals, gaps and skew brought on one even grid, block by block.
+"""Resampling of signals with different intervals, gaps and skew to one even grid, block by block.
 
-Samples that lie on the grid are taken as they are; between samples a cubic spline through them (positions of a jerk-limited move sampled
-every 4 ms are off by less than 0.1 um then, by 10 um with straight lines).
+Samples on the grid are copied. Between samples a cubic spline interpolates: positions of a jerk-limited move sampled every 4 ms
+are then off by less than 0.1 um, with linear interpolation by 10 um.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import Stretch, Timing
 
 MOST_ROWS = 50_000_000
-"""Samples of one run: 14 hours at 1 kHz. They are written in blocks, and take 400 MB a signal on the disk."""
+"""Most samples of one run: 14 hours at 1 kHz. They are written in blocks and take 400 MB per signal on disk."""
 ON_GRID = 1e-3
-"""A sample within this fraction of an interval of a grid time lies on it."""
+"""A sample within this fraction of an interval from a grid time counts as on the grid."""
 MARGIN = 16
-"""Samples beside a block that the spline sees: what lies further off counts less than 1e-9."""
+"""Samples beside a block that the spline uses; the influence of samples further away is below 1e-9."""
 _GRID_ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True)
 class Source:
-    """A signal with its timing and how much later than the position it was recorded [s]."""
+    """A signal with its timing, and its lateness relative to the position [s]."""
 
     signal: Signal
     timing: Timing
@@ -36,7 +36,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Piece:
-    """One even grid without gaps: begin [s], period [s], samples; `filled` counts the gaps that were bridged."""
+    """One even grid without gaps: begin [s], period [s], number of samples. `filled`: number of gaps that were bridged."""
 
     begin: float
     period: float
@@ -48,12 +48,12 @@ class Piece:
         return self.begin + self.period * (self.count - 1)
 
     def times(self, first: int, last: int) -> np.ndarray:
-        """Grid times [s] of rows first .. last."""
+        """Grid times [s] of rows first to last - 1."""
         return self.begin + self.period * np.arange(first, last)
 
 
 def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: float, fill: bool) -> list[Piece]:
-    """Grids over the times at which all signals have samples; one that is not filled breaks at every gap of any signal."""
+    """Grids over the times at which all signals have samples. Unless gaps are filled, a grid ends at a gap of any signal."""
     spans = [(begin_s, end_s)]
     bridged = 0
     for source in sources:
@@ -63,7 +63,7 @@ def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: f
             bridged = max(bridged, len(own) - 1)
             own = [(own[0][0], own[-1][1])]
         spans = [(max(a, c), min(b, d)) for a, b in spans for c, d in own if min(b, d) > max(a, c)]
-    # the grid goes through the samples of the first signal, so that they are taken as they are
+    # the grid passes through the samples of the first signal, so that they are copied
     lead = sources[0].timing.stretches[0].begin - sources[0].skew_s
     out = []
     for begin, end in spans:
@@ -78,18 +78,18 @@ def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: f
 
 
 def on_grid(source: Source, piece: Piece, first: int, last: int, fill: bool = False) -> np.ndarray:
-    """(last - first,) values of a signal at rows first .. last of a piece."""
+    """Values (last - first,) of a signal at rows first to last - 1 of a piece."""
     times = piece.times(first, last) + source.skew_s
     stretches = source.timing.stretches
     if fill and len(stretches) > 1:
-        return _across(source, times)
+        return _bridged(source, times)
     middle = 0.5 * (piece.begin + piece.end) + source.skew_s
     own = min(stretches, key=lambda s: max(s.begin - middle, middle - s.end))
     return _within(source.signal, own, times)
 
 
 def _within(signal: Signal, own: Stretch, times: np.ndarray) -> np.ndarray:
-    """Values within one stretch: picked where all times lie on samples, else by spline."""
+    """Values within one stretch: copied if all times are sample times, else by spline."""
     if own.even:
         at = (times - own.begin) / own.interval
         whole = np.rint(at)
@@ -112,8 +112,8 @@ def _within(signal: Signal, own: Stretch, times: np.ndarray) -> np.ndarray:
     return CubicSpline(base, values)(np.clip(times, base[0], base[-1]))
 
 
-def _across(source: Source, times: np.ndarray) -> np.ndarray:
-    """Values of which some lie in gaps: a cubic through the samples on both sides."""
+def _bridged(source: Source, times: np.ndarray) -> np.ndarray:
+    """Values at times that may lie in gaps: a cubic spline through the samples on both sides bridges a gap."""
     out = np.empty(len(times))
     done = np.zeros(len(times), bool)
     for own in source.timing.stretches:
@@ -137,8 +137,8 @@ def _across(source: Source, times: np.ndarray) -> np.ndarray:
     return np.where(done, out, out[np.argmax(done)] if done.any() else 0.0)
 
 
-def liveliest(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
-    """Rows (first, last) of the block of a piece in which the signal travels farthest; all of it where it is short."""
+def block_with_most_travel(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
+    """Rows (first, last) of the block of a piece in which the signal travels farthest; the whole piece if it is short."""
     best, most = (0, min(piece.count, BLOCK)), -1.0
     for first in range(0, piece.count, BLOCK):
         last = min(first + BLOCK, piece.count)

@@ -1,11 +1,11 @@
-"""Linear regression with honest intervals: samples a millisecond apart are not independent.
+"""Linear regression with cluster-robust intervals, because samples a millisecond apart are not independent.
 
-    y = X b + e,   b = (Z'X)^-1 Z'y,   cov b = (Z'X)^-1 [sum_g (Z_g' e_g)(Z_g' e_g)'] (X'Z)^-1  G / (G - k)
+y = X b + e,   b = (Z'X)^-1 Z'y,   cov b = (Z'X)^-1 [sum_g (Z_g' e_g)(Z_g' e_g)'] (X'Z)^-1  G / (G - k)
 
-Z is X itself, or instruments: columns that go with X but not with e, where a loop feeds e back into X.
+Z is X, or instruments: columns correlated with X but not with e, for a loop that feeds e back into X.
 
-The sum runs over clusters g (one stroke of an axis: what lies between two stops or reversals). Whatever the correlation within a
-stroke, from filters, the control or an effect that the law does not hold, it is in the sum; strokes are taken as independent.
+The sum runs over clusters g. A cluster is one stroke of an axis, between two stops or reversals. The sum includes any correlation
+within a stroke, from filters, the control or unmodelled effects. Strokes count as independent.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from scipy import stats
 CONFIDENCE = 0.95
 
 RELATED = 1.1
-"""Strokes of one run share what the law lacks (cogging, pre-sliding, a drive train's mode): intervals are this much wider than
-independent strokes would make them. Found on drawn campaigns of their own (docs/identify.md)."""
+"""Factor on the interval widths, because strokes of one run share unmodelled effects (cogging, pre-sliding, drive-train modes).
+Calibrated on campaigns drawn for this purpose (docs/identify.md)."""
 
 
 @dataclass(frozen=True)
 class Fit:
     """Result of a regression on k columns: values (k,), covariance (k, k), residual (row,), condition number of the scaled columns.
 
-    `clusters` counts the strokes; `seen` says which columns the data excite at all (the others are 0 with infinite variance; what they
-    are a combination of has infinite variance, too: in one direction Coulomb friction and weight are one number).
+    `clusters` is the number of strokes. `seen` marks the columns that the data excite. The others have value 0 and infinite variance, and
+    so have columns that cannot be separated from them: in one direction Coulomb friction and weight are one number.
     """
 
     values: np.ndarray
@@ -44,33 +44,33 @@ class Fit:
 
     @property
     def quantile(self) -> float:
-        """Half width of the interval in standard deviations: Student's t, as the variance comes from few strokes."""
+        """Half width of the interval in standard deviations: Student's t, because few strokes give the variance."""
         return float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, max(self.clusters - len(self.values), 2)))
 
 
 EXCITED = 1e-9
-"""A column whose part outside the others is below this fraction of its length carries no information."""
+"""A column whose part orthogonal to the others is below this fraction of its norm carries no information."""
 
-ENTANGLED = 1e-3
-"""A column that takes at least this part in such a combination is known only together with it."""
+INSEPARABLE = 1e-3
+"""A column with at least this share in such a combination cannot be separated from it."""
 
 
 def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instruments: np.ndarray | None = None) -> Fit:
-    """Regression of y (row,) on columns (row, k); `clusters` (row,) names the stroke of each row, `instruments` (row, k) or none."""
+    """Regression of y (row,) on columns (row, k). `clusters` (row,): stroke of each row. `instruments` (row, k), optional."""
     k = columns.shape[1]
     length = np.linalg.norm(columns, axis=0)
     seen = length > 0.0
     if not seen.any() or len(y) <= seen.sum():
         return Fit(np.zeros(k), np.diag(np.full(k, np.inf)), y.copy(), np.inf, 0, np.zeros(k, bool))
     scaled = columns[:, seen] / length[seen]
-    # drop what is a combination of the columns before it
+    # drop columns that are combinations of earlier ones
     names = np.flatnonzero(seen)
     seen[names[np.abs(np.diag(np.linalg.qr(scaled, mode="r"))) < EXCITED]] = False
     scaled = columns[:, seen] / length[seen]
     one_number = np.zeros(k, bool)
     for j in names[~seen[names]]:
         share = np.linalg.lstsq(scaled, columns[:, j] / length[j])[0]
-        one_number[np.flatnonzero(seen)[np.abs(share) > ENTANGLED]] = True
+        one_number[np.flatnonzero(seen)[np.abs(share) > INSEPARABLE]] = True
     values, covariance = np.zeros(k), np.full((k, k), 0.0)
     z = scaled
     if instruments is not None:
@@ -80,7 +80,7 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     bread = np.linalg.inv(z.T @ scaled)
     found = bread @ (z.T @ y)
     residual = y - scaled @ found
-    group = _enough(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
+    group = _enough_clusters(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
     count = int(group.max()) + 1
     scores = np.zeros((count, int(seen.sum())))
     np.add.at(scores, group, z * residual[:, None])
@@ -94,10 +94,16 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), count, seen)
 
 
-def _enough(stroke: np.ndarray, columns: int) -> np.ndarray:
-    """Clusters (row,) for so many columns: the strokes, or equal pieces of them where the strokes are too few.
+def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Least-squares coefficients (k,) of columns (row, k), scaled so that their units do not matter."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
 
-    The scores of all clusters add up to nothing. Of no more clusters than columns some direction has none at all, as if it were exact.
+
+def _enough_clusters(stroke: np.ndarray, columns: int) -> np.ndarray:
+    """Clusters (row,): the strokes, or equal pieces of them if there are too few strokes for the number of columns.
+
+    The scores of all clusters sum to zero. With no more clusters than columns, some direction would have zero variance.
     """
     sizes = np.bincount(stroke)
     pieces = -(-(columns + 2) // len(sizes))
@@ -108,7 +114,7 @@ def _enough(stroke: np.ndarray, columns: int) -> np.ndarray:
 
 
 def whiteness(residual: np.ndarray, lags: int = 40) -> tuple[np.ndarray, float]:
-    """Autocorrelation (lags + 1,) of a residual and the share of lags outside the 95 % band of white noise (0.05 is white)."""
+    """Autocorrelation (lags + 1,) of a residual, and share of lags outside the 95 % band of white noise (0.05 for white noise)."""
     e = residual - residual.mean()
     n = len(e)
     if n <= lags + 1 or not np.any(e):

@@ -1,4 +1,4 @@
-"""A proposed map as text: what is used, and as comments what is in doubt, left out or unknown."""
+"""A proposed map as text, with doubtful, omitted and unknown columns as comments."""
 
 from __future__ import annotations
 
@@ -12,26 +12,22 @@ from twin.recordings.propose import Proposal
 def map_text(proposal: Proposal, files: Iterable[str]) -> str:
     """The map as TOML."""
     lines = [
-        f"# proposed by 'twin import' for {', '.join(files)} from the names and numbers of the columns",
+        f"# proposed by 'twin import' for {', '.join(files)} from column names and recorded numbers",
         "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
     ]
     if proposal.feedforward:
-        lines.append(f'feedforward = "{proposal.feedforward}"           # as the recorded feedforward signals say')
+        lines.append(f'feedforward = "{proposal.feedforward}"           # from the recorded feedforward signals')
     else:
-        lines.append(
-            '# feedforward = "off"         # off | velocity | velocity+torque: what the control had on; the recording does not say'
-        )
-    lines.append(
-        'skew = "encoders"            # an encoder that was recorded late is taken back; how late each channel is stands in campaign.toml'
-    )
-    lines.append('offsets = "correct"          # a constant difference between two encoders is taken out; it stands in campaign.toml')
+        lines.append('# feedforward = "off"         # off | velocity | velocity+torque: feedforward in use; the recording does not show it')
+    lines.append('skew = "encoders"            # late encoders are corrected; campaign.toml lists the latency of each channel')
+    lines.append('offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml')
     if proposal.labels:
         lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
     for column in proposal.columns:
         mark = "# " if column.doubt else ""
         lines.append("")
         if column.doubt:
-            lines.append(f"# in doubt, not used: {column.doubt}")
+            lines.append(f"# doubtful, not used: {column.doubt}")
         lines.append(f"{mark}[[column]]")
         remark = f"   # {column.remark}" if column.remark else ""
         unit = f"{mark}unit = {_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
@@ -50,12 +46,12 @@ def map_text(proposal: Proposal, files: Iterable[str]) -> str:
     if proposal.left_out:
         lines += ["", "# left out:", *(f"#   {_one_line(text)}" for text in proposal.left_out)]
     if proposal.unknown:
-        lines += ["", "# columns without a use that is known:", *(f"#   {_one_line(name)}" for name in _grouped(proposal.unknown))]
+        lines += ["", "# columns without a known use:", *(f"#   {_one_line(name)}" for name in _grouped(proposal.unknown))]
     return "\n".join(lines) + "\n"
 
 
 def _grouped(names: Sequence[str]) -> list[str]:
-    """'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)': one line for the columns of one name."""
+    """Columns with one name on one line: 'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)'."""
     groups: dict[tuple[str, str], list[str]] = {}
     for name in names:
         match = re.fullmatch(r"(.*[(|\[])(\w+)([)\]]?)", name)

@@ -1,19 +1,19 @@
-"""The map (TOML): which recorded column is which signal of which axis, in what unit, and what each file was.
+"""The map (TOML): the axis, signal and unit of each recorded column, and the runs in the files.
 
-machine = "my_machine.toml"        # machine file beside the map, or the name for campaign.toml (default: the one that ships with twin)
-feedforward = "velocity"           # what the control had on: off | velocity | velocity+torque; a run may say its own
+machine = "my_machine.toml"        # machine file beside the map, or a name for campaign.toml (default: the machine that ships with twin)
+feedforward = "velocity"           # feedforward in use: off | velocity | velocity+torque; a run may give its own
 period_ms = 1.0                    # period of the traces; default: that of the set points
-gaps = "split"                     # lost samples: split (default; a run becomes several) | fill | refuse
-skew = "say"                       # channels late against the position: say (default) | correct | encoders (correct encoders only)
-offsets = "say"                    # a constant difference between two encoders: say (default) | correct
-labels = ["load", "trial"]         # columns that hold still within a run and say what it was; they go into campaign.toml
-units = "refuse"                   # units that cannot be right: refuse (default) | say
+gaps = "split"                     # lost samples: split the run (default) | fill | refuse
+skew = "report"                    # late channels: report (default) | correct | encoders (correct encoders only)
+offsets = "report"                 # constant difference between two encoders: report (default) | correct
+labels = ["load", "trial"]         # columns that are constant within a run and describe it; they go into campaign.toml
+units = "refuse"                   # implausible units: refuse (default) | report
 
-[time]                             # formats without times of their own; found by name where left out
+[time]                             # for formats without times of their own; default: found by name
 column = "Time"                    # or interval_ms = 0.25
 unit = "ms"
 
-[csv]                              # only what is not found by itself
+[csv]                              # only for what is not detected
 delimiter = ";"
 decimal = ","
 header_line = 3
@@ -25,15 +25,15 @@ name = "Lagesollwert X"            # as in the file
 axis = "X"
 signal = "setpoint"                # setpoint, position, motor_position, velocity, velocity_setpoint, velocity_feedforward, acceleration,
                                    # current, torque, torque_setpoint, torque_feedforward, voltage, following_error, disturbance, injected_command
-unit = "mm"                        # default: what the file says
+unit = "mm"                        # default: the unit in the file
 scale = 1.0                        # value = sign * scale * recorded + offset, in that unit
 sign = 1
 offset = 0.0
-skew_ms = 0.0                      # how much later than the position this column was recorded; taken back
-mm_per_rev = 10.0                  # travel of a motor turn (deg_per_rev): for rev, rev/min, and N as torque
+skew_ms = 0.0                      # lateness of this column relative to the position; it is removed
+mm_per_rev = 10.0                  # travel per motor revolution (deg_per_rev), for rev, rev/min, and N as torque
 optional = false                   # true: some files lack it, or name it differently
 
-[[run]]                            # default: each file is a run, named like the file
+[[run]]                            # default: each file is a run named after it
 file = "reversal.csv"              # or files = ["control.xml", "scope.tdms"], recorded together
 name = "reversal"
 feedforward = "off"
@@ -67,15 +67,15 @@ _COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms
 _RUN = ("file", "files", "name", "feedforward", "started_at_s", "from_s", "to_s")
 _CHOICES = {
     "gaps": ("split", "fill", "refuse"),
-    "skew": ("say", "correct", "encoders"),
-    "offsets": ("say", "correct"),
-    "units": ("refuse", "say"),
+    "skew": ("report", "correct", "encoders"),
+    "offsets": ("report", "correct"),
+    "units": ("refuse", "report"),
 }
 
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """One column: value [unit] = factor * recorded + offset. `scaled` says that the map gave the factor."""
+    """One column: value [unit] = factor * recorded + offset. `scaled`: the map gives the factor."""
 
     name: str
     axis: str
@@ -85,7 +85,7 @@ class ColumnMap:
     offset: float
     scaled: bool
     skew_s: float
-    per_turn: float | None  # m or rad for a motor turn
+    per_turn: float | None  # m or rad per motor revolution
     kind: str | None
     optional: bool
 
@@ -96,7 +96,7 @@ class ColumnMap:
 
 @dataclass(frozen=True)
 class RunMap:
-    """One run: its files by name, and what was on."""
+    """One run: its files by name, and its settings."""
 
     name: str
     files: tuple[str, ...]
@@ -108,7 +108,7 @@ class RunMap:
 
 @dataclass(frozen=True)
 class Map:
-    """A checked map. `machine` is None where only a name is known."""
+    """A checked map. `machine` is None if only its name is known."""
 
     path: Path
     machine: Machine | None
@@ -127,7 +127,7 @@ class Map:
 
 
 def read_map(path: str | Path, machine_path: str | None = None) -> Map:
-    """Read and check a map; every fault is an InputError with table, key and remedy."""
+    """Read and check a map. Raises InputError that names the table, the key and the remedy."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such map; 'twin import FILES --out CAMPAIGN' without --map writes one to start from")
@@ -135,6 +135,8 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     where = str(path)
     known_keys(document, _TOP, where)
     for key, choices in _CHOICES.items():
+        if document.get(key) == "say":  # the word of older maps
+            document[key] = "report"
         if document.get(key, choices[0]) not in choices:
             raise InputError(f"{where}: {key} = {document[key]!r}; use one of {', '.join(choices)}")
     time = _table(document, "time", where)
@@ -146,15 +148,15 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     machine, name = _machine(document, path, machine_path)
     columns = tuple(_column(table, f"{where}: column {i + 1}", machine) for i, table in enumerate(_tables(document, "column", where)))
     if not columns:
-        raise InputError(f'{where}: no [[column]]; say at least which column is the set point, e.g. name, axis = "X", signal = "setpoint"')
+        raise InputError(f'{where}: no [[column]]; give at least the column of the set point, e.g. name, axis = "X", signal = "setpoint"')
     keys = [c.key for c in columns]
     if twice := next((c.key for c in columns if keys.count(c.key) > 1 and not c.optional), None):
         raise InputError(
-            f"{where}: two columns are {'.'.join(twice)}; leave one out, or say optional = true to both where files name it differently"
+            f"{where}: two columns are {'.'.join(twice)}; leave one out, or give both optional = true if files name it differently"
         )
     return Map(
         path, machine, name, _feedforward(document, where), None if period is None else period * 1e-3,
-        document.get("gaps", "split"), document.get("skew", "say"), document.get("offsets", "say"), _labels(document, where), document.get("units", "refuse"),
+        document.get("gaps", "split"), document.get("skew", "report"), document.get("offsets", "report"), _labels(document, where), document.get("units", "refuse"),
         Clock(_text(time, "column", f"{where}: [time]"), _text(time, "unit", f"{where}: [time]"), None if interval is None else interval * 1e-3),
         _table(document, "csv", where), columns,
         tuple(_run(table, f"{where}: run {i + 1}") for i, table in enumerate(_tables(document, "run", where))),
@@ -162,7 +164,7 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
 
 
 def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Path, ...]]]:
-    """The runs with their files: those of the map, or one for each file."""
+    """The runs with their files: those of the map, or one per file."""
     by_name: dict[str, Path] = {}
     for file in files:
         if file.name in by_name:
@@ -186,12 +188,12 @@ def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Pat
 
 
 def run_name(stem: str) -> str:
-    """A file name for a run: letters, digits, dash, underscore."""
+    """Name of a run from a file name: letters, digits, dash, underscore."""
     return re.sub(r"[^\w\-]+", "_", stem).strip("_") or "run"
 
 
 def _machine(document: Mapping[str, Any], path: Path, machine_file: str | None) -> tuple[Machine | None, str]:
-    """The machine file of --machine or the map, else only its name."""
+    """The machine file of --machine or the map; if the map gives only a name, the name."""
     given = _text(document, "machine", str(path))
     if machine_file:
         return load_machine(machine_file), Path(machine_file).stem
@@ -230,7 +232,7 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
                 raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if implied == 'linear' else 'mm'}_per_rev")
             per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, implied
     if per_turn is None and machine is not None and machine.axis(axis).drive != "direct":
-        per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no turns
+        per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no revolutions
     optional = table.get("optional", False)
     if not isinstance(optional, bool):
         raise InputError(f"{where}: optional = {optional!r}; use true or false")
@@ -249,7 +251,7 @@ def _run(table: Mapping[str, Any], where: str) -> RunMap:
     name = _text(table, "name", where) or run_name(Path(names[0]).stem)
     if run_name(name) != name:
         raise InputError(
-            f"{where}: name = '{name}' is no name of a file; use letters, digits, dash and underscore, like '{run_name(name)}'"
+            f"{where}: name = '{name}' cannot be a file name; use letters, digits, dash and underscore, like '{run_name(name)}'"
         )
     begin, end = _number(table, "from_s", -math.inf, where), _number(table, "to_s", math.inf, where)
     assert begin is not None

@@ -1,8 +1,8 @@
-"""What the names of columns mean, as controls and instruments print them: which axis, which signal, which unit.
+"""Meaning of column names as controls and instruments write them: axis, signal, unit.
 
-Known are the names of SINUMERIK (Edge: `DES_POS|1`; trace: `nckServoDataCmdPos64 [u1, 1]`; `Lagesollwert X`), HEIDENHAIN's oscilloscope
-(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`) and plain words in English and German. A name is taken
-apart into words; one word that is not known, and the name means nothing. What a name does not say (mm or deg) is left to the data.
+Known names: SINUMERIK (Edge: `DES_POS|1`; trace: `nckServoDataCmdPos64 [u1, 1]`; `Lagesollwert X`), HEIDENHAIN's oscilloscope
+(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`), and plain words in English and German. A name
+is split into words. A single unknown word makes the name unknown. The data decide what a name leaves open (mm or deg).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _LETTERS = {
     "u": "voltage",
     "a": "acceleration",
 }
-"""Letters for a quantity; they count only beside a word for set point, actual value or feedforward."""
+"""Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
 _QUANTITIES = ("pos", "vel", "current", "torque", "voltage", "acceleration")
 
 _EXACT = {
@@ -52,13 +52,13 @@ _EXACT = {
     "des_pos": ("setpoint", ""), "enc_pos": ("position", ""), "enc1_pos": ("motor_position", ""), "enc2_pos": ("position", ""),
     "cmd_speed": ("velocity_setpoint", ""), "vel_ffw": ("velocity_feedforward", ""), "torque_ffw": ("torque_feedforward", "Nm"),
     "torque": ("torque", "Nm"), "current": ("current", "A"), "load": ("", ""), "power": ("", ""), "cont_dev": ("", ""),
-    # SINUMERIK trace: measured by the first (motor) and the second (direct) encoder
+    # SINUMERIK trace: first (motor) and second (direct) encoder
     "measpos1": ("motor_position", ""), "measpos2": ("position", ""),
     # HEIDENHAIN oscilloscope
     "v (act rpm)": ("velocity", "mm/min"), "v (nom rpm)": ("velocity_setpoint", "mm/min"), "v (n act)": ("velocity", "mm/min"),
     "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
     "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
-    # EMPS benchmark, as robot identification writes it
+    # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
 _UNIT_ENDING = re.compile(r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|m|a|v|n)$", re.IGNORECASE)
@@ -79,9 +79,9 @@ _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a column is: axis, signal ("" where the name is known and no channel of the twin), unit ("" where the name says none).
+    """Meaning of a column: axis, signal ("" for a known name that is not a signal of the twin), unit ("" if the name gives none).
 
-    `rank`: of two columns of one meaning the lower one is taken.
+    `rank`: of two columns with the same meaning, the lower rank is used.
     """
 
     axis: str
@@ -91,7 +91,7 @@ class Meaning:
 
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
-    """Meaning of a name, or None; `unit` is the file's own, `only_axis` the name of the axis where none is said."""
+    """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
     plain = name.rpartition("/")[2].strip()
     index = _INDEX.search(plain)
     axis = next((part for part in index.groups() if part), "") if index else ""
@@ -128,7 +128,7 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
             roles |= known
         elif word.isdigit():
             if len(word) == 1:
-                axis = axis or word  # joint.0.motor-pos-cmd; 64 is the width of a number
+                axis = axis or word  # joint.0.motor-pos-cmd; two digits (64) are a number width
         elif (word.lower() in _LETTERS and word.islower()) or (word in ("I", "M", "U") and not letters):
             letters.append(word.lower())
         elif _AXIS.fullmatch(word):
@@ -137,7 +137,7 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
             plain.append(word)
     if plain or len(letters) > 2:
         return None
-    # a letter is a quantity where no word is one, else an axis: 'v actual', 'pos cmd a'
+    # a letter is a quantity if no word is one, else an axis: 'v actual', 'pos cmd a'
     if letters and roles & {"set", "act", "ffw"} and not roles & set(_QUANTITIES):
         roles.add(_LETTERS[letters.pop(0)])
     for letter in letters:
@@ -177,7 +177,7 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     if quantity == "acceleration":
         return Meaning(axis, "acceleration", unit, 0 if "set" in roles else 1)
     if quantity == "current":
-        # a control that shows only the nominal current: its current loop is faster than the recording
+        # a control may show only the nominal current; its current loop is faster than the recording
         return Meaning(axis, "current", unit or "A", 1 if "set" in roles else 0)
     if quantity == "torque":
         return Meaning(axis, "torque_setpoint" if "set" in roles else "torque", unit or "Nm", relative)

@@ -1,4 +1,4 @@
-"""What was understood, for people: a table on the terminal, a picture of each trace."""
+"""Overview of an import: a table on the terminal, a picture of each trace."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_AXES = 8
 
 
 def understood_table(known: Understood, traces: Sequence[Written]) -> str:
-    """One line a column: where it comes from, what it became, its interval and range."""
+    """One line per column: source, meaning, interval, range."""
     rows = []
     for channel in known.channels:
         key = channel.key if channel.key in traces[0].units else (channel.key[0], "position")
@@ -36,11 +36,11 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
                 f"{low:.5g} .. {high:.5g} {traces[0].units[key]}",
             ]
         )
-    return table(["column", "is", "taken as", "times", "interval", "taken back", "range"], rows, left=3)
+    return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)
 
 
 def listing(recording: Recording) -> str:
-    """What a file holds, before there is a map."""
+    """Content of a file, before there is a map."""
     rows = []
     for signal in recording.signals.values():
         if not len(signal.values):
@@ -61,22 +61,8 @@ def listing(recording: Recording) -> str:
     return table(["column", "description", "unit", "samples", "interval", "range"], rows, left=3)
 
 
-def stub_of(recordings: Sequence[Recording]) -> str:
-    """The beginning of a map for these files."""
-    lines = ["# map.toml: keep the columns that matter, say what they are", 'feedforward = "off"  # off | velocity | velocity+torque']
-    seen: set[str] = set()
-    for recording in recordings:
-        for signal in recording.signals.values():
-            if signal.name not in seen and len(signal.values):
-                seen.add(signal.name)
-                unit = f'unit = "{signal.unit}"' if signal.unit else 'unit = "?"'
-                name = signal.name.replace("\\", "\\\\").replace('"', '\\"')
-                lines += ["", "[[column]]", f'name = "{name}"', 'axis = "X"', 'signal = "?"', unit]
-    return "\n".join(lines)
-
-
 def draw_run(known: Understood, trace: Written, path: Path) -> None:
-    """Position and set point, following error, speed, current (or torque, voltage) of each axis over time."""
+    """Draw position and set point, following error, speed, and current (or torque, voltage) of each axis over time."""
     from matplotlib import rc_context
 
     with rc_context(STYLE):

@@ -1,6 +1,6 @@
-"""Do units and signs fit together? Signals of one axis are held against each other, then against what axes do.
+"""Plausibility of units and signs: the signals of one axis compared with each other, then with the limits of axes.
 
-position ~ a setpoint, velocity ~ a d(position)/dt: a is 1; where it is 1000, 60 or 57.3, a unit is wrong, and which one is said.
+position ~ a setpoint, velocity ~ a d(position)/dt, with a = 1 expected. If a is 1000, 60 or 57.3, the message names the probable wrong unit.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
-"""A ratio this near to 1, or to a known factor, is that factor."""
+"""Relative tolerance within which a ratio counts as 1, or as another known factor."""
 FITS = 0.5
-"""Correlation (squared) from which a ratio means anything."""
+"""Squared correlation above which a ratio is meaningful."""
 SHARP = 0.9
-"""Correlation (squared) from which any ratio off 1 counts."""
+"""Squared correlation above which any ratio other than 1 is reported."""
 
-# ratio of what is recorded to what it should be -> what was probably mistaken
+# ratio of recorded to expected values -> probable mistake
 _MISTAKES = {
     1000.0: "a unit 1000 times too large (mm taken as m?)",
     1e-3: "a unit 1000 times too small (m taken as mm?)",
@@ -55,7 +55,7 @@ UNNAMED = "check unit, scale and the travel of a motor turn"
 
 @dataclass(frozen=True)
 class Doubt:
-    """Something that cannot be right: the signal, and one line that says what and what to do."""
+    """An implausible signal, and one line with the reason and the remedy."""
 
     axis: str
     signal: str
@@ -63,32 +63,32 @@ class Doubt:
 
     @property
     def known(self) -> bool:
-        """Is it a mistake that has a name, a wrong unit or sign, and not only a ratio that is odd?"""
+        """True for a known mistake (wrong unit or sign), False for an unexplained ratio."""
         return UNNAMED not in self.text
 
 
 def doubts_of(
     signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], machine: Machine | None
 ) -> list[Doubt]:
-    """Contradictions between the signals (sample,) [SI] of each axis, and values that no such axis reaches."""
+    """Contradictions between the signals (sample,) [SI] of each axis, and values beyond the limits of an axis."""
     out: list[Doubt] = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis}
         remarks = contradictions(axis, own, period, kinds[axis])
-        # ranges only where the signals agree among themselves: what contradicts is said once
+        # ranges are checked only without contradictions, so that one mistake is reported once
         out += remarks or _ranges(axis, own, period, kinds[axis], machine)
     return out
 
 
 def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:
-    """What the signals of one axis say against each other: units, scales and signs that cannot all be right."""
+    """Contradictions between the units, scales and signs of the signals of one axis."""
     out = []
     reference = next((s for s in ("setpoint", "position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
     if reference is None:
         return []
     for signal in POSITIONS:
         if signal in own and signal != reference:
-            # differences over a tenth of a second: offsets and following error stay out
+            # differences over 0.1 s cancel offsets and following error
             step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
             ratio = _ratio(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
             if ratio is not None and (text := _mistake(*ratio, kind, loose=True)):
@@ -97,7 +97,7 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
         if signal in own:
             base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
             base = "setpoint" if signal != "velocity" and "setpoint" in own else base
-            # compared as travel within short windows: noise of the slope averages out
+            # travel within short windows averages the noise of the slope
             step = max(1, min(round(0.02 / period), len(own[signal]) // 4))
             moved = own[base][step:] - own[base][:-step]
             summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
@@ -108,7 +108,7 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
 
 
 def _ratio(values: np.ndarray, reference: np.ndarray) -> tuple[float, float] | None:
-    """Least-squares factor from reference to values and their squared correlation; None where they do not go together."""
+    """Least-squares factor from reference to values, and squared correlation; None if they are not correlated."""
     xx, xy, yy = float(reference @ reference), float(reference @ values), float(values @ values)
     if xx <= 0.0 or yy <= 0.0 or xy**2 < FITS * xx * yy:
         return None
@@ -116,7 +116,7 @@ def _ratio(values: np.ndarray, reference: np.ndarray) -> tuple[float, float] | N
 
 
 def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
-    """What a ratio says, "" where it is 1; `loose`: a position may follow its set point with less than its amplitude."""
+    """Text for a ratio, "" for 1. `loose`: a position may follow its set point with a smaller amplitude."""
     size = abs(ratio)
     sign = "it runs the other way: sign = -1?" if ratio < 0.0 else ""
     known = {**_MISTAKES, **_MISTAKES_OF[kind], 1.0: ""}
@@ -131,54 +131,35 @@ def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
 
 
 def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, machine: Machine | None) -> list[Doubt]:
-    """Values that a machine axis does not reach, or that this machine's does not."""
-    out = []
+    """Values that no machine axis reaches, or that exceed the limits of this machine."""
+    out: list[Doubt] = []
     known = machine.axis(axis) if machine else None
-    unit, metre = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
-    for signal in POSITIONS:
-        if signal not in own:
-            continue
-        low, high = float(own[signal].min()), float(own[signal].max())
+    unit, speed_unit = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
+    room = float(known.travel[1] - known.travel[0]) if known else math.inf
+
+    def doubt(signal: str, text: str) -> None:
+        out.append(Doubt(axis, signal, f"{axis}.{signal} {text}"))
+
+    for signal in (s for s in POSITIONS if s in own):
+        travel = float(np.ptp(own[signal]))
         step = max(1, round(0.02 / period))
         speed = float(np.abs(own[signal][step:] - own[signal][:-step]).max() / (step * period)) if len(own[signal]) > step else 0.0
-        if known is not None and signal == "setpoint" and np.isfinite(known.travel).all():
-            room = float(known.travel[1] - known.travel[0])
-            if high - low > 3.0 * room:
-                out.append(
-                    Doubt(
-                        axis,
-                        signal,
-                        f"{axis}.{signal} travels {high - low:.4g} {unit}, the machine's axis {room:.4g}: wrong unit? correct unit or scale",
-                    )
-                )
-                continue
-        if high - low > _LONGEST[kind]:
-            out.append(Doubt(axis, signal, f"{axis}.{signal} travels {high - low:.4g} {unit}: no machine axis does; correct unit or scale"))
+        if signal == "setpoint" and travel > 3.0 * room:
+            doubt(signal, f"travels {travel:.4g} {unit}, but the machine's axis {room:.4g}: wrong unit? correct unit or scale")
+        elif travel > _LONGEST[kind]:
+            doubt(signal, f"travels {travel:.4g} {unit}: no machine axis does; correct unit or scale")
         elif speed > _FASTEST[kind] or (known is not None and speed > 10.0 * known.max_velocity):
             limit = f", the machine file allows {known.max_velocity:.3g}" if known else ""
-            out.append(
-                Doubt(
-                    axis, signal, f"{axis}.{signal} moves at {speed:.4g} {metre}{limit}: wrong unit, or wrong unit of time? correct the map"
-                )
-            )
-        elif 0.0 < high - low < _SHORTEST[kind] and signal == "setpoint":
-            out.append(Doubt(axis, signal, f"{axis}.{signal} moves by {high - low:.3g} {unit} in all: wrong unit? correct unit or scale"))
-    effort = known.effort if known else "current"
-    if effort in own:
-        peak = float(np.abs(own[effort]).max())
-        most = 3.0 * known.motor.peak_current_a if known else MOST_CURRENT
-        if peak > most:
-            limit_text = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
-            out.append(
-                Doubt(
-                    axis,
-                    effort,
-                    f"{axis}.{effort} reaches {peak:.4g} {OTHER_UNITS[effort]}{limit_text}: wrong unit (mA?) or scale; correct the map",
-                )
-            )
+            doubt(signal, f"moves at {speed:.4g} {speed_unit}{limit}: wrong unit, or wrong unit of time? correct the map")
+        elif 0.0 < travel < _SHORTEST[kind] and signal == "setpoint":
+            doubt(signal, f"moves only {travel:.3g} {unit}: wrong unit? correct unit or scale")
+    effort, most = (known.effort, 3.0 * known.motor.peak_current_a) if known else ("current", MOST_CURRENT)
+    if effort in own and (peak := float(np.abs(own[effort]).max())) > most:
+        limit = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
+        doubt(effort, f"reaches {peak:.4g} {OTHER_UNITS[effort]}{limit}: wrong unit (mA?) or scale; correct the map")
     return out
 
 
 def _plain(ratio: float) -> str:
-    """Two digits: 1000, 0.06, -2.5."""
+    """Two significant digits: 1000, 0.06, -2.5."""
     return f"{float(f'{ratio:.2g}'):g}"

@@ -1,7 +1,7 @@
-"""A map proposed from the names of the columns and from what the recorded numbers say: units, signs, which axes move.
+"""A map proposed from column names and recorded numbers: units, signs, moving axes.
 
-A column is in doubt where its name fits and its numbers do not; it stands in the map as a comment and is not used. What moves nothing,
-spins or has no known name is listed in the map, too, so that nothing is dropped without a word.
+A column whose name fits but whose numbers do not is doubtful: it becomes a comment in the map and is not used. Columns that do not
+move, spin or have an unknown name are listed in the map as well, so that nothing is omitted silently.
 """
 
 from __future__ import annotations
@@ -14,35 +14,35 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings.force_sign import force_sign
 from twin.recordings.names import Meaning, meaning_of
-from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Recording, Signal
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Recording, Signal
 from twin.recordings.timing import timing_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 STILL_SI = 2e-6
-"""An axis whose set point moves less [m or rad] is at rest."""
+"""An axis whose set point moves less than this [m or rad] is at rest."""
 ONE_WAY_TURNS = 5.0
-"""An axis that turns one way farther spins."""
+"""An axis that turns farther than this in one direction is a spindle."""
 FOLLOWS = 0.1
-"""A position that follows its set point (and a second encoder that follows the first) by another factor than 1 by more is in doubt."""
+"""A position is doubtful if its ratio to the set point or to the other encoder differs from 1 by more."""
 APART = 0.02
-"""Two encoders that differ by more of their travel do not measure one motion."""
+"""Two encoders that differ by more than this share of their travel do not measure the same motion."""
 SAME_SLOPE = 2e-3
-"""A speed set point this near to the slope of the position set point (of its RMS) is that slope, not an output of a controller."""
+"""Relative RMS difference below which a speed set point is only the slope of the position set point, not a controller output."""
 _ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward",
           "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
 _SPEED_UNITS = {
     "linear": {"mm/s": 1.0, "mm/min": 60.0, "m/min": 0.06, "m/s": 1e-3, "um/s": 1e3},
     "rotary": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "deg/min": 60.0, "rev/min": 1.0 / 6.0},
 }
-"""Number that a speed of 1 mm/s or 1 deg/s makes in each unit."""
+"""Number that represents 1 mm/s or 1 deg/s in each unit."""
 _NEAR = {"velocity": 1.05, "velocity_feedforward": 1.4, "velocity_setpoint": 2.0}
-"""Factor by which a speed may be off the slope of its position in a unit: a feedforward has a weight, a set point leads (1.17 to 1.5 where the
-drive closes the position loop)."""
+"""Factor by which a speed may differ from the slope of the position: a feedforward has a weight, and a set point leads (1.17 to 1.5 with a
+position loop in the drive)."""
 
 
 @dataclass(frozen=True)
 class Proposed:
-    """One column of the map; `doubt` says why it is not used, "" where it is."""
+    """One column of the map. `doubt`: why it is not used; "" if it is used."""
 
     name: str
     axis: str
@@ -56,7 +56,7 @@ class Proposed:
 
 @dataclass
 class Proposal:
-    """Columns, the axes that are left out with the reason, columns whose names mean nothing, and what was on."""
+    """Columns; omitted axes with the reason; columns with unknown names; feedforward in use."""
 
     columns: list[Proposed] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
@@ -75,11 +75,11 @@ class Proposal:
 
 
 OWN_COMMANDS = {"velocity_setpoint": "a speed", "torque_setpoint": "a torque"}
-"""Commands that an axis without position loop has instead of a set point."""
+"""Commands of an axis without a position loop, which has no set point."""
 
 
 def propose(recordings: Sequence[Recording]) -> Proposal:
-    """The map of these recordings as far as names and numbers say it. Raises InputError where times cannot be read."""
+    """Propose the map of these recordings. Raises InputError if times cannot be read."""
     out = Proposal()
     found = _by_meaning(recordings, out)
     for axis in sorted({axis for axis, _ in found}, key=lambda a: (a.isdigit(), int(a) if a.isdigit() else 0, a)):
@@ -89,25 +89,25 @@ def propose(recordings: Sequence[Recording]) -> Proposal:
             alone = f"; an axis commanded by {commanded} alone has no position loop and cannot be simulated" if commanded else ""
             out.left_out.append(f"axis {axis}: no set point among its columns ({', '.join(name for _, name in own.values())}){alone}")
         else:
-            _axis(axis, _of_one_recording(recordings, own), out)
+            _axis(axis, _signals_of_one_recording(recordings, own), out)
     moving = {c.axis for c in out.used if c.signal == "setpoint"}
     speeds, torques = (
         [r.signals[c.name] for r in recordings for c in out.columns if c.signal == signal and c.axis in moving and c.name in r.signals]
         for signal in ("velocity_feedforward", "torque_feedforward")
     )
     if speeds:
-        out.feedforward = "off" if not any(map(_alive, speeds)) else "velocity+torque" if any(map(_alive, torques)) else "velocity"
+        out.feedforward = "off" if not any(map(_changes, speeds)) else "velocity+torque" if any(map(_changes, torques)) else "velocity"
     return out
 
 
-def _of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
-    """The signals of an axis from the recording in which its set point moves farthest; one that is not in it from another."""
+def _signals_of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
+    """The signals of an axis from the recording in which its set point moves farthest; signals missing there from another."""
 
-    def way(recording: Recording) -> float:
+    def travel(recording: Recording) -> float:
         signal = recording.signals.get(own["setpoint"][1])
-        return float(np.ptp(_head(signal.values))) if signal is not None and _timed(signal) else -1.0
+        return float(np.ptp(_first_block(signal.values))) if signal is not None and _timed(signal) else -1.0
 
-    ranked = sorted(recordings, key=way, reverse=True)
+    ranked = sorted(recordings, key=travel, reverse=True)
     return {
         signal: (meaning, next(r.signals[name] for r in ranked if name in r.signals and _timed(r.signals[name])))
         for signal, (meaning, name) in own.items()
@@ -119,7 +119,7 @@ def _timed(signal: Signal) -> bool:
 
 
 def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[str, str], tuple[Meaning, str]]:
-    """(axis, signal) -> the column that means it."""
+    """(axis, signal) -> meaning and column name."""
     found: dict[tuple[str, str], tuple[Meaning, str]] = {}
     names = list(dict.fromkeys(name for r in recordings for name in r.signals))
     for name in names:
@@ -143,9 +143,9 @@ def _by_meaning(recordings: Sequence[Recording], out: Proposal) -> dict[tuple[st
 
 
 def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal) -> None:
-    """Columns of one axis, or why it is left out."""
+    """Add the columns of one axis to the proposal, or the reason why it is omitted."""
     names = ", ".join(s.name for _, s in found.values())
-    unsound = {signal: place for signal, (_, one) in found.items() if (place := _unsound(one))}
+    unsound = {signal: place for signal, (_, one) in found.items() if (place := _impossible_value(one))}
     if "setpoint" in unsound:
         out.left_out.append(f"axis {axis}: its set point '{found['setpoint'][1].name}' {unsound['setpoint']}")
         return
@@ -156,24 +156,33 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     label = found["setpoint"][1].description
     called = f"axis {axis}" + (f" ({label})" if label else "")
     rows = _longest(found["setpoint"][1])
-    time = _head(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
-    values = {signal: _at(one, time) for signal, (_, one) in found.items()}
-    setpoint = values["setpoint"]
+    time = _first_block(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
+    values = {signal: _interpolated(one, time) for signal, (_, one) in found.items()}
     kind, sure = _kind(found, label)
     unit = {s: meaning.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (meaning, _) in found.items()}
     to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
-    full = _head(found["setpoint"][1].values)
+    full = _first_block(found["setpoint"][1].values)
     if float(np.ptp(full)) * to_si < STILL_SI:
         out.left_out.append(f"{called} does not move in this recording ({names})")
         return
     if (turns := _turns(full * to_si, kind, sure)) is not None:
-        out.left_out.append(f"{called} spins ({turns:.0f} turns one way): no feed axis ({names})")
+        out.left_out.append(f"{called} spins ({turns:.0f} turns one travel): not a feed axis ({names})")
         return
-    assumed = (
-        ""
-        if found["setpoint"][0].unit
-        else f"assumed: the file says no unit; {'deg for a rotary' if kind == 'linear' else 'mm for a linear'} axis"
-    )
+    out.columns += _columns(axis, kind, found, values, unit, time)
+
+
+def _columns(
+    axis: str,
+    kind: str,
+    found: Mapping[str, tuple[Meaning, Signal]],
+    values: Mapping[str, np.ndarray],
+    unit: Mapping[str, str],
+    time: np.ndarray,
+) -> list[Proposed]:
+    """Columns of a moving axis with units, signs and doubts. `values` (sample,) of each signal at `time` [s], in recorded units."""
+    setpoint = values["setpoint"]
+    other = "deg for a rotary" if kind == "linear" else "mm for a linear"
+    assumed = "" if found["setpoint"][0].unit else f"assumed: the file gives no unit; {other} axis"
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{found['setpoint'][1].name}': its time stands still; repair it, or give [time] interval_ms in a map")
@@ -181,14 +190,12 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     if position is None and "following_error" in values:
         position = setpoint - values["following_error"]
     columns: list[Proposed] = []
-    for signal in _ORDER:
-        if signal not in found:
-            continue
+    for signal in (s for s in _ORDER if s in found):
         meaning, one = found[signal]
         column = Proposed(one.name, axis, signal, unit[signal])
         if signal in ("setpoint", "position", "motor_position", "following_error"):
             column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values, unit))
-        elif not _alive(one):
+        elif not _changes(one):
             column = replace(column, unit=unit[signal] if meaning.unit else "", doubt="it never changes")
         elif signal in _NEAR:
             column = _speed(column, meaning, values[signal], setpoint, position, period, kind)
@@ -200,14 +207,14 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
         columns.append(column)
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
     if any(not c.doubt for c in measured):
-        columns = [replace(c, doubt="the position itself is recorded") if c.signal == "following_error" else c for c in columns]
-    elif measured and not any(c.signal == "following_error" for c in columns):
-        columns = [replace(c, doubt=c.doubt or "no measured position of this axis can be used") for c in columns]
-    out.columns += columns
+        return [replace(c, doubt="the position itself is recorded") if c.signal == "following_error" else c for c in columns]
+    if measured and not any(c.signal == "following_error" for c in columns):
+        return [replace(c, doubt=c.doubt or "no usable measured position of this axis") for c in columns]
+    return columns
 
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapping[str, str]) -> str:
-    """Why a position is in doubt: it follows neither the set point nor the other encoder."""
+    """Reason to doubt a position that does not follow the set point or the other encoder; "" if there is none."""
     if signal in ("setpoint", "following_error"):
         return ""
     y = values[signal] * RECORDED_UNITS[unit[signal]][1]
@@ -218,7 +225,7 @@ def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapp
             slope, offset = np.polyfit(x - x.mean(), y, 1)
             left = float(np.std(y - offset - slope * (x - x.mean()))) / float(np.ptp(x))
             if other == "motor_position" and signal == "position" and left > APART:
-                return f"it differs from the motor encoder by {left:.1%} of the travel (RMS): not one motion"
+                return f"it differs from the motor encoder by {left:.1%} of the travel (RMS): not the same motion"
             if abs(slope - 1.0) > FOLLOWS and left < 3.0 * FOLLOWS:
                 return f"it moves {slope:.3g} times as far as the {other.replace('_', ' ')}: unit, scale or column?"
             if left > 3.0 * FOLLOWS:
@@ -229,7 +236,7 @@ def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapp
 def _speed(
     column: Proposed, meaning: Meaning, values: np.ndarray, setpoint: np.ndarray, position: np.ndarray | None, period: float, kind: str
 ) -> Proposed:
-    """Unit and sign of a speed from the slope of the position (of the set point for a feedforward)."""
+    """Unit and sign of a speed from the slope of the position, or of the set point for a feedforward."""
     base = setpoint if column.signal == "velocity_feedforward" or position is None else position
     if column.signal == "velocity_setpoint" and _is_slope(values, setpoint, period):
         return replace(column, unit=meaning.unit, doubt="it is the slope of the set point, not the output of a controller")
@@ -239,27 +246,27 @@ def _speed(
     xx, xy, vv = float(x @ x), float(x @ v), float(v @ v)
     if xx <= 0.0 or vv <= 0.0 or xy**2 < 0.5 * xx * vv:
         return replace(
-            column, unit=meaning.unit, doubt=f"it does not go with the slope of the {'set point' if base is setpoint else 'position'}"
+            column, unit=meaning.unit, doubt=f"it is not correlated with the slope of the {'set point' if base is setpoint else 'position'}"
         )
     ratio = xy / xx  # recorded per (unit of the position)/s
     sign = 1 if ratio > 0.0 else -1
-    remark = "turned round: it runs against the motion" if sign < 0 else ""
+    remark = "sign reversed: it runs against the motion" if sign < 0 else ""
     if meaning.unit:
         return replace(column, unit=meaning.unit, sign=sign, remark=remark)
     units = _SPEED_UNITS[kind]
     nearest = min(units, key=lambda u: abs(np.log(abs(ratio) / units[u])))
     if abs(np.log(abs(ratio) / units[nearest])) <= np.log(_NEAR[column.signal]):
-        found = "" if nearest in ("mm/s", "deg/s") else "unit found from the slope of the position"
+        found = "" if nearest in ("mm/s", "deg/s") else "unit from the slope of the position"
         return replace(column, unit=nearest, sign=sign, remark=remark or found)
     travel = 60.0 / abs(ratio)  # a motor in rev/min
     key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
     return replace(
-        column, unit="rev/min", sign=sign, extra=f"{key} = {travel:.6g}", remark=f"taken as rev/min of a motor: travel of a turn from the slope of the position; {remark}".rstrip("; ")
+        column, unit="rev/min", sign=sign, extra=f"{key} = {travel:.6g}", remark=f"read as rev/min of a motor: travel per revolution from the slope of the position; {remark}".rstrip("; ")
     )  # fmt: skip
 
 
 def _is_slope(values: np.ndarray, setpoint: np.ndarray, period: float) -> bool:
-    """Is a speed the difference of set points, forwards, backwards or between, in any unit?"""
+    """True if a speed is a forward, backward or central difference of set points, in any unit."""
     forward = np.diff(setpoint)[1:] / period
     backward = np.diff(setpoint)[:-1] / period
     v = values[1:-1]
@@ -271,7 +278,7 @@ def _is_slope(values: np.ndarray, setpoint: np.ndarray, period: float) -> bool:
 
 
 def _kind(found: Mapping[str, tuple[Meaning, Signal]], label: str) -> tuple[str, bool]:
-    """Linear or rotary, and whether a unit says so; else by the label: A, B, C are rotary."""
+    """(linear or rotary, True if a unit shows it). Without a unit the label decides: A, B, C are rotary."""
     for signal in ("setpoint", "position", "motor_position", "velocity"):
         if signal in found and (unit := found[signal][0].unit):
             named = dimension_recorded(unit)
@@ -281,10 +288,10 @@ def _kind(found: Mapping[str, tuple[Meaning, Signal]], label: str) -> tuple[str,
     return ("rotary" if first in ("A", "B", "C") else "linear"), False
 
 
-def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
-    """Turns of an axis that goes one way only and far, else None; `way` in SI (1e-3 of the recorded number where no unit is known)."""
-    steps = np.diff(way)
-    total, net = float(np.abs(steps).sum()), abs(float(way[-1] - way[0]))
+def _turns(travel: np.ndarray, kind: str, sure: bool) -> float | None:
+    """Revolutions of an axis that turns far in one direction only, else None. `travel` in SI (1e-3 of the recorded number if its unit is unknown)."""
+    steps = np.diff(travel)
+    total, net = float(np.abs(steps).sum()), abs(float(travel[-1] - travel[0]))
     if net < 0.98 * total:
         return None
     if kind == "linear" and sure:
@@ -293,44 +300,44 @@ def _turns(way: np.ndarray, kind: str, sure: bool) -> float | None:
     return turns if turns > ONE_WAY_TURNS else None
 
 
-def _unsound(signal: Signal) -> str:
-    """Where a column holds NaN, infinity or a number that nobody measures; "" where it does not."""
+def _impossible_value(signal: Signal) -> str:
+    """Text on the first NaN, infinite or impossible value of a column; "" if there is none."""
     for first, values in signal.blocks():
-        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
         if bad.any():
             row = int(np.argmax(bad))
             return f"holds {values[row]:g} at sample {first + row + 1}: repair it"
     return ""
 
 
-def _head(column: object) -> np.ndarray:
+def _first_block(column: object) -> np.ndarray:
     """The first block of a column."""
     return np.asarray(column[0:BLOCK], float)  # type: ignore[index]
 
 
 def _longest(signal: Signal) -> slice:
-    """Rows of the longest stretch without a gap in which the signal moves farthest."""
+    """Rows of the longest stretch without a gap, preferably one in which the signal moves."""
     assert signal.time is not None
-    timing = timing_of(_head(signal.time), signal.name, period_s=None)
-    values = _head(signal.values)
+    timing = timing_of(_first_block(signal.time), signal.name, period_s=None)
+    values = _first_block(signal.values)
     best = max(timing.stretches, key=lambda s: (float(np.ptp(values[s.first : s.first + s.count])) > 0.0, s.count))
     return slice(best.first, best.first + best.count)
 
 
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
-    """Values at these times (between samples by straight lines)."""
-    own, values = _head(signal.time), _head(signal.values)
+def _interpolated(signal: Signal, time: np.ndarray) -> np.ndarray:
+    """Values at these times, linear between samples."""
+    own, values = _first_block(signal.time), _first_block(signal.values)
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
     return np.interp(time, own, values)
 
 
-def _alive(signal: Signal) -> bool:
-    return float(np.ptp(_head(signal.values))) > 0.0
+def _changes(signal: Signal) -> bool:
+    return float(np.ptp(_first_block(signal.values))) > 0.0
 
 
 def _label(signal: Signal) -> bool:
-    """Does a column hold still within the parts of a file, and differ between them?"""
+    """True if a column is constant within the parts of a file and differs between them."""
     values = np.asarray(signal.values[0 : len(signal.values)], float)
     changes = np.flatnonzero(np.diff(values) != 0.0)
     return 0 < len(changes) < len(values) / 20

@@ -1,19 +1,19 @@
-"""Files that hold several recordings one below the other: the time begins anew in each part."""
+"""Files with several recordings one below the other: the time starts again in each part."""
 
 from __future__ import annotations
 
 import numpy as np
 
 PAUSE_S = 1.0
-"""Time that is put between two parts [s]: how long the pause was the file does not say; it is a gap, and splits the run."""
+"""Gap [s] inserted between two parts, which splits the run. The file does not give the real pause."""
 AT_LEAST = 20
-"""Samples of a part. A time that goes back sooner is damage, and is refused as such."""
+"""Fewest samples of a part. If the time goes back sooner, the file is damaged and is refused."""
 
 
 class Restarts:
-    """Times of blocks in order, made to go on where they begin anew; `count` parts began after the first.
+    """Makes the times of consecutive blocks increase across restarts. `count`: number of restarts so far.
 
-    A part begins anew where the time goes back to the first time of the file, within one interval.
+    The time restarts where it returns to the first time of the file, within one interval.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Restarts:
         self._since = 0
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
-        """The times (sample,) [s] of the next block."""
+        """Corrected times (sample,) [s] of the next block."""
         if np.isnan(self._first) and len(time) > 1:
             self._first, self._interval = float(time[0]), abs(float(time[1] - time[0]))
         if np.isnan(self._first):

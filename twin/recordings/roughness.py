@@ -1,4 +1,4 @@
-"""How rough values are, whatever a few of them do: robust standard deviations."""
+"""Robust standard deviations, which ignore outliers."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SECOND_DIFFERENCE = 6.0
 
 
 def robust_deviation(values: np.ndarray) -> float:
-    """Standard deviation about zero, by the median of the sizes: outliers leave it alone."""
+    """Standard deviation about zero, from the median of the magnitudes; robust against outliers."""
     return NORMAL_OVER_MEDIAN * float(np.median(np.abs(values)))
 
 
 def roughness(values: np.ndarray) -> float:
-    """Robust standard deviation of second differences: that of white noise times the root of SECOND_DIFFERENCE. Slow faults leave it alone."""
+    """Robust standard deviation of second differences: sqrt(SECOND_DIFFERENCE) times that of white noise. Slow changes have no influence."""
     return robust_deviation(np.diff(values, 2))

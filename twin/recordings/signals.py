@@ -1,6 +1,6 @@
-"""What every reader returns: named signals, each with its own times, as the file has them; units and axes come from the map.
+"""What every reader returns: named signals, each with its own times, as in the file. The map adds units and axes.
 
-A new format is one module with `read(path, how) -> Recording` and one line in `formats.READERS`.
+A new format is one module with `read(path, options) -> Recording` and one line in `formats.READERS`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.units import RECORDED_UNITS, dimension_recorded
 
-NO_MEASUREMENT = 1e15
-"""No recorder measures a number as large, in whatever unit; NaN and infinity are none either."""
+IMPOSSIBLE_VALUE = 1e15
+"""Values at or above this magnitude, NaN and infinity are not measurements in any unit."""
 BLOCK = 1 << 17
-"""Samples that are in memory at a time of a signal that is stored on disk."""
+"""Samples of a stored signal that are in memory at a time."""
 
 
 class Column(Protocol):
-    """A column of float64 that is read by slices: an array, or a file on disk."""
+    """A column of float64 read by slices: an array, or a file on disk."""
 
     def __len__(self) -> int: ...
     def __getitem__(self, rows: slice, /) -> Any: ...
@@ -32,7 +32,7 @@ class Column(Protocol):
 
 @dataclass(frozen=True)
 class Stored:
-    """Column of float64 in a file of its own: what does not fit into memory stays on disk."""
+    """A column of float64 in a file, for data that do not fit into memory."""
 
     path: Path
 
@@ -48,7 +48,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Signal:
-    """One recorded signal: `values` (sample,) in the file's own unit at `time` (sample,) [s]; `unit` is "" where the file says none."""
+    """One recorded signal: `values` (sample,) in the unit of the file at `time` (sample,) [s]. `unit` is "" if the file gives none."""
 
     name: str
     values: Column
@@ -57,14 +57,14 @@ class Signal:
     description: str = ""
 
     def blocks(self) -> Iterator[tuple[int, np.ndarray]]:
-        """(first row, values) of consecutive parts."""
+        """(first row, values) of consecutive blocks."""
         for start in range(0, len(self.values), BLOCK):
             yield start, np.asarray(self.values[start : start + BLOCK], float)
 
 
 @dataclass(frozen=True)
 class Event:
-    """A block of the program that became active: time [s] on the clock of the signals, channel of the control, block, its text."""
+    """Start of a program block: time [s] on the clock of the signals, channel of the control, block, text."""
 
     time: float
     channel: int
@@ -74,9 +74,9 @@ class Event:
 
 @dataclass(frozen=True)
 class Recording:
-    """One file as read: its signals by name, when it was started if the file says so, what the reader noticed, events of the program.
+    """One file as read: signals by name, start time if the file gives one, notes of the reader, events of the program.
 
-    `restarts` counts the rows where the time of the file begins anew (strokes one below the other); the parts lie a gap apart here.
+    `restarts`: number of rows where the time of the file starts again (strokes one below the other). The parts are separated by gaps here.
     """
 
     path: Path
@@ -90,7 +90,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Clock:
-    """Where the times of a format without its own come from: a column and its unit, or a constant interval [s]; neither: found by name."""
+    """Time source of a format without times: a column and its unit, or a constant interval [s]. Neither: found by name."""
 
     column: str | None = None
     unit: str | None = None
@@ -98,8 +98,8 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class How:
-    """How to read: the clock, the columns that are wanted (None: all), a folder for what does not fit into memory, the CSV's dialect."""
+class ReadOptions:
+    """How to read: clock, wanted columns (None: all), folder for data that do not fit into memory, CSV dialect."""
 
     clock: Clock
     wanted: frozenset[str] | None
@@ -118,7 +118,7 @@ _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
 
 
 def known_unit(text: str) -> str:
-    """The unit as the twin spells it, or "" where it is not known."""
+    """The unit in the twin's spelling; "" if unknown."""
     text = text.strip().strip("[]()").strip()
     if text in RECORDED_UNITS:
         return text
@@ -131,14 +131,14 @@ def known_unit(text: str) -> str:
 
 
 def split_heading(text: str) -> tuple[str, str]:
-    """('Pos X', 'mm') from 'Pos X [mm]' or 'Pos X (mm)'; the heading itself and '' where the brackets hold no unit."""
+    """('Pos X', 'mm') from 'Pos X [mm]' or 'Pos X (mm)'; the heading and '' if the brackets contain no unit."""
     match = _IN_BRACKETS.match(text.strip())
     unit = known_unit(match[2] or match[3] or "") if match and not (match[3] or "").strip().isdigit() else ""  # name(1) is an index
     return (match[1].strip(), unit) if match and unit and match[1].strip() else (text.strip(), "")
 
 
 def find_time_column(names: Sequence[str], units: Sequence[str], clock: Clock, where: str) -> int | None:
-    """Number of the time column; None where the map gives an interval instead."""
+    """Index of the time column; None if the map gives an interval."""
     if clock.interval_s is not None:
         return None
     if clock.column is not None:
@@ -150,12 +150,12 @@ def find_time_column(names: Sequence[str], units: Sequence[str], clock: Clock, w
     if found := time_candidates(names, units):
         return found[0]
     raise InputError(
-        f'{where}: no column looks like a time; say [time] column = "..." or interval_ms = ... in the map ({", ".join(names[:8])})'
+        f'{where}: no column looks like a time; give [time] column = "..." or interval_ms = ... in the map ({", ".join(names[:8])})'
     )
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
-    """Numbers of the columns that are named like a time, the likeliest first: 'time', 'rec.time', 'rec.time_cont'."""
+    """Indices of the columns with names of a time, most likely first: 'time', 'rec.time', 'rec.time_cont'."""
     ranked = []
     for i, name in enumerate(names):
         if units[i] == "" or dimension_recorded(units[i]) == "time":
@@ -168,20 +168,20 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
 
 
 def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
-    """Factor that turns the time column into seconds: the map's unit, else the file's, else s."""
+    """Factor from the time column to seconds, by the unit of the map, else of the file, else s."""
     clock_unit = known_unit(clock.unit) if clock.unit else (unit or split_heading(name)[1] or "s")
     if not clock_unit or dimension_recorded(clock_unit) != "time":
-        raise InputError(f"{where}: time column '{name}': [{clock.unit or clock_unit}] is no unit of time; use s, ms, us, ns or min")
+        raise InputError(f"{where}: time column '{name}': [{clock.unit or clock_unit}] is not a unit of time; use s, ms, us, ns or min")
     return RECORDED_UNITS[clock_unit][1]
 
 
 def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> dict[str, Signal]:
-    """Signals from columns (values, unit) of one length each, all on the time column or interval; what is not as long is left without a time."""
+    """Signals from columns (values, unit) on one time column or interval. A column of another length gets no time."""
     names = list(columns)
     units = [unit for _, unit in columns.values()]
     at = find_time_column(names, units, clock, where)
     if at is not None and clock.column is None:
-        # of several times one that runs: a counter that stands still or a list of other times is none
+        # of several candidates the first that increases: a constant counter or a list of other times is not a time
         at = next((i for i in time_candidates(names, units) if _runs(columns[names[i]][0])), at)
     if at is None:
         rows = max((len(values) for values, _ in columns.values()), default=0)
@@ -197,7 +197,7 @@ def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, wher
 
 
 def date_of(text: object) -> datetime | None:
-    """A date and time as files print it (2024-05-14T08:21:07.250Z), or None."""
+    """A date and time as in files (2024-05-14T08:21:07.250Z), or None."""
     try:
         return datetime.fromisoformat(text.replace("Z", "+00:00")) if isinstance(text, str) else None
     except ValueError:
@@ -205,30 +205,30 @@ def date_of(text: object) -> datetime | None:
 
 
 def is_count(value: object) -> TypeGuard[float]:
-    """A finite number of a JSON file; true and false are none."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < NO_MEASUREMENT
+    """True for a finite number of a JSON file; false for true and false."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < IMPOSSIBLE_VALUE
 
 
 def _runs(time: np.ndarray) -> bool:
-    """Does it only go forward?"""
+    """True if the time always increases."""
     return len(time) > 1 and bool(np.all(np.diff(np.asarray(time, float)) > 0.0))
 
 
-def no_file(path: Path) -> InputError | None:
-    """The error of a file that cannot be opened, or None."""
+def check_readable(path: Path) -> None:
+    """Refuse a file that is missing, empty or not readable."""
     if not path.is_file():
-        return InputError(f"{path}: no such file; give a recorded trace")
+        raise InputError(f"{path}: no such file; give a recorded trace")
     try:
         with open(path, "rb") as file:
-            if not file.read(1):
-                return InputError(f"{path}: the file is empty; export the recording again")
+            empty = not file.read(1)
     except OSError as error:
-        return InputError(f"{path}: cannot be read ({error.strerror}); check its permissions")
-    return None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    if empty:
+        raise InputError(f"{path}: the file is empty; export the recording again")
 
 
 def starts_with(path: Path, *magic: bytes) -> bool:
-    """Does the file begin like its format?"""
+    """True if the file starts with one of these bytes."""
     with open(path, "rb") as file:
         head = file.read(max(len(m) for m in magic))
     return any(head.startswith(m) for m in magic)

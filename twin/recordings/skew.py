@@ -1,8 +1,8 @@
-"""How much later than the position a channel was recorded, from the record alone.
+"""Skew of a channel: how much later than the position it was recorded, estimated from the recording alone.
 
-A channel y(t) = m(t - d) of a model m = X b in quantities of the position: speed for a velocity, place, direction and acceleration for a
-motor encoder (a gap and a wind-up are no skew), torque balance for a current. Columns and channel pass the same zero-phase low-pass;
-d is found on a coarse scale first, then by Gauss-Newton, with the interval of the regression by strokes.
+A channel is y(t) = m(t - d) with a model m = X b of the position: the speed for a velocity; position, direction and acceleration for a
+motor encoder (so that backlash and windup do not count as skew); the torque balance for a current. Columns and channel pass the same
+zero-phase low-pass. A coarse search is followed by Gauss-Newton, with the interval of the regression by strokes.
 """
 
 from __future__ import annotations
@@ -20,44 +20,44 @@ BAND_HZ = 40.0
 SEARCH_S = 0.25
 CLEAR = 0.5
 CLEAR_FORCE = 0.9
-"""Share of the channel's (a force's) variance that the model must explain; below, nothing is said."""
+"""Share of the variance of a channel (of a force) that the model must explain; below, no skew is estimated."""
 FORCES = ("current", "torque", "voltage")
 INERTIA = 0.1
-"""Share of a force's variance that only the acceleration must explain: friction carries no timing."""
+"""Share of a force's variance that only the acceleration explains; friction alone gives no timing."""
 LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
-"""Skew [s] from which it is said: an elastic drive train makes as much below."""
+"""Smallest skew that is reported [s]; an elastic drive train causes smaller ones."""
 LATE_CURRENT_S = 1.5e-3
-"""Of current, torque and voltage: friction at reversals and masses moved by other axes make up to 0.8 ms on healthy runs."""
+"""The same for current, torque and voltage: friction at reversals and masses moved by other axes cause up to 0.8 ms on healthy machines."""
 PER_BAND = 6.0
-"""Samples kept for a period of the band's edge."""
+"""Samples kept per period of the band limit."""
 
 
 @dataclass(frozen=True)
-class Late:
-    """A channel recorded `seconds` later than the position (earlier where negative), with the deviation of that [s]."""
+class Skew:
+    """A channel recorded `seconds` later than its reference (negative: earlier), with the standard deviation [s]."""
 
     axis: str
     signal: str
     seconds: float
     deviation: float
     reference: str = "position"
-    against: bool = False  # a current that pushes against the motion: its sign is wrong
+    against: bool = False  # a force that pushes against the motion: its sign is wrong
 
     @property
     def clear(self) -> bool:
-        """Beyond what noise, an elastic drive train and a current loop make."""
+        """True if the skew exceeds what noise, an elastic drive train and a current loop cause."""
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
 
 
-def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Late]:
-    """Skew of each channel of each axis that the position can judge; `signals` (sample,) [SI] on one even grid."""
+def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Skew]:
+    """Skew of each channel of each axis that can be compared with a position. `signals` (sample,) [SI] on one even grid."""
     out = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis}
         reference = next((s for s in ("position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
         if reference is None:
             continue
-        # the speed is the motor's: where its position is recorded, it is held against that; a force moves the load
+        # the speed is the motor's, so it is compared with the motor position if that is recorded; a force moves the load
         motor = "motor_position" if "motor_position" in own and np.ptp(own["motor_position"]) > 0.0 else reference
         behind = 0.0
         for signal in ("motor_position", "velocity", "current", "torque", "voltage"):
@@ -65,15 +65,15 @@ def late_channels(signals: Mapping[tuple[str, str], np.ndarray], period: float, 
                 base = motor if signal == "velocity" else reference
                 found = _of_channel(own[signal], own[base], signal, period, kinds[axis])
                 if found is not None:
-                    late = Late(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
+                    late = Skew(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
                     behind = late.seconds if signal == "motor_position" and late.clear else behind
                     out.append(late)
     return out
 
 
-def later_ones(late: Sequence[Late]) -> list[Late]:
-    """The same skews against the encoder that came first: motion reaches the motor before the load, so of two encoders the later one is late."""
-    out: list[Late] = []
+def relative_to_first_encoder(late: Sequence[Skew]) -> list[Skew]:
+    """The skews relative to the earlier encoder: motion reaches the motor before the load, so the later of two encoders is late."""
+    out: list[Skew] = []
     for axis in dict.fromkeys(item.axis for item in late):
         own = [item for item in late if item.axis == axis]
         motor = next((item for item in own if item.signal == "motor_position" and item.clear and item.seconds < 0.0), None)
@@ -86,7 +86,7 @@ def later_ones(late: Sequence[Late]) -> list[Late]:
 
 
 def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: float, kind: str) -> tuple[float, float, bool] | None:
-    """Skew of one channel against a position: (seconds, deviation, pushes the wrong way)."""
+    """Skew of one channel relative to a position: (seconds, deviation, True if it pushes against the motion)."""
     band = min(BAND_HZ, 0.1 / period)
     every = max(1, int(1.0 / (PER_BAND * band * period)))
     if len(values) < 40 * every:
@@ -112,13 +112,13 @@ def _smooth(values: np.ndarray, period: float, band: float) -> np.ndarray:
 
 
 def _direction(speed: np.ndarray, period: float, band: float) -> np.ndarray:
-    """Sign of the speed through the same filter; zero at rest."""
+    """Sign of the speed, filtered in the same way; zero at rest."""
     moving = np.abs(speed) > 1e-3 * np.abs(speed).max()
     return _smooth(np.sign(speed) * moving, period, band)
 
 
 def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, signal: str) -> tuple[float, float, bool] | None:
-    """(seconds late, deviation, pushes the wrong way) of y against the model in the columns, or None where nothing is clear."""
+    """(seconds late, deviation, True if it pushes against the motion) of y relative to the model columns; None if not clear."""
     rows = np.arange(len(y))
     reach = min(int(SEARCH_S / period), len(y) // 4)
     inner = rows[reach + 2 : len(y) - reach - 2]
@@ -126,7 +126,7 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
     variance = float(np.var(y[inner]))
     if variance == 0.0 or len(inner) < 40:
         return None
-    # coarse: which whole shift explains most
+    # coarse: the whole shift that explains most
     left = {}
     for shift in range(-reach, reach + 1):
         x = columns[inner - shift]
@@ -137,8 +137,8 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
     if signal in FORCES:
         x = columns[inner - best][:, 1:]
         if _unexplained(x, y[inner]) - left[best] < INERTIA * variance:
-            return None  # friction alone: at slow reversals it leads the motion
-    # fine: y - m(t - d), linear in what is left of d
+            return None  # only friction, which leads the motion at slow reversals
+    # fine: y - m(t - d), linear in the remaining d
     spline = CubicSpline(rows * period, columns)
     clusters = np.cumsum(np.diff(np.sign(speed[inner]), prepend=0.0) != 0) + rows[inner] // max(int(0.5 / period), 1) * 1000
     d, deviation, wrong = best * period, np.inf, False
@@ -148,7 +148,7 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
         b = np.linalg.lstsq(x, y[inner], rcond=None)[0]
         slope = spline(at, 1) @ b
         if signal == "motor_position":
-            # the speed column is what a shift looks like: it goes out, direction and acceleration stay
+            # the speed column equals a small shift, so it is left out; direction and acceleration stay
             x = np.delete(x, 1, axis=1)
         fit = regress(np.column_stack([x, -slope]), y[inner], clusters)
         d, deviation = d + float(fit.values[-1]), float(fit.deviations[-1])
@@ -161,5 +161,5 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
 
 
 def _unexplained(x: np.ndarray, y: np.ndarray) -> float:
-    """Mean square of y that the columns of x leave; by normal equations, enough to compare shifts."""
+    """Mean square of y that the columns of x do not explain, by normal equations; accurate enough to compare shifts."""
     return float(np.mean((y - x @ np.linalg.lstsq(x.T @ x, x.T @ y, rcond=None)[0]) ** 2))

@@ -1,4 +1,4 @@
-"""A Parquet or CSV file as columns of numbers; what is no number, twice there or too large is refused."""
+"""A Parquet or CSV file as columns of numbers. Text, repeated columns and files that are too large are refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 
 MOST_VALUES = 250_000_000
-"""Numbers in one file: 2 GB in memory."""
+"""Most numbers in one file: 2 GB in memory."""
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
@@ -39,13 +39,13 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
             row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
-            raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is no number; correct or remove it")
+            raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is not a number; correct or remove it")
         columns[name] = column.cast(pa.float64(), safe=False).to_numpy()  # missing cells become NaN
     return columns
 
 
 def _parquet(path: Path) -> Any:
-    """The table of a Parquet file whose size its head says."""
+    """The table of a Parquet file, after a check of the size in its header."""
     import pyarrow.parquet
 
     file = pyarrow.parquet.ParquetFile(path)
@@ -55,14 +55,14 @@ def _parquet(path: Path) -> Any:
 
 
 def _csv(path: Path) -> Any:
-    """The table of a CSV file in UTF-8, or else in Latin-1, which German controls write."""
+    """The table of a CSV file in UTF-8 or, if that fails, in Latin-1."""
     import pyarrow as pa
     import pyarrow.csv
 
     refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
     try:
         table = pyarrow.csv.read_csv(path)
-        if table.column_names:  # decoded here
+        if table.column_names:  # accessing the names decodes them
             return table
     except pa.ArrowException as error:
         if "UTF8" not in str(error):

@@ -1,7 +1,7 @@
-"""Times of one recorded signal: its interval, its gaps, printed times that are rounded, a clock that jitters.
+"""Timing of one recorded signal: interval, gaps, rounding of printed times, clock jitter.
 
-A stretch is what lies between two gaps. Its samples are taken as evenly spaced, first + k * interval, where the times say so up to
-their rounding; where the clock really jitters, the times themselves are used.
+A stretch lies between two gaps. Its samples count as evenly spaced, first + k * interval, if the recorded times agree up to their
+rounding. If the clock really jitters, the recorded times are used.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 LONGER = 1.5
 """A step longer than this many intervals is a gap."""
 LONGER_MIXED = 3.5
-"""The same where the map asks for a period: intervals may change."""
+"""The same if the map gives a period, because intervals may then change."""
 SHORTEST_S, LONGEST_S = 1e-6, 60.0
-"""Intervals that a recording of an axis can have [s]."""
+"""Shortest and longest interval of a recording [s]."""
 MANY_GAPS = 0.02
-"""More gaps than this fraction of the samples: the interval itself changes."""
+"""Share of gaps among the samples above which the interval itself counts as changing."""
 MEDIAN_OF = 1 << 18
 WINDOW = 50
-"""Samples over which an interval is looked at where single steps are rounded or jitter."""
+"""Samples over which an interval is averaged when single steps are rounded or jitter."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples first .. first + count of a signal: begin and interval [s]; `spread` [s] is how far times are off the even grid, `even` whether that is rounding only."""
+    """Samples first to first + count - 1 of a signal: begin and interval [s]. `spread` [s]: deviation from the even grid; `even`: it is only rounding."""
 
     first: int
     count: int
@@ -47,7 +47,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Timing:
-    """Stretches of a signal in order, its interval [s], what was noticed."""
+    """Stretches of a signal in order, its interval [s], notes."""
 
     stretches: tuple[Stretch, ...]
     interval: float
@@ -55,9 +55,9 @@ class Timing:
 
 
 def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing:
-    """Stretches between gaps. Raises InputError where time stands still, goes back, or the interval changes for good.
+    """Stretches between gaps. Raises InputError if the time stands still or goes back, or if the interval changes permanently.
 
-    `period_s`: the map asks for this period; then the interval may change, and only steps above LONGER_MIXED times it are gaps.
+    `period_s`: period that the map gives; the interval may then change, and only steps above LONGER_MIXED intervals are gaps.
     """
     n = len(time)
     if n < 2:
@@ -68,7 +68,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     quantum = _quantum(head)
     interval, rounded = _usual_step(head, quantum)
     if interval > LONGEST_S or 0.0 < interval < SHORTEST_S:
-        raise InputError(f"{where}: its samples lie {interval:.3g} s apart: no control records like that; correct the unit of the time")
+        raise InputError(f"{where}: its samples are {interval:.3g} s apart, which no control records; correct the unit of the time")
     notes: list[str] = []
     gaps: list[int] = []
     repeated = 0
@@ -85,7 +85,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         repeated += int(np.count_nonzero(steps == 0.0))
         gaps += [row + int(i) for i in np.flatnonzero(steps > limit)]
         if len(gaps) > max(MANY_GAPS * n, 20):
-            raise _changing(time, gaps[0], interval, where)
+            raise _interval_error(time, gaps[0], interval, where)
     bounds = [0, *(g + 1 for g in gaps), n]
     stretches = []
     for first, last in itertools.pairwise(bounds):
@@ -99,28 +99,28 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     if period_s is None:
         for one in stretches:
             if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
-                raise _changing(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
-            if not one.even and (change := _change(time, one, quantum)) is not None:
-                raise _changing(time, *change, where)
+                raise _interval_error(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
+            if not one.even and (change := _permanent_change(time, one, quantum)) is not None:
+                raise _interval_error(time, *change, where)
     if longest.even and rounded:
         notes.append(f"times printed to {quantum * 1e3:.3g} ms; samples are {longest.interval * 1e3:.6g} ms apart")
     elif repeated:
         notes.append(f"time stands still at {repeated} row{'s' * (repeated > 1)}; taken as {longest.interval * 1e3:.6g} ms apart")
     elif not longest.even:
         notes.append(
-            f"the clock is off by {0.5 * longest.spread * 1e3:.3g} ms about {longest.interval * 1e3:.4g} ms; brought on an even grid"
+            f"the clock deviates by {0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms; resampled to an even grid"
         )
     return Timing(tuple(stretches), longest.interval, tuple(notes))
 
 
 def _steps(time: Column) -> Iterator[tuple[int, np.ndarray]]:
-    """(row, steps from it on), in blocks that overlap by one sample."""
+    """(row, steps from this row on), in blocks that overlap by one sample."""
     for start in range(0, len(time) - 1, BLOCK):
         yield start, np.diff(np.asarray(time[start : start + BLOCK + 1], float))
 
 
 def _quantum(times: np.ndarray) -> float:
-    """The decimal place (s) on which all times lie: 1e-3 where they are printed to a millisecond; 0 where none is seen above 1e-9."""
+    """Decimal place [s] of all times: 1e-3 if they are printed to a millisecond; 0 if finer than 1e-9."""
     for exponent in range(10):
         scaled = times * 10.0**exponent
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-3):
@@ -129,7 +129,7 @@ def _quantum(times: np.ndarray) -> float:
 
 
 def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
-    """Interval between samples, and whether printing to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms."""
+    """Interval, and whether rounding to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms."""
     median = float(np.median(np.diff(times)))
     rows = len(times) // WINDOW
     if rows == 0 or quantum == 0.0:
@@ -146,7 +146,7 @@ def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
 
 
 def _stretch(time: Column, first: int, count: int, quantum: float) -> Stretch:
-    """Even grid through the samples by least squares; `spread` is half the range of what is left over."""
+    """Even grid through the samples by least squares, with its spread."""
     start, scale, total, moment = float(time[first : first + 1][0]), 0.5 * (count - 1), 0.0, 0.0
     for at in range(0, count, BLOCK):
         part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float) - start
@@ -155,17 +155,17 @@ def _stretch(time: Column, first: int, count: int, quantum: float) -> Stretch:
     interval = moment * 12.0 / (count * (float(count) ** 2 - 1.0))
     begin = start + total / count - interval * scale
     spread = _spread(time, first, count, begin, interval)
-    # printed times are off by half a digit
+    # rounding of printed times is half a digit
     rounded = quantum > 0.0 and spread <= 0.6 * quantum and quantum <= 20.0 * interval
     if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
         return Stretch(first, count, begin, interval, spread, True)
-    # times that count themselves: from the first to the last of them
+    # jittering times: interval from the first and the last of them
     interval = (float(time[first + count - 1 : first + count][0]) - start) / (count - 1)
     return Stretch(first, count, start, interval, 2.0 * _spread(time, first, count, start, interval), False)
 
 
 def _spread(time: Column, first: int, count: int, begin: float, interval: float) -> float:
-    """Half the range by which times are off the even grid."""
+    """Half the range of the deviations from the even grid."""
     low, high = np.inf, -np.inf
     for at in range(0, count, BLOCK):
         part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float)
@@ -174,8 +174,8 @@ def _spread(time: Column, first: int, count: int, begin: float, interval: float)
     return 0.5 * (high - low)
 
 
-def _change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
-    """The row where the interval changes for good and the interval before; None where the clock only jitters or drifts."""
+def _permanent_change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
+    """Row of a permanent change of the interval, and the interval before it; None if the clock only jitters or drifts."""
     usual: float | None = None
     for at in range(0, one.count - WINDOW, WINDOW):
         ends = [float(time[row : row + 1][0]) for row in (one.first + at, one.first + at + WINDOW)]
@@ -186,8 +186,8 @@ def _change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | N
     return None
 
 
-def _changing(time: Column, row: int, interval: float, where: str) -> InputError:
-    """The error of an interval that is not one."""
+def _interval_error(time: Column, row: int, interval: float, where: str) -> InputError:
+    """The error for an interval that is not constant."""
     here = np.asarray(time[row : row + WINDOW], float)
     after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval
     problem = (
@@ -195,4 +195,4 @@ def _changing(time: Column, row: int, interval: float, where: str) -> InputError
         if abs(after - interval) > 0.05 * interval
         else f"the interval is not constant: {interval * 1e3:.4g} ms, but {np.diff(here[:2])[0] * 1e3:.4g} ms at {here[0]:.6g} s and often after"
     )
-    return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or say period_ms in the map to bring all on one")
+    return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or give period_ms in the map to resample it")

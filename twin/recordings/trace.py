@@ -1,7 +1,7 @@
-"""Traces: time series of the axes' signals, in SI, read from and written to Parquet and CSV.
+"""Traces: time series of axis signals in SI, read from and written to Parquet and CSV.
 
-A file has a first column `time [s]` and then columns `<axis>.<signal> [<unit>]`; the unit is read from the
-heading. Signals without an axis (block number, path feed) belong to the pseudo axis `program`.
+The first column of a file is `time [s]`, then `<axis>.<signal> [<unit>]`; the heading gives the unit. Signals without an axis
+(block number, path feed) belong to the pseudo axis `program`.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     import pyarrow as pa
 
-# what a signal is, so that a wrong unit is noticed and the right one is written
+# quantity of each signal, to check the unit that is read and to choose the unit that is written
 POSITIONS = ("setpoint", "position", "motor_position", "load_position")
 SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
 ACCELERATIONS = ("acceleration",)
 DISTURBANCE, INJECTED = "disturbance", "injected_command"
 LOADS = {"N": "disturbance_force", "Nm": "disturbance_torque"}
-"""An outside load that pushes the axis towards +q: a force on the carriage; a torque on a rotary axis, or on the motor shaft of a linear one."""
+"""External load that pushes the axis towards +q: force on the carriage; torque on a rotary axis, or on the motor shaft of a linear axis."""
 INJECTIONS = {"V": "injected_voltage", "A": "injected_current", "Nm": "injected_torque", "N": "injected_force"}
-"""What a rig adds to the command of the drive; N and Nm as force at the carriage and torque at the motor that it makes."""
+"""Quantity that a test rig adds to the command of the drive; N and Nm: the resulting force at the carriage or torque at the motor."""
 BY_UNIT = {DISTURBANCE: {**LOADS, "V": INJECTIONS["V"], "A": INJECTIONS["A"]}, INJECTED: INJECTIONS}
-"""Signals of a file whose unit says what they are. A disturbance in V or A can only be an injected command."""
+"""Signals of a file that are identified by their unit. A disturbance in V or A is an injected command."""
 UNIT_SIGNALS = {signal: unit for table in (LOADS, INJECTIONS) for unit, signal in table.items()}
 OTHER_UNITS = {
     "current": "A",
@@ -58,18 +58,19 @@ _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
 
 LARGEST_VALUE = 1e30
-"""In SI units; no quantity of a machine is so large, and products of several such stay numbers."""
+"""Largest value in SI; products of such values are still finite."""
 RELATIVE_PERIOD_TOLERANCE = 0.02
-"""Sample times may scatter about the constant period by this fraction (printed times are rounded)."""
+"""Sample times may deviate from the constant period by this fraction, because printed times are rounded."""
 
 
 @dataclass(frozen=True)
 class Trace:
     """Signals of several axes on one time base.
 
-    `time` (sample,) [s], strictly increasing with a constant period; `signals` maps (axis, signal) to (sample,)
-    arrays in SI; `kinds` says 'linear' or 'rotary' per axis, which decides the units written; the motors of the axes in
-    `forces` (direct linear drives) give a force: their torques are written in N.
+    time     (sample,) [s], strictly increasing with a constant period
+    signals  (axis, signal) -> (sample,) array in SI
+    kinds    axis -> 'linear' or 'rotary', which determines the units in files
+    forces   axes whose motor gives a force (direct linear drives): their torques are written in N
     """
 
     time: np.ndarray
@@ -88,11 +89,11 @@ class Trace:
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
     def moves(self, axis: str) -> bool:
-        """Does the set point of an axis move, by more than a thousandth of a millimetre or of a milliradian?"""
+        """True if the set point of the axis moves by more than 1e-6 m or rad."""
         return axis in self.axes and bool(np.ptp(self.get(axis, "setpoint")) > 1e-6)
 
     def has(self, axis: str, signal: str) -> bool:
-        """Is this signal of this axis recorded?"""
+        """True if this signal of this axis is recorded."""
         return (axis, signal) in self.signals
 
     def get(self, axis: str, signal: str) -> np.ndarray:
@@ -104,11 +105,11 @@ class Trace:
             raise InputError(f"trace has no {axis}.{signal}; axis {axis} has: {', '.join(have) or 'nothing'}") from None
 
     def loads(self, axis: str) -> dict[str, np.ndarray]:
-        """Known outside loads on an axis by unit, see LOADS; empty where none is recorded."""
+        """Known external loads on an axis by unit, see LOADS; empty if none is recorded."""
         return {unit: self.signals[axis, signal] for unit, signal in LOADS.items() if (axis, signal) in self.signals}
 
     def injections(self, axis: str) -> dict[str, np.ndarray]:
-        """What a rig adds to the command of an axis by unit, see INJECTIONS; empty where nothing is recorded."""
+        """Quantities that a test rig adds to the command of an axis, by unit, see INJECTIONS; empty if none is recorded."""
         return {unit: self.signals[axis, signal] for unit, signal in INJECTIONS.items() if (axis, signal) in self.signals}
 
     def matrix(self, signal: str, axes: Sequence[str] | None = None) -> np.ndarray:
@@ -116,23 +117,23 @@ class Trace:
         return np.column_stack([self.get(axis, signal) for axis in (axes or self.axes)])
 
     def select(self, axes: Iterable[str]) -> Trace:
-        """The same trace with only these axes (and the program's own columns)."""
+        """The trace with only these axes, and the signals of the program."""
         keep = {*axes, PROGRAM}
         return replace(self, signals={k: v for k, v in self.signals.items() if k[0] in keep})
 
     def decimated(self, every: int) -> Trace:
-        """Each `every`-th sample."""
+        """Every `every`-th sample."""
         return replace(self, time=self.time[::every], signals={k: v[::every] for k, v in self.signals.items()})
 
     def unit(self, axis: str, signal: str) -> str:
-        """The unit in which a signal of an axis is written."""
+        """Unit in which a signal of an axis is written."""
         if axis == PROGRAM:
             return "1"
         unit = unit_of(signal, self.kinds[axis])
         return "N" if unit == "Nm" and axis in self.forces else unit
 
     def to_table(self) -> pa.Table:
-        """A pyarrow table as `write_trace` writes it: `time [s]`, `X.position [mm]`, ..."""
+        """The columns that `write_trace` writes, as a pyarrow table: `time [s]`, `X.position [mm]`, ..."""
         import pyarrow as pa
 
         columns = {"time [s]": self.time}
@@ -142,14 +143,14 @@ class Trace:
         return pa.table(columns)
 
     def to_pandas(self) -> Any:
-        """The same as a pandas data frame, indexed by time [s]. Raises InputError where pandas is not installed."""
+        """The same columns as a pandas data frame with index time [s]. Raises InputError if pandas is not installed."""
         try:
             return self.to_table().to_pandas().set_index("time [s]")
         except ImportError:
             raise InputError("to_pandas needs pandas: pip install pandas; to_table() gives a pyarrow table without it") from None
 
     def plot(self, *axes: str) -> Figure:
-        """Every recorded signal of the given axes, or of all, over time in mm, mm/s, deg, deg/s, A; returns a matplotlib figure."""
+        """Plot all signals of the given axes, or of all, over time in mm, mm/s, deg, deg/s, A. Returns a matplotlib figure."""
         from twin.report.curves import Curve, Panel, curves_figure
 
         panels = []
@@ -178,14 +179,14 @@ class Trace:
         return f"Trace of {' '.join(self.axes) or 'no axis'}: {len(self.time)} samples every {self.period * 1e3:.6g} ms; {signals}"
 
     def _repr_html_(self) -> str:
-        """A notebook shows what is recorded and a plot."""
+        """Notebook display: a summary and a plot."""
         from twin.report.figure import figure_svg
 
         return f"<p>{html.escape(repr(self))}</p>{figure_svg(self.plot())}"
 
 
 def unit_of(signal: str, kind: str) -> str:
-    """The unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
+    """Unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
     if signal in POSITIONS:
         return AXIS_UNITS[kind].position[0]
     if signal in SPEEDS:
@@ -202,17 +203,17 @@ def heading_of(axis: str, signal: str, unit: str) -> str:
 
 
 def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:
-    """A simulated trace with the block numbers and feeds that its set points carry."""
+    """A simulated trace with the block numbers and feeds of its set points."""
     rows = np.clip(np.floor(followed.time / setpoints.period + 1e-9).astype(int), 0, len(setpoints.time) - 1)
     columns = {key: values[rows] for key, values in setpoints.signals.items() if key[0] == PROGRAM}
     return replace(followed, signals={**followed.signals, **columns})
 
 
 def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need: Sequence[str] = ()) -> Trace:
-    """Read a trace, checked.
+    """Read and check a trace.
 
-    `axes` maps the axes that exist to their kind ('linear', 'rotary'): other axes in the file are an error.
-    `need` names signals that every axis of the file must have. Raises InputError with file, column and row.
+    `axes` maps the known axes to their kind ('linear', 'rotary'); other axes in the file are an error. `need` names signals that every
+    axis of the file must have. Raises InputError with file, column and row.
     """
     path = Path(path)
     table = read_table(path)
@@ -226,7 +227,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
         axis, signal, unit = _parse_heading(name, path)
         if signal in BY_UNIT:
             if unit not in BY_UNIT[signal]:
-                raise InputError(f"{path}: column '{name}': [{unit}] is no unit of {signal}; use one of {', '.join(BY_UNIT[signal])}")
+                raise InputError(f"{path}: column '{name}': [{unit}] is not a unit of {signal}; use one of {', '.join(BY_UNIT[signal])}")
             signal = BY_UNIT[signal][unit]
         if axis != PROGRAM:
             if axes is not None and axis not in axes:
@@ -251,7 +252,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
 
 
 def joined(traces: Iterable[Trace]) -> Trace:
-    """Traces of the same signals that follow each other in time as one."""
+    """Consecutive traces of the same signals as one trace."""
     first, *others = traces
     if not others:
         return first
@@ -261,19 +262,19 @@ def joined(traces: Iterable[Trace]) -> Trace:
 
 
 def write_trace(trace: Trace, path: str | Path) -> None:
-    """Write Parquet or CSV by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
+    """Write Parquet or CSV, by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
     for _ in written((trace,), path):
         pass
 
 
 def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
-    """Write traces that follow each other into one file, each as it comes, and hand them on; the file is there after the last one."""
+    """Write consecutive traces into one file while passing them on. The file appears after the last one."""
     import pyarrow.csv
     import pyarrow.parquet
 
     path = Path(path)
     if path.suffix not in (".csv", ".parquet"):
-        raise InputError(f"{path}: a trace is written as .parquet or .csv; give the file one of these endings")
+        raise InputError(f"{path}: a trace is .parquet or .csv; give the file one of these endings")
     make = pyarrow.csv.CSVWriter if path.suffix == ".csv" else pyarrow.parquet.ParquetWriter
     with beside(path) as partial, contextlib.ExitStack() as stack:
         writer = None
@@ -292,29 +293,29 @@ def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
 
 
 def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:
-    """Kind of the axis as its unit shows, checked against the machine's and against the signal."""
+    """Kind of the axis that the unit implies, checked against the known kind and the signal."""
     factor_to_si(unit, where)
     wanted = _MOTION.get(signal)
     implied = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)
     if wanted is not None:
         if implied is None or _DIMENSIONS[implied].index(dimension(unit)) != wanted:
-            raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
+            raise InputError(f"{where}: [{unit}] is not a unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
         if kind and implied != kind:
             raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {implied} axis; use [{unit_of(signal, kind)}]")
         return implied
     expected = OTHER_UNITS.get(signal)
     of_direct_drive = expected == "Nm" and unit == "N" and kind != "rotary"
     if expected and dimension(expected) != dimension(unit) and not of_direct_drive:
-        raise InputError(f"{where}: [{unit}] is no unit of a {signal}; use [{expected}]")
+        raise InputError(f"{where}: [{unit}] is not a unit of a {signal}; use [{expected}]")
     return None
 
 
 def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:
-    """Finite values that a quantity can have, at least two samples, strictly increasing time, constant period."""
+    """Check for finite values of possible size, at least two samples, strictly increasing time and a constant period."""
     for name, values in zip(names, [trace.time, *trace.signals.values()]):
         bad = np.flatnonzero(~(np.abs(values) < LARGEST_VALUE))
         if bad.size:
-            held = "NaN (no number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}, which no quantity has"
+            held = "NaN (not a number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}, which is impossible"
             raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds {held}; repair or cut the recording")
     if len(trace.time) < 2:
         raise InputError(f"{path}: only one sample; a trace needs at least two")

@@ -1,11 +1,11 @@
-"""One run from its recordings and the map: columns found and converted, brought on one grid, units and skew judged.
+"""One run from its recordings and the map: columns found, converted and resampled; units and skew checked.
 
-What is returned still reads from the recordings block by block: nothing as long as the run is held in memory.
+The result reads from the recordings block by block, so a run is never held in memory as a whole.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -14,25 +14,25 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.recordings.convert import Conversion, conversion_of, kinds_of
 from twin.recordings.force_sign import force_sign
-from twin.recordings.grid import Piece, Source, liveliest, on_grid, pieces_of
+from twin.recordings.grid import Piece, Source, block_with_most_travel, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
-from twin.recordings.signals import BLOCK, NO_MEASUREMENT, Event, Recording, Signal
-from twin.recordings.skew import FORCES, Late, late_channels, later_ones
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Event, Recording, Signal
+from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
 from twin.recordings.trace import BY_UNIT, POSITIONS
 from twin.units import AXIS_UNITS
 
 SHORTEST_S = 0.2
-"""A piece between two gaps shorter than this is left out."""
+"""Shorter pieces between two gaps are left out."""
 SAME_INTERVAL = 1e-3
 SMALL_OFFSET = 2e-6
-"""A constant difference between two encoders is said from here on [m or rad]."""
+"""Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A mapped column: where it comes from, how it is converted, its timing."""
+    """A mapped column: its source, conversion and timing."""
 
     column: ColumnMap
     source: Source
@@ -46,7 +46,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Understood:
-    """A run as it was understood; `notes` are said to the user, `late` are the skews that were estimated."""
+    """All information about a run. `notes` are shown to the user; `late` are the estimated skews."""
 
     run: RunMap
     channels: tuple[Channel, ...]
@@ -54,16 +54,16 @@ class Understood:
     pieces: tuple[Piece, ...]
     fill: bool
     notes: tuple[str, ...]
-    late: tuple[Late, ...]
+    skews: tuple[Skew, ...]
     started: datetime | None
-    begin: float  # of the recordings [s]
+    begin: float  # start of the recordings [s]
     events: tuple[Event, ...] = ()
     labels: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
-    """What columns that hold still say of a piece."""
+    """Value of each label column in each piece where it is constant."""
     unsigned: frozenset[tuple[str, str]] = frozenset()
     offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
-    """Position minus motor position [m or rad] by piece and axis, where both are recorded."""
-    centred: bool = False  # offsets are taken out of the positions
+    """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
+    centred: bool = False  # offsets are removed from the positions
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
@@ -78,104 +78,142 @@ class Understood:
 
 
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
-    """Everything that is known of a run before it is written. Raises InputError where the map does not fit or units contradict."""
-    notes = [note for recording in recordings for note in recording.notes]
-    channels, missing = [], []
-    for column in mapping.columns:
-        found = _find(column, recordings, str(mapping.path))
-        if found is None:
-            missing.append(column)
-            continue
-        recording, signal = found
-        where = f"{recording.path}: column '{signal.name}'"
-        if signal.time is None:
-            raise InputError(f"{where}: has {len(signal.values)} samples, the time column not as many; it cannot be placed in time")
-        conversion = conversion_of(column, signal, str(recording.path))
-        if column.signal in BY_UNIT:
-            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
-        channels.append((column, recording, signal, conversion))
-    keys = [c.key for c, *_ in channels]
-    if twice := next((k for k in keys if keys.count(k) > 1), None):
-        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
-    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
-    axes = dict.fromkeys(c.axis for c, *_ in channels)
-    for axis in axes:
-        own = {c.signal for c, *_ in channels if c.axis == axis}
-        if "setpoint" not in own:
-            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
-    kinds = kinds_of([c for c, *_ in channels], [x[3] for x in channels], str(mapping.path))
-    timings: dict[int, Timing] = {}
-    made = []
-    for column, recording, signal, conversion in channels:
-        _check_numbers(recording, signal)
-        assert signal.time is not None
-        timing = timings.get(id(signal.time))
-        if timing is None:
-            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
-            notes += [n for n in timing.notes if n not in notes]
-        made.append(Channel(column, Source(signal, timing, column.skew_s), conversion, recording.path.name))
-    lead = next(c for c in made if c.column.signal == "setpoint")  # the grid is that of the first set point
-    period = mapping.period_s or _tidy(lead.source.timing.interval)
-    notes += _interval_notes(made, period)
-    begin = min(s.begin for c in made for s in c.source.timing.stretches)
+    """Analyse a run before it is written. Raises InputError if the map does not fit or units are contradictory."""
+    channels, kinds, notes = _channels(mapping, run, recordings)
     fill = mapping.gaps == "fill"
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
-        raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} begins anew in each part; use gaps = "split"')
-    notes += _gap_notes(made, mapping, run)
-
-    def cut(channels: Sequence[Channel]) -> list[Piece]:
-        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
-        start = begin + run.from_s if np.isfinite(run.from_s) else -np.inf
-        stop = begin + run.to_s if np.isfinite(run.to_s) else np.inf
-        return [p for p in pieces_of(sources, period, start, stop, fill) if p.count * period >= min(SHORTEST_S, 20 * period)]
-
-    pieces = cut(made)
+        raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
+    lead = next(c for c in channels if c.column.signal == "setpoint")  # its samples define the grid
+    period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
+    notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
+    begin = min(s.begin for c in channels for s in c.source.timing.stretches)
+    grid = _Grid(lead.key, period, begin + run.from_s, begin + run.to_s, fill)
+    pieces = grid.pieces(channels)
     if not pieces:
         raise InputError(
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
-    known = Understood(run, tuple(made), kinds, tuple(pieces), fill, (), (), _started(recordings), begin)
+    known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin)
     longest = max(pieces, key=lambda p: p.count)
-    rows = liveliest(lead.source, longest, fill)
-    window = known.block(longest, *rows)
+    window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
+    notes += _doubts(window, period, kinds, mapping, run)
+    skews = relative_to_first_encoder(skews_of(window, period, kinds))
+    unsigned = _unsigned(window, period, kinds)
+    notes += _constant_channels(window)
+    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in skews if item.against]
+    notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
+    correct = _corrected(skews, mapping.skew)
+    notes += _skew_notes(skews, correct)
+    if correct:
+        channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
+        pieces = grid.pieces(channels)
+    known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
+    offsets, centred = _offsets(known), mapping.offsets == "correct"
+    notes += _offset_notes(offsets, kinds, centred)
+    events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
+    labels = _labels(mapping.labels, recordings, pieces)
+    return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Grid of a run: the channel whose samples define it, period [s], first and last time [s], whether gaps are filled."""
+
+    lead: tuple[str, str]
+    period: float
+    begin: float
+    end: float
+    fill: bool
+
+    def pieces(self, channels: Sequence[Channel]) -> tuple[Piece, ...]:
+        """Pieces of sufficient length in which all channels have samples."""
+        sources = [c.source for c in sorted(channels, key=lambda c: c.key != self.lead)]
+        pieces = pieces_of(sources, self.period, self.begin, self.end, self.fill)
+        return tuple(p for p in pieces if p.count * self.period >= min(SHORTEST_S, 20 * self.period))
+
+
+def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tuple[tuple[Channel, ...], dict[str, str], list[str]]:
+    """The mapped columns with conversion and timing, the kinds of the axes, and notes. Refuses a map that does not fit."""
+    notes = [note for recording in recordings for note in recording.notes]
+    found, missing = [], []
+    for column in mapping.columns:
+        place = _find(column, recordings, str(mapping.path))
+        if place is None:
+            missing.append(column)
+            continue
+        recording, signal = place
+        if signal.time is None:
+            where = f"{recording.path}: column '{signal.name}'"
+            raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
+        conversion = conversion_of(column, signal, str(recording.path))
+        if column.signal in BY_UNIT:
+            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
+        found.append((column, recording, signal, conversion))
+    keys = [column.key for column, *_ in found]
+    if twice := next((k for k in keys if keys.count(k) > 1), None):
+        raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
+    notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
+    for axis in dict.fromkeys(axis for axis, _ in keys):
+        if (axis, "setpoint") not in keys:
+            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
+    kinds = kinds_of([column for column, *_ in found], [x[3] for x in found], str(mapping.path))
+    timings: dict[int, Timing] = {}
+    channels = []
+    for column, recording, signal, conversion in found:
+        _check_numbers(recording, signal)
+        assert signal.time is not None
+        if id(signal.time) not in timings:
+            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
+            notes += [n for n in timing.notes if n not in notes]
+        source = Source(signal, timings[id(signal.time)], column.skew_s)
+        channels.append(Channel(column, source, conversion, recording.path.name))
+    return tuple(channels), kinds, notes
+
+
+def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
+    """Implausible units: notes if the map permits them, else InputError."""
     doubts = doubts_of(window, period, kinds, mapping.machine)
     if doubts and mapping.units == "refuse":
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
-        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "say" in the map imports it nevertheless')
-    notes += [d.text for d in doubts]
-    late = later_ones(late_channels(window, period, kinds))
-    notes += _still(window)
-    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in late if item.against]
-    unsigned = _unsigned(window, period, kinds)
-    notes += [f"{axis}.{signal}: only its size is recorded, without a sign" for axis, signal in sorted(unsigned)]
-    correct = {
-        (item.axis, item.signal): item.seconds
-        for item in late
-        if item.clear and (mapping.skew == "correct" or (mapping.skew == "encoders" and item.signal in (*POSITIONS, "velocity")))
+        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
+    return [d.text for d in doubts]
+
+
+def _corrected(skews: Sequence[Skew], skew: str) -> dict[tuple[str, str], float]:
+    """Skew [s] of the channels that the map asks to correct."""
+    encoders = (*POSITIONS, "velocity")
+    return {
+        (i.axis, i.signal): i.seconds for i in skews if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))
     }
-    for item in late:
+
+
+def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> list[str]:
+    """Notes on each clear skew, with its interval and whether it was corrected."""
+    notes = []
+    for item in skews:
         if item.clear:
-            skew_text = f"{item.axis}.{item.signal} is {abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'} against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
-            remedy = "left as it is: skew = 'correct' or skew_ms in the map takes it back"
-            notes.append(f"{skew_text}; {'taken back' if (item.axis, item.signal) in correct else remedy}")
-    if correct:
-        made = [replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in made]
-        pieces = cut(made)
-    known = replace(known, channels=tuple(made), pieces=tuple(pieces), late=tuple(late), unsigned=unsigned)
-    offsets = _offsets(known)
-    notes += _offset_notes(offsets, kinds, mapping.offsets == "correct")
-    events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
+            size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
+            done = (
+                "corrected" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
+            )
+            against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
+            notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
+    return notes
+
+
+def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Sequence[Piece]) -> dict[tuple[Piece, str], float]:
+    """Values of the label columns in the pieces where they are constant."""
     labels = {}
-    for name in mapping.labels:
+    for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
         for piece in pieces:
             if labelled is not None and (value := _label(labelled, piece)) is not None:
                 labels[piece, name] = value
-    return replace(known, notes=tuple(notes), offsets=offsets, centred=mapping.offsets == "correct", events=events, labels=labels)
+    return labels
 
 
 def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> frozenset[tuple[str, str]]:
-    """Forces of which only the size is recorded."""
+    """Forces of which only the magnitude is recorded."""
     out = set()
     for (axis, signal), values in window.items():
         position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
@@ -185,7 +223,7 @@ def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds
 
 
 def _label(signal: Signal, piece: Piece) -> float | None:
-    """Value of a column that holds still in a piece; None where it changes."""
+    """Value of a column in a piece where it is constant, else None."""
     if signal.time is None:
         return None
     time = np.asarray(signal.time[0 : len(signal.time)], float)
@@ -194,7 +232,7 @@ def _label(signal: Signal, piece: Piece) -> float | None:
 
 
 def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
-    """Median of position minus motor position of each piece."""
+    """Median of position minus motor position in each piece."""
     out = {}
     for piece in known.pieces:
         block = known.block(piece, 0, min(piece.count, BLOCK))
@@ -205,7 +243,7 @@ def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
 
 
 def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
-    """Offsets that can be seen, one line an axis."""
+    """Notes on offsets above SMALL_OFFSET, one per axis."""
     notes = []
     for axis, kind in kinds.items():
         own = [value for (_, a), value in offsets.items() if a == axis]
@@ -213,13 +251,13 @@ def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str
         if own and max(map(abs, own)) > SMALL_OFFSET:
             shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
             notes.append(
-                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'taken out' if centred else 'left as it is'}"
+                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'removed' if centred else 'left as it is'}"
             )
     return notes
 
 
 def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:
-    """The column in one of a run's recordings: by its name, or by the last part of 'group/channel' where that is unique."""
+    """The column in one of a run's recordings: by name, or by a unique last part of 'group/channel'; None if it is optional and absent."""
     for recording in recordings:
         names = [n for n in recording.signals if n == column.name] or [n for n in recording.signals if n.rpartition("/")[2] == column.name]
         if len(names) > 1:
@@ -236,11 +274,11 @@ def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tup
 
 
 def _check_numbers(recording: Recording, signal: Signal) -> None:
-    """Refuses NaN and infinity, with their place."""
+    """Refuse NaN and infinity, with their place."""
     if recording.format == "CSV":
-        return  # the reader has looked at every cell
+        return  # the reader has checked every cell
     for first, values in signal.blocks():
-        bad = ~(np.abs(values) < NO_MEASUREMENT)
+        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
         if bad.any():
             row = first + int(np.argmax(bad))
             assert signal.time is not None
@@ -251,8 +289,8 @@ def _check_numbers(recording: Recording, signal: Signal) -> None:
             )
 
 
-def _tidy(interval: float) -> float:
-    """An interval without the rounding of printed times: 1 ms instead of 1.00000004 ms."""
+def _rounded_interval(interval: float) -> float:
+    """An interval without rounding errors of printed times: 1 ms instead of 1.00000004 ms."""
     for digits in (2, 3, 4, 5):
         rounded = float(f"{interval:.{digits}g}")
         if abs(rounded - interval) < 2e-7 * interval:
@@ -261,7 +299,7 @@ def _tidy(interval: float) -> float:
 
 
 def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
-    """Which signals come from another interval."""
+    """Notes on signals with another interval."""
     groups: dict[float, list[str]] = {}
     for channel in channels:
         interval = channel.source.timing.interval
@@ -274,7 +312,7 @@ def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
 
 
 def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[str]:
-    """Where samples are missing, each gap once."""
+    """A note on missing samples; refused if the map asks for that."""
     gaps = {
         (round(a.end, 6), round(b.begin, 6)) for c in channels for a, b in zip(c.source.timing.stretches, c.source.timing.stretches[1:])
     }
@@ -287,8 +325,8 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
 
 
-def _still(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
-    """Channels that never change although the axis moves."""
+def _constant_channels(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
+    """Notes on channels that never change although the axis moves."""
     return [
         f"{axis}.{signal} never changes while the set point moves: is it the right column?"
         for (axis, signal), values in window.items()

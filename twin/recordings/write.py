@@ -1,4 +1,4 @@
-"""The campaign: each run's traces written block by block, campaign.toml, import.json."""
+"""Writing of a campaign: traces block by block, campaign.toml, import.json."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from twin.recordings.understand import Understood
 from twin.units import UNITS
 
 ERROR = "_error"
-"""Set point minus position [SI], for the picture only."""
+"""Set point minus position [SI], only for the picture."""
 POINTS = 3000
-"""Points of a curve in the picture: the smallest and the largest sample of each part."""
+"""Points of a curve in the picture: smallest and largest sample of each part."""
 
 
 @dataclass
 class Written:
-    """A trace that was written: its name, when it began, the range of each signal in the written unit, and what the picture needs."""
+    """A written trace: name, start time, range of each signal in the written unit, and curves for the picture."""
 
     name: str
     started_at_s: float
@@ -47,9 +47,9 @@ class Written:
 
 
 def write_run(known: Understood, started_at_s: float, out: Path, runs: Collection[str]) -> list[Written]:
-    """The traces of a run: one, or one for each piece between gaps, named name_1, name_2, past the names of other `runs`."""
+    """Write the traces of a run: one, or one per piece between gaps, named name_1, name_2, skipping the names of other `runs`."""
     written = []
-    # what the map says is when the run began; else a part of a recording begins later than the recording
+    # the map gives the start of the run; without it a part starts later than its recording
     start = known.pieces[0].begin if known.run.started_at_s is not None else known.begin
     of_pieces = (name for i in itertools.count(1) if (name := f"{known.run.name}_{i}") not in runs)
     for name, piece in zip([known.run.name] if len(known.pieces) == 1 else of_pieces, known.pieces):
@@ -69,7 +69,7 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
     result = Written(name, started_at_s, known.run.feedforward, piece, units)
     part = max(1, int(np.ceil(piece.count / (POINTS / 2))))
     with beside(out / f"{name}.parquet") as partial, pyarrow.parquet.ParquetWriter(partial, schema) as writer:
-        # blocks of whole parts, so that the picture's parts do not straddle them
+        # blocks contain whole parts of the picture
         step = max(BLOCK // part, 1) * part
         for first in range(0, piece.count, step):
             last = min(first + step, piece.count)
@@ -77,20 +77,20 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
             time = piece.period * np.arange(first, last)
             columns = {"time [s]": time, **{headings[key]: block[key] / UNITS[units[key]][1] for key in keys}}
             writer.write_table(pa.table(columns, schema=schema))
-            result.times.append(_ends(time, part)[0])
+            result.times.append(_thinned(time, part)[0])
             for axis in order:
                 if (shown := next(((axis, s) for s in ("position", "motor_position") if (axis, s) in block), None)) is not None:
-                    result.curves.setdefault((axis, ERROR), []).append(_ends(block[axis, "setpoint"] - block[shown], part)[1])
+                    result.curves.setdefault((axis, ERROR), []).append(_thinned(block[axis, "setpoint"] - block[shown], part)[1])
             for key in keys:
                 values = columns[headings[key]]
                 result.low[key] = min(result.low.get(key, np.inf), float(values.min()))
                 result.high[key] = max(result.high.get(key, -np.inf), float(values.max()))
-                result.curves.setdefault(key, []).append(_ends(values, part)[1])
+                result.curves.setdefault(key, []).append(_thinned(values, part)[1])
     return result
 
 
-def _ends(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
-    """(first of each part twice, smallest and largest of each part): a thinned curve that keeps its peaks."""
+def _thinned(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
+    """(first time of each part twice, smallest and largest of each part): a thinned curve that keeps its peaks."""
     if part == 1:
         return values, values
     starts = np.arange(0, len(values), part)
@@ -99,8 +99,8 @@ def _ends(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
-    """campaign.toml and import.json."""
-    lines = ["# imported by 'twin import'; import.json says what was understood"]
+    """Write campaign.toml and import.json."""
+    lines = ["# imported by 'twin import'; import.json records the details"]
     if mapping.machine_name:
         lines.append(f"machine = {_text(mapping.machine_name)}")
     for known, traces in runs:
@@ -119,14 +119,14 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
 
 
 def _facts(known: Understood, trace: Written) -> list[str]:
-    """[[run.channel]] and [run.labels]: what was found before anything is fitted, for identification and diagnosis."""
+    """[[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
     lines = []
-    late = {(item.axis, item.signal): item for item in known.late}
+    skews = {(item.axis, item.signal): item for item in known.skews}
     taken = {c.key: c.source.skew_s for c in known.channels}
     factors = {c.key: c.column.factor for c in known.channels}
     for axis, signal in trace.units:
         channel_keys: list[str] = []
-        item = late.get((axis, signal))
+        item = skews.get((axis, signal))
         back = taken.get((axis, signal), 0.0)
         if item is not None and (item.clear or back):
             channel_keys += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
@@ -148,7 +148,7 @@ def _facts(known: Understood, trace: Written) -> list[str]:
 
 
 def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
-    """Block events beside the traces, each in the run that it falls into; times [s] of that run's trace, below 0 for a block from before."""
+    """Write program block events, each in its run; times [s] in that run's trace, negative for a block that started before."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -156,7 +156,7 @@ def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]
     for known, traces in runs:
         for trace in traces:
             begin, end = trace.piece.begin, trace.piece.end
-            # a block that began before the trace is still active in it: the last one of each channel goes with it
+            # the last block of each channel before the trace is still active in it
             before = {event.channel: event for event in known.events if event.time < begin}
             for event in [*before.values(), *(e for e in known.events if begin <= e.time <= end)]:
                 named = {"channel": event.channel, "block": event.block, "text": event.text, "run": trace.name}
@@ -183,7 +183,7 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
             for c in known.channels
         ],
         "skew": [
-            {"axis": s.axis, "signal": s.signal, "against": s.reference, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.late
+            {"axis": s.axis, "signal": s.signal, "against": s.reference, "seconds": s.seconds, "deviation": s.deviation, "clear": s.clear} for s in known.skews
         ],
         "notes": list(known.notes),
     }  # fmt: skip

@@ -1,1 +1,1 @@
-"""One reader a file format; `by_ending` picks it by the ending of the file."""
+"""One reader per file format; `by_ending` selects it by the file's ending."""

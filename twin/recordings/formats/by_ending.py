@@ -1,4 +1,4 @@
-"""The table of readers, by the file's ending. A new format: one module beside these with `read(path, how)`, and its line here."""
+"""The table of readers by file ending. To add a format, add a module with `read(path, options)` and a line here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 
 from twin.errors import InputError, nearest
-from twin.recordings.signals import How, Recording, no_file
+from twin.recordings.signals import ReadOptions, Recording, check_readable
 
 READERS = {
     ".csv": "delimited",
@@ -24,15 +24,14 @@ READERS = {
 }
 
 
-def read_recording(path: str | Path, how: How) -> Recording:
+def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     """Read a recorded file of any known format."""
     path = Path(path)
-    if error := no_file(path):
-        raise error
+    check_readable(path)
     suffix = path.suffix.lower()
     if suffix not in READERS:
         raise InputError(f"{path}: no reader for '{suffix or 'a file without ending'}'; {nearest(suffix, READERS)}")
-    recording = importlib.import_module(f"twin.recordings.formats.{READERS[suffix]}").read(path, how)
+    recording = importlib.import_module(f"twin.recordings.formats.{READERS[suffix]}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
     return recording

@@ -1,4 +1,4 @@
-"""MATLAB .mat up to version 7 (scipy), and 7.3 where h5py is installed: vectors by name, those inside a struct as 'struct.field'."""
+"""MATLAB .mat up to version 7 (scipy), and 7.3 if h5py is installed. Vectors by name, fields of a struct as 'struct.field'."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.recordings.signals import How, Recording, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, share_time, starts_with
 
 MOST_VALUES = 100_000_000
-"""Numbers in one file: 800 MB in memory."""
+"""Most numbers in one file: 800 MB in memory."""
 TRIAL_BYTES = 4_000_000_000
 _TRIAL = """
 import sys
@@ -36,8 +36,8 @@ except MemoryError:
 """
 
 
-def read(path: Path, how: How) -> Recording:
-    """Vectors as signals on the map's time column or interval; single numbers are reported, not imported."""
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Vectors as signals on the map's time column or interval. Single numbers are reported, not imported."""
     columns: dict[str, np.ndarray] = {}
     if starts_with(path, b"MATLAB 7.3", b"\x89HDF"):
         _newer(path, columns)
@@ -56,13 +56,13 @@ def read(path: Path, how: How) -> Recording:
         elif values.ndim <= 2:
             vectors[name] = (values.ravel().astype(float), "")
     notes = ["MATLAB: " + ", ".join([f"{len(vectors)} vectors", *(f"{name} = {value:g}" for name, value in numbers.items())])]
-    return Recording(path, "MATLAB", share_time(vectors, how.clock, str(path)), None, tuple(notes))
+    return Recording(path, "MATLAB", share_time(vectors, options.clock, str(path)), None, tuple(notes))
 
 
 def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     from scipy.io import loadmat
 
-    # a damaged file can make the library crash instead of raising: it is tried in a process of its own first
+    # a damaged file can crash the library, so it is first read in a process of its own
     trial = subprocess.run(
         [sys.executable, "-c", _TRIAL, str(path), str(TRIAL_BYTES)],
         capture_output=True,
@@ -77,7 +77,7 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
         raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
     try:
         content = loadmat(path, squeeze_me=False, struct_as_record=True)
-    except Exception as error:  # scipy raises many classes on a damaged file
+    except Exception as error:  # scipy raises many classes for damaged files
         raise InputError(
             f"{path}: not a readable MATLAB file ({str(error).splitlines()[0] or type(error).__name__}); save it again"
         ) from None
@@ -112,7 +112,7 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and not name.startswith("#") and np.issubdtype(item.dtype, np.number) and item.size:
             if item.external or item.is_virtual:
-                raise InputError(f"{path}: '{name}' stands in another file, which is not opened; save it as one file")
+                raise InputError(f"{path}: '{name}' is in another file, which is not opened; save it as one file")
             values[0] += item.size
             refuse_above(values[0], MOST_VALUES, "values", f"{path}", "save fewer signals, or in parts")
             if "MATLAB_class" in item.attrs and item.attrs["MATLAB_class"] in (b"char", b"cell"):
@@ -122,6 +122,6 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:  # whatever a damaged file brings up
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:  # h5py raises many classes for damaged files
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{path}: not a readable MATLAB file ({reason}); save it again") from None

@@ -1,4 +1,4 @@
-"""MDF4 (and MDF3): each channel on the time master of its own group; the conversion to physical values is the file's."""
+"""MDF4 and MDF3: each channel on the time master of its group, in physical values."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import How, Recording, Signal, known_unit, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, starts_with
 
 
-def read(path: Path, how: How) -> Recording:
-    """Channels by name; one that occurs in several groups as 'name (group 2)'."""
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Channels by name; a name that occurs in several groups becomes 'name (group 2)'."""
     try:
         from asammdf import MDF
     except ImportError:
@@ -27,13 +27,13 @@ def read(path: Path, how: How) -> Recording:
     signals: dict[str, Signal] = {}
     started: datetime | None = None
     problem = ""
-    said, sys.unraisablehook = sys.unraisablehook, lambda _: None  # a half-opened MDF complains when it is dropped
+    said, sys.unraisablehook = sys.unraisablehook, lambda _: None  # a partly opened MDF prints errors when it is deleted
     try:
         try:
             with MDF(path) as file:
                 started = file.header.start_time
                 _collect(file, signals)
-        except Exception as error:  # what the package raises on a damaged file is not one class
+        except Exception as error:  # the package raises many classes for damaged files
             problem = str(error).splitlines()[0] if str(error) else type(error).__name__
         if problem:
             gc.collect()
@@ -58,6 +58,6 @@ def _collect(file: Any, signals: dict[str, Signal]) -> None:
 
 
 def _of_group(file: Any, number: int) -> list[Any]:
-    """All channels of a group but its master."""
+    """All channels of a group except its master."""
     master = file.masters_db.get(number)
     return [file.get(group=number, index=i) for i in range(len(file.groups[number].channels)) if i != master]

@@ -1,4 +1,4 @@
-"""Parquet: columns of numbers, units from the headings ('X.position [mm]')."""
+"""Parquet: columns of numbers, with units from the headings ('X.position [mm]')."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.recordings.signals import How, Recording, share_time, split_heading, starts_with
+from twin.recordings.signals import ReadOptions, Recording, share_time, split_heading, starts_with
 from twin.recordings.table_file import MOST_VALUES
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """All columns of numbers, on the map's time column or interval."""
     import pyarrow as pa
     import pyarrow.parquet
@@ -34,4 +34,4 @@ def read(path: Path, how: How) -> Recording:
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)
             columns[plain] = (column.cast(pa.float64(), safe=False).to_numpy(), unit)
-    return Recording(path, "Parquet", share_time(columns, how.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))
+    return Recording(path, "Parquet", share_time(columns, options.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))

@@ -1,4 +1,4 @@
-"""Trace of a SINUMERIK solution line control, as its HMI writes it: XML, each signal with its own interval.
+"""Trace of a SINUMERIK solution line control, as its HMI writes it: XML; each signal has its own interval.
 
     <traceSession>
       <traceData><dataFrame>
@@ -7,10 +7,10 @@
                     datapointCount="22709" unitsType="posn" .../>
         <rec time="0.000000" f1="0.000000" f2="..."/>
 
-A record holds, of the signals of the servo cycle, only values that changed: what is missing was held, and `datapointCount` says how many
-samples there were. Signals of the interpolation cycle are written at every sample of their own. So a missing value is a lost sample only
-where the count says so. Layout as seen in files of software 4.x with version 01.00 of the format; units are not in the file (posn is mm or
-deg), the map says them. A DTD, an entity or anything external is refused.
+A record contains only changed values of the servo-cycle signals. A missing value was held; `datapointCount` gives the number of
+samples. Signals of the interpolation cycle are written at each of their own samples. So a missing value is a lost sample only if the
+count says so. Layout of software 4.x, format version 01.00. Units are not in the file (posn is mm or deg); the map gives them. A DTD,
+an entity or an external reference is refused.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ import numpy as np
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.grid import MOST_ROWS
-from twin.recordings.signals import How, Recording, Signal, date_of, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, date_of, starts_with
 
 MOST_NUMBERED = 1e15
-"""Intervals from a first to a last sample that can be numbered; a record holds far fewer."""
+"""Most intervals between first and last sample."""
 NO_NUMBER = 9.2e18
-"""Values above are the bit patterns of NaN and infinity, which the control prints as whole numbers."""
+"""Larger values are bit patterns of NaN and infinity, which the control prints as integers."""
 
 
 @dataclass
 class _Samples:
-    """One dataSignal while its records pass."""
+    """One dataSignal while its records are read."""
 
     name: str
     description: str
@@ -47,7 +47,7 @@ class _Samples:
     values: array[float] = field(default_factory=lambda: array("d"))
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Read all signals of the first data frame."""
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, iterparse
@@ -79,14 +79,14 @@ def read(path: Path, how: How) -> Recording:
     except DefusedXmlException as error:
         declared = type(error).__name__.replace("Forbidden", "").replace("Reference", " reference").lower()
         raise InputError(
-            f"{path}: refused: the XML declares its own {declared or 'entities'}, which a trace never does; export it again"
+            f"{path}: refused: the XML declares its own {declared or 'entities'}, which a trace never contains; export it again"
         ) from None
     except ParseError as error:
-        raise InputError(f"{path}: not a whole XML file ({error}); it is cut off or damaged, export it again") from None
+        raise InputError(f"{path}: not a complete XML file ({error}); it is cut off or damaged, export it again") from None
     except (ValueError, LookupError) as error:
         raise InputError(f"{path}: damaged XML ({str(error).splitlines()[0]}); export it again") from None
     if not samples:
-        raise InputError(f"{path}: no trace of a SINUMERIK (root <{root}>, no <dataSignal>); export the trace, not its settings")
+        raise InputError(f"{path}: not a trace of a SINUMERIK (root <{root}>, no <dataSignal>); export the trace, not its settings")
     notes = [f"SINUMERIK trace: {len(samples)} signals"]
     if lost:
         notes.append(f"the control lost {lost} samples (dropOuts)")
@@ -124,14 +124,14 @@ def _record(samples: dict[str, _Samples], given: Mapping[str, str], path: Path, 
             continue
         value = {"true": 1.0, "false": 0.0}[text] if text in ("true", "false") else float(text)
         if not abs(value) < NO_NUMBER:
-            raise InputError(f"{path}: signal '{one.name}': no number at {time:g} s; cut the recording or leave the signal out")
+            raise InputError(f"{path}: signal '{one.name}': not a number at {time:g} s; cut the recording or leave the signal out")
         one.times.append(time)
         one.values.append(value)
     return time
 
 
 def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], path: Path) -> tuple[Signal, str]:
-    """Values at every sample: those held put in, those lost left out."""
+    """Values at every sample: held values are repeated, lost ones omitted."""
     times, values = np.array(one.times), np.array(one.values)
     if len(times) == 0:
         return Signal(one.name, values, times, "", one.description), f"'{one.name}' holds no value"
@@ -144,7 +144,7 @@ def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], p
     span = int(number[-1]) + 1
     held = span - len(values)
     if held and one.count is not None and one.count < span:
-        # fewer samples than the span has: what is missing was lost
+        # fewer samples than intervals in the span: the missing values were lost
         return Signal(one.name, values, times, "", one.description), f"'{one.name}' lost {span - one.count} samples"
     refuse_above(span, MOST_ROWS, "samples from its first to its last", f"{path}: signal '{one.name}'", "export a shorter recording")
     filled = values[np.searchsorted(number, np.arange(span), side="right") - 1]

@@ -1,12 +1,12 @@
-"""Recording of a SINUMERIK Edge ("Capture4Analysis", Analyze MyWorkpiece): JSON, one row for each interpolation cycle.
+"""Recording of a SINUMERIK Edge ("Capture4Analysis", Analyze MyWorkpiece): JSON, one row per interpolation cycle.
 
     {"Header": {"SignalListHFData": [{"Name": "CYCLE"}, {"Name": "DES_POS|1", "Axis": "X1"}, ...], "CycleTimeMs": 2,
                 "Initial": {"Time": "2023-12-22T14:25:56.836Z", "HFProbeCounter": 5555962}},
      "Payload": [{"HFData": [[5558098, 0.0, ...], ...]}, {"HFBlockEvent": {"HFProbeCounter": 5558103, "GCode": "N10 G1 X5", ...}},
                  {"HFCallEvent": {"Path": "/_CUTTING", ...}}, {"HFTimestamp": {...}}, {"LFData": [...]}]}
 
-Time is the cycle counter, not the number of the row: where counters are missing there is a gap. The file says no units and not which axis
-is linear. Names of columns are `SIGNAL|axis`. Blocks that became active are the events of the recording. Slow data (LFData) are not read.
+The time is the cycle counter, not the row number: missing counters are a gap. The file gives neither units nor kinds of axes. Column
+names are `SIGNAL|axis`. Started program blocks are the events of the recording. Slow data (LFData) are not read.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import numpy as np
 
 from twin.documents import read_json
 from twin.errors import InputError
-from twin.recordings.signals import Event, How, Recording, Signal, date_of, is_count, starts_with
+from twin.recordings.signals import Event, ReadOptions, Recording, Signal, date_of, is_count, starts_with
 
 COUNTER = "CYCLE"
 LONGEST_TEXT = 400
-"""Characters of a block's text that are kept."""
+"""Most characters of a block's text."""
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Read the signals of the interpolation cycle and the events of the program."""
     if not starts_with(path, b"{", b" ", b"\n", b"\r", b"\t", b"\xef\xbb\xbf"):
         raise InputError(f"{path}: not a JSON file; give it the ending of its true format")
@@ -41,7 +41,7 @@ def read(path: Path, how: How) -> Recording:
         reason = f"no column {COUNTER}" if COUNTER not in names else f"two columns '{next(n for n in names if names.count(n) > 1)}'"
         raise InputError(f"{path}: Header.SignalListHFData has {reason}; this is not the layout of a SINUMERIK Edge recording")
     labels = {str(one.get("Name")): str(one.get("Axis") or "") for one in entries if isinstance(one, Mapping)}
-    cycle = how.clock.interval_s or _cycle(header, path)
+    cycle = options.clock.interval_s or _cycle(header, path)
     table = _rows(payload, len(names), path)
     at = names.index(COUNTER)
     counters = table[:, at]
@@ -81,13 +81,13 @@ def _cycle(header: Mapping[str, Any], path: Path) -> float:
     cycle_ms = header.get("CycleTimeMs")
     if not is_count(cycle_ms) or not 0.01 <= cycle_ms <= 1e4:
         raise InputError(
-            f"{path}: Header.CycleTimeMs = {cycle_ms!r}: no cycle time in ms; correct it, or say [time] interval_ms in the map"
+            f"{path}: Header.CycleTimeMs = {cycle_ms!r}: not a cycle time in ms; correct it, or give [time] interval_ms in the map"
         )
     return float(cycle_ms) * 1e-3
 
 
 def _rows(payload: list[Any], width: int, path: Path) -> np.ndarray:
-    """(row, column) of all HFData; null becomes NaN, anything else that is no number is refused."""
+    """(row, column) of all HFData; null becomes NaN, other cells that are not numbers are refused."""
     rows: list[Any] = []
     for entry in payload:
         part = entry.get("HFData") if isinstance(entry, Mapping) else None
@@ -105,7 +105,7 @@ def _rows(payload: list[Any], width: int, path: Path) -> np.ndarray:
         for i, cell in enumerate(row):
             if cell is not None and not is_count(cell):
                 raise InputError(
-                    f"{path}: row {number + 1} of HFData: cell {i + 1} holds {str(cell)[:40]!r}, which is no number; repair it"
+                    f"{path}: row {number + 1} of HFData: cell {i + 1} holds {str(cell)[:40]!r}, which is not a number; repair it"
                 )
             table[number, i] = np.nan if cell is None else cell
     return table
@@ -120,7 +120,7 @@ def _finite(table: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _events(payload: list[Any], first: float, cycle: float) -> Iterator[Event]:
-    """Blocks with the program that they stand in; a call names the program of its channel until the next one."""
+    """Started blocks with their program. A call sets the program of its channel until the next call."""
     programs: dict[int, str] = {}
     for entry in payload:
         if not isinstance(entry, Mapping):
@@ -141,7 +141,7 @@ def _events(payload: list[Any], first: float, cycle: float) -> Iterator[Event]:
 
 
 def _clock_note(payload: list[Any], cycle: float) -> list[str]:
-    """Says where counters and clock do not go together."""
+    """A note if cycle counters and clock disagree."""
     ties = []
     for entry in payload:
         entry_value = entry.get("HFTimestamp") if isinstance(entry, Mapping) else None
@@ -155,11 +155,11 @@ def _clock_note(payload: list[Any], cycle: float) -> list[str]:
     measured = float(np.median(steps)) if len(steps) > 2 else cycle
     if abs(measured - cycle) < 0.05 * cycle:
         return []
-    return [f"the clock of the file says {measured * 1e3:.4g} ms for a cycle, its header {cycle * 1e3:.4g} ms"]
+    return [f"by the clock of the file a cycle takes {measured * 1e3:.4g} ms, by its header {cycle * 1e3:.4g} ms"]
 
 
 def _started(header: Mapping[str, Any], first: float, cycle: float) -> datetime | None:
-    """When the first row was recorded."""
+    """Time when the first row was recorded."""
     entry_value = header.get("Initial")
     if (
         not isinstance(entry_value, Mapping)

@@ -1,4 +1,4 @@
-"""TDMS (LabVIEW, DAQ systems): every channel with its own waveform start and increment; else a time channel from the map."""
+"""TDMS (LabVIEW, DAQ systems): each channel with its own waveform start and increment, else a time channel from the map."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import How, Recording, Signal, known_unit, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, share_time, starts_with
 
 
-def read(path: Path, how: How) -> Recording:
+def read(path: Path, options: ReadOptions) -> Recording:
     """Channels as 'group/channel'."""
     try:
         from nptdms import TdmsFile
@@ -21,7 +21,7 @@ def read(path: Path, how: How) -> Recording:
         raise InputError(f"{path}: TDMS needs the package npTDMS; install it with: pip install 'twin[tdms]'") from None
     if not starts_with(path, b"TDSm"):
         raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
-    log_manager.set_level(logging.CRITICAL)  # what it warns of is reported below
+    log_manager.set_level(logging.CRITICAL)  # its warnings are reported below
     try:
         with TdmsFile.open(path) as file:
             if file.file_status.incomplete_final_segment:
@@ -30,7 +30,7 @@ def read(path: Path, how: How) -> Recording:
             raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
     except InputError:
         raise
-    except Exception as error:  # what the package raises on a damaged file is not one class
+    except Exception as error:  # the package raises many classes for damaged files
         raise InputError(
             f"{path}: a damaged TDMS file ({str(error).splitlines()[0] if str(error) else type(error).__name__}); export it again"
         ) from None
@@ -41,7 +41,7 @@ def read(path: Path, how: How) -> Recording:
     for channel, name, values in raw:
         unit = known_unit(str(channel.properties.get("unit_string", "")))
         increment = float(channel.properties.get("wf_increment", 0.0))
-        if increment > 0.0 and how.clock.column is None:
+        if increment > 0.0 and options.clock.column is None:
             begin = channel.properties.get("wf_start_time")
             if started is None and begin is not None:
                 started = begin.astype(datetime) if isinstance(begin, np.datetime64) else begin
@@ -51,7 +51,7 @@ def read(path: Path, how: How) -> Recording:
         else:
             without[name] = (values.astype(float), unit)
     if without and not signals:
-        signals = share_time(without, how.clock, str(path))
+        signals = share_time(without, options.clock, str(path))
     elif without:
         signals |= {name: Signal(name, values, None, unit) for name, (values, unit) in without.items()}
     return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",))

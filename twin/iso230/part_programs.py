@@ -1,11 +1,11 @@
-"""Part programs for the yardsticks: the circle of ISO 230-4, and five-axis flank milling of the kind of ISO 10791-7, from closed forms.
+"""Part programs of standard tests in closed form: the circle of ISO 230-4, and five-axis flank milling similar to ISO 10791-7.
 
-    circle         once and a half around, counter-clockwise and clockwise, with lead-ins: the middle turn is evaluated
-    cone frustum   axis tilted against the table, the flank of a cylinder along the generatrix
-    s shape        a ruled surface between two S-curves, whose rulings sway from side to side
+circle         one and a half revolutions, counter-clockwise and clockwise, with lead-ins; the middle revolution is evaluated
+cone frustum   axis tilted relative to the table; the flank of a cylinder along the generatrix
+s shape        a ruled surface between two S-curves with swaying rulings
 
-Lengths in mm, feeds in mm/min, tips in the part frame (TRAORI). The tool axis of a five-axis pass is unit vector g along the ruling, its centre
-line lies one tool radius beside the surface: tip = point on the lower curve + radius n, with n the outward normal there.
+Lengths in mm, feeds in mm/min, tips in the part frame (TRAORI). In a five-axis pass the tool axis is the unit vector along the ruling, and
+its centre line is one tool radius away from the surface: tip = point on the lower curve + radius n, with the outward normal n there.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ HEAD = "G17 G71 G90 G94 G642 SOFT\n"
 
 @dataclass(frozen=True)
 class Circle:
-    """G3 and G2 about the origin of X and Y at machine height z."""
+    """G3 and G2 about the origin of X and Y, at machine height z."""
 
     radius: float = 50.0
     feed: float = 3000.0
 
     def program(self) -> str:
-        """Sinumerik G-code: half a turn in, a turn that counts, half a turn out, each way."""
+        """SINUMERIK G-code: half a revolution lead-in, one evaluated revolution, half a revolution lead-out, in each direction."""
         r = self.radius
         lines = [
             f"; ISO 230-4: circle of radius {r:g} mm in XY at {self.feed:g} mm/min, both directions, half a turn before and after.",
@@ -46,7 +46,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class FlankMilling:
-    """What both five-axis parts share: tool radius, how far the tip stands below the lower curve, feed, tolerance, steps."""
+    """Common data of both five-axis parts: tool radius, depth of the tip below the lower curve, feed, tolerance, steps."""
 
     tool_radius: float = 8.0
     overhang: float = 2.0
@@ -61,11 +61,11 @@ class FlankMilling:
             yield point + self.tool_radius * normal - self.overhang * ruling, ruling
 
     def ruling(self, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Point on the lower curve, unit ruling upwards, unit outward normal, at a share of the pass."""
+        """Point on the lower curve, unit ruling (upwards) and unit outward normal, at a share of the pass."""
         raise NotImplementedError
 
     def program(self) -> str:
-        """Sinumerik G-code in chords, approached with A and C named, on the solution with A < 0."""
+        """SINUMERIK G-code in chords. A and C are given in the approach, with A < 0."""
         poses = list(self.poses())
         (x, y, z), axis = poses[0]
         tilt, turn = -math.degrees(math.acos(axis[2])), math.degrees(math.atan2(-axis[0], -axis[1]))

@@ -1,0 +1,38 @@
+"""Lines of a machine file with a comment after each number, and the numbers that are marked as assumed."""
+
+from __future__ import annotations
+
+import tomlkit
+
+from twin.machine.machine import Machine
+
+ASSUMED = "assumed"
+"""Word in the comment after a number that `twin machine new` assumed."""
+
+
+def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
+    """`key = value  # comment` with nine significant digits, always a TOML float."""
+    number = f"{float(value):.9g}"
+    return commented(f"{key} = {number if any(c in number for c in '.en') else number + '.0'}", comment)
+
+
+def commented(text: str, comment: str) -> str:
+    """A line with its comment in the column of comments; without a comment the line alone."""
+    return f"{text:42} # {comment}" if comment else text
+
+
+def assumed_values(machine: Machine) -> list[str]:
+    """Paths of the numbers whose comment in the machine file contains ASSUMED."""
+    if machine.path is None or not machine.path.is_file():
+        return []
+    found: list[str] = []
+
+    def walk(table: object, path: tuple[str, ...]) -> None:
+        for key, value in getattr(table, "items", tuple)():
+            if hasattr(value, "items"):
+                walk(value, (*path, key))
+            elif ASSUMED in getattr(getattr(value, "trivia", None), "comment", ""):
+                found.append(".".join((*path, key)))
+
+    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8")), ())
+    return found
