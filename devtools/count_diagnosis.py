@@ -13,7 +13,7 @@ import argparse
 import ast
 from pathlib import Path
 
-STATE, HOLDERS, CHANGING = "Found", {"found", "f", "final", "before", "after"}, {"append", "clear", "extend", "pop", "doubt"}
+STATE, HOLDERS, CHANGING = "GroupState", {"found", "f", "state", "final", "before", "after"}, {"append", "clear", "extend", "pop", "doubt"}
 LONG = 100
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from twin.diagnose.fit import no_effect
 from twin.diagnose.imperfections import with_imperfections
 from twin.diagnose.observe import axis_groups, observe
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.exam.baselines import baselines_of
@@ -33,7 +33,7 @@ def answers(campaign_folder: Path, machine: Machine) -> dict[str, dict]:
         if group.size:
             tuning = with_imperfections(tuning_of(group, machine, map), group, machine, group.residual, map)
             retuned = no_effect(group, tuning)
-            found.append(Found(group, group, tuning, retuned, retuned, 1.0))
+            found.append(GroupState(group, group, tuning, retuned, retuned, 1.0))
     return baselines_of(found, machine)
 
 

@@ -73,7 +73,7 @@ def test_axes_that_correction_makes_worse_stay_as_the_file_says(mikron):
     nuisances = nuisances_of(mikron, ("X",), group.thresholds)
     found = found_of(group, tuning_from(nuisances, np.eye(group.size)[:, : len(nuisances)], 0.01))
     nominal = with_effects(mikron, []).document
-    stays = corrected.as_filed(found)
+    stays = corrected.uncorrected(found)
     assert stays.unknown
     for machine_of in (lambda f: corrected.corrected_machine(mikron, [f]), lambda f: corrected.fitted_without(mikron, [f], [0])):
         assert machine_of(found).document != nominal

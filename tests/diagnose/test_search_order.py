@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import search
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 
 
 def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: bool = False) -> list[str]:
@@ -14,24 +14,24 @@ def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: b
     done: list[str] = []
     rounds, changes = iter(winners), iter([True] * slips)
 
-    def one_round(found: Found, *_: object) -> tuple[Found, list[str]]:
+    def one_round(found: GroupState, *_: object) -> tuple[GroupState, list[str]]:
         done.append("round")
         return found, next(rounds, [])
 
-    def with_slip(found: Found, *_: object) -> Found:
+    def with_slip(found: GroupState, *_: object) -> GroupState:
         done.append("slip")
         return replace(found) if next(changes, False) else found
 
-    def with_effects(found: Found, winners: list[str], *_: object) -> Found:
+    def with_effects(found: GroupState, winners: list[str], *_: object) -> GroupState:
         done.extend(winners)
         return replace(found)
 
     monkeypatch.setattr(search, "_round", one_round)
-    monkeypatch.setattr(search, "with_slip_beside", with_slip)
-    monkeypatch.setattr(search, "_with_effects", with_effects)
-    monkeypatch.setattr(search, "_without_superfluous", lambda found, *_: found)
+    monkeypatch.setattr(search, "with_refitted_slip", with_slip)
+    monkeypatch.setattr(search, "_with_accepted", with_effects)
+    monkeypatch.setattr(search, "_without_redundant_effects", lambda found, *_: found)
     found = found_of(group_of([np.full(50, 3.0)]))
-    search._searched(found, mikron, [[0]], map, lambda _: None, quick)
+    search._search_rounds(found, mikron, [[0]], map, lambda _: None, quick)
     return done
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.diagnose.law.test_keep import X, runs_of
-from twin.diagnose.corrected import within
-from twin.diagnose.fit import answer, fit_effects, no_effect
+from twin.diagnose.corrected import limited_deviations
+from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.simulations import in_turn
-from twin.diagnose.slip import with_slip_beside
-from twin.diagnose.state import Found
+from twin.diagnose.slip import with_refitted_slip
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
@@ -73,7 +73,7 @@ def wound_up():
         runs.append(MeasuredRun(f"run{seed}", trace, "velocity+torque", 0.0))
     rigid = observe([view_of(X, run) for run in runs], ("X",))
     there = [Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})]
-    left = rigid.residual - answer(rigid, there)
+    left = rigid.residual - simulated_response(rigid, there)
     tuning = with_imperfections(tuning_of(rigid, X, in_turn), rigid, X, left, in_turn)
     theta = tuning.solve(left)[: len(tuning.nuisances)]
     i = [n.quantity for n in tuning.nuisances].index("slip")
@@ -81,23 +81,23 @@ def wound_up():
     group, tuning = moved_to(rigid, tuning, theta, in_turn)
     fit = fit_effects(group, X, tuning, there, in_turn, 2)
     assert fit is not None
-    return Found(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
+    return GroupState(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
 
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return within(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
+    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
 
 
 def test_slip_is_sized_by_how_an_axis_creeps_where_it_stands(wound_up):
-    better = with_slip_beside(wound_up, X, in_turn)
+    better = with_refitted_slip(wound_up, X, in_turn)
     assert slip_of(better) == pytest.approx(TRAVEL, rel=0.25)
     assert better.fit.loss < 0.9 * wound_up.fit.loss
 
 
 def test_slip_of_the_right_size_stays(wound_up):
-    better = with_slip_beside(wound_up, X, in_turn)
-    again = with_slip_beside(better, X, in_turn)
+    better = with_refitted_slip(wound_up, X, in_turn)
+    again = with_refitted_slip(better, X, in_turn)
     assert slip_of(again) == pytest.approx(slip_of(better), rel=0.1)
 
 
@@ -105,9 +105,9 @@ def test_slip_that_was_missed_is_found(group):
     """Next to noise, but without slip: sizes tried on a rigid machine may all have been far from the true one."""
     plain = tuning_of(group, X, in_turn)
     bare = no_effect(group, plain)
-    missed = Found(group, group, plain, bare, bare, 1.0, ())
+    missed = GroupState(group, group, plain, bare, bare, 1.0, ())
     assert missed.fit.loss < DEFAULT.little_left * group.expected_loss
-    found = with_slip_beside(missed, X, in_turn)
+    found = with_refitted_slip(missed, X, in_turn)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
 
@@ -115,4 +115,4 @@ def test_slip_that_was_missed_is_found(group):
 def test_no_slip_is_looked_for_where_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
     assert bare.fit.loss > DEFAULT.little_left * wound_up.group.expected_loss
-    assert with_slip_beside(bare, X, in_turn) is bare
+    assert with_refitted_slip(bare, X, in_turn) is bare

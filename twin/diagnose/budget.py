@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.diagnose.corrected import normal_imperfections, within
-from twin.diagnose.simulations import Answer, Ask, Mapper, in_turn, simulate_groups
-from twin.diagnose.state import Found
+from twin.diagnose.corrected import limited_deviations, normal_imperfections
+from twin.diagnose.simulations import Mapper, Result, SimulationRequest, in_turn, simulate_groups
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
@@ -115,7 +115,7 @@ UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0, ())
 def budget_of(
     machine: Machine,
     corrected: Machine,
-    found: Sequence[Found],
+    states: Sequence[GroupState],
     views: Sequence[RunView],
     left: Sequence[Trace | None],
     noise: Mapping[tuple[str, str], float],
@@ -123,7 +123,7 @@ def budget_of(
 ) -> Budget:
     """The budget over the motion of `views`; `left` is what the corrected machine leaves of each run's record (None: not measured), `noise`
     is that of each axis and signal [SI]."""
-    parts = list(_parts(machine, corrected, found))
+    parts = list(_parts(machine, corrected, states))
     tool = ToolPoint(machine)
     both = simulated_each(
         [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
@@ -150,11 +150,11 @@ def budget_of(
     return Budget(tuple(order), explained, whole, floor, by_axis)
 
 
-def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iterable[_Part]:
+def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[_Part]:
     """Everything by which the corrected machine differs from the nominal one."""
     rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
     settings = list(settings_of(corrected))
-    for f in found:
+    for f in states:
         for setting in f.fit.settings:
             rest = [s for s in settings if s.key != setting.key]
             moved = rotary if setting.effect.edits_bodies else (setting.axis,)
@@ -164,8 +164,8 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
             yield _Part(
                 "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, rest), with_effects(machine, [own]), setting
             )
-    effects = {s.key for f in found for s in f.fit.settings}
-    normal = normal_imperfections(machine, found)
+    effects = {s.key for f in states for s in f.fit.settings}
+    normal = normal_imperfections(machine, states)
     listed = effects | {s.key for s in normal}
     for own in settings:  # what stands in no list: laws that were measured
         if own.key not in listed:
@@ -176,8 +176,8 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
             continue  # in series with the effect of the same name: one row
         rest = [s for s in settings if s.key != own.key]
         yield _Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
-    for f in found:
-        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+    for f in states:
+        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             if nuisance.quantity in NORMAL or abs(float(deviation)) < 1e-6:
                 continue
             name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
@@ -189,18 +189,18 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
 
 
 def simulated_each(
-    asked: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Answer]
-) -> list[Answer]:
+    asked: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Result]
+) -> list[Result]:
     """What `of` takes from the true motion and signals of axes in each run, without noise; it gets None where the machine cannot run.
 
     Axes that stand are among them: their screws grow, and they are the lever of a rotary axis.
     """
 
-    def ask(view: RunView, machine: Machine, axes: Sequence[str]) -> Ask:
+    def request(view: RunView, machine: Machine, axes: Sequence[str]) -> SimulationRequest:
         own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
-        return Ask(view, axes, lambda _: own)
+        return SimulationRequest(view, axes, lambda _: own)
 
-    outcomes = simulate_groups([ask(*one) for one in asked], mapper, lambda i, run: of(i, run.without_noise))
+    outcomes = simulate_groups([request(*one) for one in asked], mapper, lambda i, run: of(i, run.without_noise))
     return [of(i, None) if isinstance(outcome, TwinError) else outcome for i, outcome in enumerate(outcomes)]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
 from twin.effects import Setting, settings_of, with_effects
@@ -30,19 +30,19 @@ CHANCE = 0.3
 """Gap over noise by which a machine without faults may look worse once it is re-tuned."""
 
 
-def as_filed(found: Found) -> Found:
+def uncorrected(state: GroupState) -> GroupState:
     """The state of a group whose axes stay as the machine file says: what was found predicts other runs worse than that."""
-    group = found.rigid
+    group = state.rigid
     nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight)
     fit = no_effect(group, nothing)
-    return replace(found, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
+    return replace(state, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
 
 
-def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
+def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine:
     """The machine file with re-tuned values and the effects found."""
     values: dict[str, Any] = {}
-    for f in found:
-        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+    for f in states:
+        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             for path in nuisance.paths(machine):
                 old: Any = machine.document
                 for key in path.split("."):
@@ -50,29 +50,29 @@ def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
     return with_added(
-        with_effects(machine.with_values(values), normal_imperfections(machine, found)), [s for f in found for s in f.fit.settings]
+        with_effects(machine.with_values(values), normal_imperfections(machine, states)), [s for f in states for s in f.fit.settings]
     )
 
 
-def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setting]:
+def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:
     """What every machine has a little of and this one shows, as settings of the effects that it would be if it were large."""
-    for f in found:
+    for f in states:
         normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
         shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
-        machine = tuned(shown, within(f, machine.parameter_tolerance)[normal])(machine)
+        machine = tuned(shown, limited_deviations(f, machine.parameter_tolerance)[normal])(machine)
     return list(settings_of(machine))
 
 
-def within(f: Found, tolerance: float) -> np.ndarray:
+def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
-    t = f.thresholds
-    known = len(f.tuning.nuisances)
-    deviations = f.fit.tuning[:known] * f.tuning.spread
+    t = state.thresholds
+    known = len(state.tuning.nuisances)
+    deviations = state.fit.tuning[:known] * state.tuning.spread
     if np.any(np.abs(deviations) > t.widest * tolerance):
-        inside = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, t.widest * tolerance)
-        deviations = inside[:known] * f.tuning.spread
-    deviations = f.tuning.base + deviations
-    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, t.widest * tolerance)
+        deviations = inside[:known] * state.tuning.spread
+    deviations = state.tuning.base + deviations
+    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
 
 
@@ -128,7 +128,7 @@ def held_out_gaps(
     runs: Sequence[MeasuredRun],
     motions: Sequence[Motion],
     machine: Machine,
-    found: Sequence[Found],
+    states: Sequence[GroupState],
     folds: Sequence[Sequence[int]],
     engine: bool,
     threads: int,
@@ -143,7 +143,7 @@ def held_out_gaps(
     nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
     def corrected(without: Sequence[int], fold: Sequence[int]) -> list[Job]:
-        variant = fitted_without(machine, found, without)
+        variant = fitted_without(machine, states, without)
         return [Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for i in fold]
 
     by_fold = [corrected(without, fold) for without, fold in zip(left_out, folds)]
@@ -169,18 +169,18 @@ def _can_run(jobs: Sequence[Job], threads: int) -> bool:
     return True
 
 
-def fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:
+def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequence[int]) -> Machine:
     """The corrected machine as it is when the runs of a fold are left out of the fit."""
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
-    for f in found:
+    for f in states:
         t = f.thresholds
         shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
         moved = f.fit.settings
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
             moved = free.moved(moved, float(step))
         settings += moved
-        deviations = within(f, tolerance)
+        deviations = limited_deviations(f, tolerance)
         # what all runs together say is not there does not appear because the one that says so is left out
         absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)

@@ -10,7 +10,7 @@ import scipy.linalg
 
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
-from twin.diagnose.state import Found, is_cut
+from twin.diagnose.state import GroupState, is_cut
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
@@ -28,9 +28,9 @@ def folds_of(runs: int) -> list[list[int]]:
     return [[i for i in range(runs) if i % count == k] for k in range(count)]
 
 
-def retuned_within(found: Found, tolerance: float) -> Fit:
+def retuned_within(state: GroupState, tolerance: float) -> Fit:
     """Re-tuning alone with every parameter inside +-tolerance."""
-    return replace(found.retuned, tuning=bounded(found.retuned.about, found.group.residual, found.retuned.tuning, tolerance))
+    return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
@@ -59,13 +59,13 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
     return theta
 
 
-def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
+def left_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
     """What a fit leaves (row,), weighted, when the nuisances cost nothing inside the tolerance and cannot leave it.
 
     `normal` False: normal imperfections are as free as they were found.
     """
     tuning = fit.about
-    residual = found.group.residual - fit.response
+    residual = state.group.residual - fit.response
     if not len(fit.tuning):
         return residual
     bound = _bounds(tuning, tolerance)
@@ -74,36 +74,36 @@ def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -
     return residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
 
 
-def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> float:
+def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
     """Half the squares of that, counted as evidence."""
-    return 0.5 * float(found.group.credit @ left_within(found, fit, tolerance, normal) ** 2)
+    return 0.5 * float(state.group.credit @ left_within(state, fit, tolerance, normal) ** 2)
 
 
-def beyond_tolerance(found: Found) -> float:
+def beyond_tolerance(state: GroupState) -> float:
     """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind."""
-    tolerance = found.fit.about.spread / float(UNIFORM)
-    return loss_within(found, found.fit, found.thresholds.widest * tolerance, normal=False) - 0.5 * float(
-        found.group.credit @ found.group.expected
+    tolerance = state.fit.about.spread / float(UNIFORM)
+    return loss_within(state, state.fit, state.thresholds.widest * tolerance, normal=False) - 0.5 * float(
+        state.group.credit @ state.group.expected
     )
 
 
-def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
+def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
     """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate.
 
     Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
     """
-    t = found.thresholds
+    t = state.thresholds
     least = t.evidence if folds > 1 else t.evidence_in_sample
-    return least + (t.imperfect if is_cut(found.group, setting) else t.imperfect_uncut) * found.group.expected_loss
+    return least + (t.imperfect if is_cut(state.group, setting) else t.imperfect_uncut) * state.group.expected_loss
 
 
-def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
+def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
     """Half the squares on runs left out, each fold predicted by the fit without it.
 
     With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
     -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
-    group, t = found.group, found.thresholds
+    group, t = state.group, state.thresholds
     linear = _linear(group, fit)
     loss = 0.0
     for fold in folds:
@@ -119,9 +119,9 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     return loss
 
 
-def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Shift of free parameters and tuning when the runs of a fold are left out."""
-    fit, group = found.fit, found.group
+    fit, group = state.fit, state.group
     linear = _linear(group, fit)
     alone = group.thresholds.known_alone
     shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)

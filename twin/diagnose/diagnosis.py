@@ -19,10 +19,10 @@ from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import DEFAULT, Thresholds
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
-from twin.diagnose.where import left_of
+from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
@@ -37,8 +37,8 @@ class Diagnosis:
     machine: Machine
     corrected: Machine
     verdict: str
-    found: list[Found]
-    settings: list[tuple[Setting, Found, float]]
+    found: list[GroupState]
+    settings: list[tuple[Setting, GroupState, float]]
     where: list[dict[str, Any]]
     gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]  # before/after -> run -> axis -> signal
     held_out: list[str]
@@ -103,7 +103,7 @@ class Diagnosis:
             for axis in found.group.axes:
                 level = self.axis_level("after", axis)
                 if axis in self.axes and level > self.thresholds.left_over and self.budget is not None:
-                    block, law = left_of(found, axis)
+                    block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
@@ -164,8 +164,8 @@ class Diagnosis:
                     }
         return out
 
-    def _effect(self, setting: Setting, found: Found, probability: float) -> dict[str, Any]:
-        shown_by = found.group.axes if setting.effect.edits_bodies else (setting.axis,)
+    def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
+        shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
         axes = [a for a in self.axes if a in shown_by]
         return {
             "effect": setting.effect.name,
@@ -174,19 +174,19 @@ class Diagnosis:
             "block": setting.effect.block,
             "probability": probability,
             "explained": self.explained(axes),
-            "parameters": self._parameters(setting, found),
+            "parameters": self._parameters(setting, state),
         }
 
-    def _parameters(self, setting: Setting, found: Found, sizes: Sizes | None = None) -> dict[str, Any]:
+    def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `sizes`.
 
         One that was screened only has no width: nothing was fitted.
         """
         axis = self.machine.axis(setting.axis)
-        of = found.fit.sizes() if setting.key in found.keys else sizes if sizes is not None and setting in sizes.settings else None
+        of = state.fit.sizes() if setting.key in state.keys else sizes if sizes is not None and setting in sizes.settings else None
         index = [s.key for s in of.settings].index(setting.key) if of is not None else None
         out = {}
-        covariance = of.covariance(found.inflation) if of is not None else np.zeros((0, 0))
+        covariance = of.covariance(state.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
@@ -245,7 +245,7 @@ class Diagnosis:
 
         `usual_sizes` None: whatever their size. None at all: not asked, in a quick look.
         """
-        if any(found.unseen is None for found in self.found):
+        if any(found.not_visible is None for found in self.found):
             return None
         named = {setting.key for setting, _, _ in self.settings}
         return [
@@ -256,7 +256,7 @@ class Diagnosis:
                 "usual_sizes": sizes if math.isfinite(sizes) else None,
             }
             for found in self.found
-            for (effect, axis, source), sizes in sorted((found.unseen or {}).items(), key=lambda item: str(item[0]))
+            for (effect, axis, source), sizes in sorted((found.not_visible or {}).items(), key=lambda item: str(item[0]))
             if (effect, axis, source) not in named
         ]
 

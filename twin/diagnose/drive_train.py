@@ -34,7 +34,7 @@ Point = tuple[float, float]
 """A drive train: share of the normal elasticity, damping exponent."""
 
 
-class _Tried:
+class _TrialLosses:
     """Losses of trial drive trains on the runs in which one shows most; each trial is simulated once."""
 
     def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float) -> None:
@@ -51,7 +51,7 @@ class _Tried:
     def best_of(self, points: Sequence[Point], mapper: Mapper) -> Point:
         """The point of which re-tuning leaves least; of several the first in order."""
         new = [at for at in dict.fromkeys(points) if at not in self.losses]
-        for at, answer in zip(new, answers_of(self.group, self.axis, new, self.tolerance, mapper)):
+        for at, answer in zip(new, responses_of(self.group, self.axis, new, self.tolerance, mapper)):
             self.losses[at] = self.tuning.loss(self.residual - answer) if isinstance(answer, np.ndarray) else math.inf
         return min((self.losses[at], at) for at in points)[1]
 
@@ -67,7 +67,7 @@ def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
     return set(order[: int(np.searchsorted(parts, group.thresholds.train_shown)) + 1])
 
 
-def answers_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
+def responses_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
     """Response (row,) to the drive train at each of these points, or the error of one that cannot be simulated."""
     elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
 
@@ -93,7 +93,7 @@ def with_drive_train(
     tuning comes back unchanged if no size near it explains `residual` (row,).
     """
     tolerance, t = machine.parameter_tolerance, group.thresholds
-    tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
+    tried = _TrialLosses(group, tuning, axis, residual, linear.column, tolerance)
 
     def best_of(points: Sequence[Point]) -> Point:
         return tried.best_of(points, mapper)
@@ -117,7 +117,7 @@ def with_drive_train(
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
     points = [(share, 0.0), found] if damped and worth >= t.imperfection_earned else [(share, 0.0)]
-    plain, *beside = answers_of(group, axis, points, tolerance, mapper)
+    plain, *beside = responses_of(group, axis, points, tolerance, mapper)
     whole = beside[0] if beside else None
     if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in a run in which it does not show
         return tuning

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.blocks import MOTION
-from twin.diagnose.corrected import within
+from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
@@ -137,6 +137,6 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity.replace("_", " "), float(deviation))
         for found in diagnosis.found
-        for nuisance, deviation in zip(found.tuning.nuisances, within(found, diagnosis.machine.parameter_tolerance))
+        for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
         if nuisance.quantity not in NORMAL
     ]

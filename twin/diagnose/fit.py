@@ -23,7 +23,7 @@ from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, beside
+from twin.diagnose.tuning import Tuning, stacked_columns
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
@@ -126,7 +126,7 @@ class Fit:
         """What effects and tuning leave of a group's residual (row,), weighted."""
         return group.residual - self.response - self.retuning
 
-    def reweighed(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
+    def reweighted(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
         """The same settings where every row weighs `scale` (row,) times as much, with tuning and residual (row,) weighed like that."""
         response = self.response * scale
         left = residual - response
@@ -134,9 +134,9 @@ class Fit:
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
     @property
-    def straight_slopes(self) -> dict[Slope, np.ndarray]:
+    def linear_effect_slopes(self) -> dict[Slope, np.ndarray]:
         """Those of them that hold elsewhere, too."""
-        return straight(self.slopes, self.settings)
+        return slopes_of_linear_effects(self.slopes, self.settings)
 
     def sizes(self) -> Sizes:
         """What is known of the free parameters, without the rows that it was found from."""
@@ -147,7 +147,7 @@ class Fit:
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
 
 
-def straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
+def slopes_of_linear_effects(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
     """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
     keys = {s.key for s in settings if s.effect.is_linear}
     return {name: column for name, column in slopes.items() if name[0] in keys}
@@ -155,10 +155,10 @@ def straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) ->
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:
     """Re-tuning alone."""
-    return held(group, tuning, (), np.zeros(group.size))
+    return fit_with_fixed_effects(group, tuning, (), np.zeros(group.size))
 
 
-def held(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
+def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
     """Re-tuning beside effects that stay as they are and change the channels by `response` (row,)."""
     left = group.residual - response
     return Fit(settings, [], tuning.loss(left), tuning.solve(left), response, np.zeros((group.size, 0)), tuning)
@@ -189,12 +189,15 @@ def fit_effects(
     if not settings:
         return no_effect(group, tuning)
     try:
-        response = answer(group, settings, mapper)
+        response = simulated_response(group, settings, mapper)
     except TwinError:
         return None
     best = tuning.loss(residual - response)
     free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
-    columns, reach = beside(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)), np.full(len(free), t.slope)
+    columns, reach = (
+        stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
+        np.full(len(free), t.slope),
+    )
     asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     for _ in range(t.fit_steps if steps is None else steps):
         try:
@@ -258,7 +261,7 @@ def _lower(
         for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
-            response = answer(group, tried, mapper)
+            response = simulated_response(group, tried, mapper)
         except TwinError:
             continue
         loss = tuning.loss(residual - response)
@@ -267,12 +270,12 @@ def _lower(
     return None
 
 
-def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
+def simulated_response(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
     """Simulated change of the group's channels by these effects (row,); `mapper` maps over simulations."""
-    return all_or_raise(answers(group, [settings], mapper))[0]
+    return all_or_raise(simulated_responses(group, [settings], mapper))[0]
 
 
-def answers(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
     """The answer to each of several sets of effects, or the error of one that cannot be simulated."""
     moved = [_moved_by(settings, group) for settings in several]
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], mapper=mapper)
@@ -283,7 +286,7 @@ def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
     return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 
-def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
+def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
     """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides.
 
     Or that of these quantities `only`.
@@ -319,7 +322,7 @@ def _slopes(
     for f, reach in asked:
         both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (reach, -reach))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
-    changed = iter(all_or_raise(answers(group, [step[0] for step in steps if step is not None], mapper)))
+    changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None], mapper)))
     return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
 from twin.diagnose.settings import Thresholds
-from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_groups
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
@@ -26,7 +26,7 @@ KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
 """Group of each normal imperfection: those of one group on an axis are left out together."""
 
 
-def dirty_channels(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
+def channels_above_noise(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
     """(axis, channel) of which `left` (row,), not weighted, is more than noise, or may be: a circle is long beside what its reversals show."""
     return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=left[c.rows]).is_clean}
 
@@ -56,7 +56,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
     left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
-    dirty = dirty_channels(group, left)
+    dirty = channels_above_noise(group, left)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
     wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(dirty, a)]
@@ -147,8 +147,10 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
     present = {run: tuple(a for a in group.axes if view.moves(a)) for run, view in enumerate(views)}
     runs = [run for run, axes in present.items() if axes]
     seeds = [None] * len(runs) + [noise_seed(group.seed, run) for run in runs]
-    asks = [Ask(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
-    found = all_or_raise(simulate_groups(asks, mapper, lambda i, run: channels_of(run.without_noise, asks[i].view, asks[i].axes)))
+    requests = [SimulationRequest(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
+    found = all_or_raise(
+        simulate_groups(requests, mapper, lambda i, run: channels_of(run.without_noise, requests[i].view, requests[i].axes))
+    )
     nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     for i, run in enumerate(runs):

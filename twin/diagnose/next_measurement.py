@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
@@ -29,19 +29,19 @@ class Proposal:
     move: Trace | None
 
 
-def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
+def propose(machine: Machine, states: Sequence[GroupState], verdict: str) -> Proposal:
     """The move that separates what is closest to each other; for 'none' there is nothing to add."""
     if verdict == "none":
         return Proposal("none needed: the machine does what its file says", None)
     pairs = []
-    for f in found:
+    for f in states:
         for candidates in f.rounds:
             able = [c for c in candidates if c.plausible]
             if able and able[0].key in f.keys:
                 rival = able[1] if len(able) > 1 else None
                 pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
     if not pairs:
-        return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
+        return _proposal("constant speeds", machine.axis(_most_left(states)), "what is left follows none of the known effects")
     _, best, rival = min(pairs, key=lambda p: p[0])
     name = best.setting.effect.name.replace("_", " ")
     reason = (
@@ -52,10 +52,10 @@ def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 
-def _most_left(found: Sequence[Found]) -> str:
+def _most_left(states: Sequence[GroupState]) -> str:
     """The axis of which most is left over noise."""
     left: dict[str, float] = {}
-    for f in found:
+    for f in states:
         rows = f.group.in_noise(f.fit.left(f.group))
         for c in f.group.channels:
             left[c.axis] = left.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))

@@ -27,7 +27,7 @@ from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import DEFAULT, Thresholds
-from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_group, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
@@ -113,8 +113,8 @@ class Group:
         What cannot be simulated has its error instead. `shaken` has the same noise in both loops: what creeps at rest creeps because of
         it. `mapper` maps over the simulations, which run side by side where they can.
         """
-        asks: list[Ask] = []
-        of_ask: list[
+        requests: list[SimulationRequest] = []
+        of_request: list[
             tuple[int, int, Mapping[str, Characteristic]]
         ] = []  # variation, run, what its controllers have beyond the machine file
         known = self.views[0].machine
@@ -131,11 +131,13 @@ class Group:
             out.append(np.zeros(self.size))
             for run in sorted({channel.run for channel in self.channels if channel.axis in axes}):
                 moving = tuple(a for a in axes if self.views[run].moves(a))
-                asks.append(Ask(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None))
-                of_ask.append((v, run, added))
+                requests.append(
+                    SimulationRequest(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None)
+                )
+                of_request.append((v, run, added))
 
         def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
-            view, moving, added = asks[i].view, asks[i].axes, of_ask[i][2]
+            view, moving, added = requests[i].view, requests[i].axes, of_request[i][2]
             found = channels_of(simulation.without_noise, view, moving, added)
             for a in moving if shaken else ():  # the law of a controller is held against what it saw, with noise and rounding
                 if (a, "controller") in found:
@@ -145,7 +147,7 @@ class Group:
             return found
 
         nominal = self.shaken if shaken else self.nominal
-        for ask, (v, run, _), values in zip(asks, of_ask, simulate_groups(asks, mapper, channels)):
+        for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, mapper, channels)):
             rows = out[v]
             if isinstance(rows, TwinError):
                 continue
@@ -153,7 +155,7 @@ class Group:
                 out[v] = values
                 continue
             for channel in self.channels:
-                if channel.run == run and channel.axis in ask.axes:
+                if channel.run == run and channel.axis in request.axes:
                     key = (channel.axis, channel.name)
                     # the nominal twin leaves nothing of a law that is held against what it saw
                     of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
@@ -270,7 +272,9 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             shaken.append({})
             continue
         nominal.append(channels_of(simulate_group(view, present).trace, view, present))
-        drawn = all_or_raise(simulate_groups([Ask(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)]))
+        drawn = all_or_raise(
+            simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
+        )
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
         shaken.append(clean[0])

@@ -6,7 +6,7 @@ import math
 
 from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
-from twin.diagnose.state import SHOWS_IN, Found
+from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
 from twin.machine.machine import Machine
@@ -17,7 +17,7 @@ SMALLEST, LARGEST = 0.02, 4.0
 SMALLEST_SET = 0.12
 """The same lower end for what is set, or is normal in small: laws of the controllers, factors on the machine file, springs, what is clamped."""
 
-SET = ("position controller", "speed controller")
+CONTROL_BLOCKS = ("position controller", "speed controller")
 """Blocks whose laws are set: a control has a filter or has none."""
 
 SHAPE = 4.5
@@ -43,7 +43,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
     low, high = size.usual_range(machine, axis)
     if not _has_usual_shape(setting, machine):
         return False
-    smallest = SMALLEST if cut and setting.effect.block not in SET else SMALLEST_SET
+    smallest = SMALLEST if cut and setting.effect.block not in CONTROL_BLOCKS else SMALLEST_SET
     neutral = size.neutral or 0.0
     within = within_tolerance(setting, machine)
     if size.any_size:
@@ -102,10 +102,10 @@ def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> f
     return machine.parameter_tolerance * float(UNIFORM) * abs(whole)
 
 
-def is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
+def is_imitated(state: GroupState, setting: Setting, machine: Machine) -> bool:
     """True for a little of an effect that a normal imperfection found on its axis looks like: a softer spring looks like more mass."""
     size, imitators = setting.effect.size, setting.effect.imitated_by
-    normal = {NORMAL.get(n.quantity) for n in found.tuning.nuisances if n.owner == setting.axis}
+    normal = {NORMAL.get(n.quantity) for n in state.tuning.nuisances if n.owner == setting.axis}
     if not normal.intersection(imitators) or size.part_of is None:
         return False
     return abs(setting.size) < IMITATED * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import budget_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import HeldOut, as_filed, corrected_machine, held_out_gaps, is_worse
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, uncorrected
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
@@ -22,7 +22,7 @@ from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import on_threads
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.verdict import judged, named, verdict_of
 from twin.diagnose.view import view_of
 from twin.diagnose.where import places
@@ -69,7 +69,7 @@ def diagnose(
     with ThreadPoolExecutor(threads) as workers, ThreadPoolExecutor(threads) as searches:
         mapper = on_threads(workers)
 
-        def search_group(axes: tuple[str, ...]) -> Found | None:
+        def search_group(axes: tuple[str, ...]) -> GroupState | None:
             say(f"{'+'.join(axes)}: what noise makes")
             group = observe(views, axes, seed, thresholds)
             if not group.size:
@@ -99,7 +99,7 @@ def diagnose(
     runs = aligned(campaign.runs, held_out)
     before, after = (held_out.levels(machine, runs, which) for which in ("before", "after"))
     if any(harmed := [is_worse(f.group.axes, before, after) for f in found]):
-        found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
+        found = [uncorrected(f) if worse else f for f, worse in zip(found, harmed)]
         held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
         runs = aligned(campaign.runs, held_out)
         after = held_out.levels(machine, runs, "after")
@@ -180,7 +180,7 @@ def diagnose(
     return diagnosis
 
 
-def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, Found, float]]) -> list[tuple[Setting, Found, float]]:
+def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]]) -> list[tuple[Setting, GroupState, float]]:
     """The effects that the corrected machine holds, with its sizes: a law may have taken the place of some."""
     held = {s.key: s for s in settings_of(corrected)}
     return [(held[setting.key], found, p) for setting, found, p in settings if setting.key in held]

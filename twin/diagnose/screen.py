@@ -19,7 +19,7 @@ import numpy as np
 from twin.diagnose.candidates import Start, combine, softened
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.state import Found, Key
+from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
 from twin.machine.machine import Machine
@@ -77,25 +77,25 @@ class Screening:
         return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
 
 
-def screening(found: Found, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
+def screening(state: GroupState, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
     """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
 
-    answered = iter(found.remembered([s for start in starts for s in start.settings], mapper))
+    answered = iter(state.cached_responses([s for start in starts for s in start.settings], mapper))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
-    before = (found.tuning.jacobian, found.fit.columns)
+    before = (state.tuning.jacobian, state.fit.columns)
     gram = _gram(before, columns, left, mapper)
     first = sum(b.shape[1] for b in before)
-    prior = np.concatenate([found.tuning.prior, np.full(found.fit.columns.shape[1], FREE)])
+    prior = np.concatenate([state.tuning.prior, np.full(state.fit.columns.shape[1], FREE)])
     own = np.diag(gram)[first:-1].copy()
     reduced = eliminated(gram, np.arange(first), prior)[first:, first:] if first else gram
     at, n = [], 0
     for _, of_start in simulated:
         at.append(slice(n, n + len(of_start)))
         n += len(of_start)
-    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, found.thresholds)
+    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, state.thresholds)
 
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:

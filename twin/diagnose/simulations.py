@@ -20,7 +20,7 @@ from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Answer")
 
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""
@@ -36,7 +36,7 @@ def on_threads(pool: ThreadPoolExecutor) -> Mapper:
     return lambda function, items: list(pool.map(function, items))
 
 
-class Ask(NamedTuple):
+class SimulationRequest(NamedTuple):
     """Some axes of a run to be simulated, and those that effects push them with, on a variant of the run's machine with further effects."""
 
     view: RunView
@@ -55,22 +55,26 @@ def simulate_group(
     noise_seed: int | None = None,
 ) -> Run:
     """Simulate one `Ask`, see `simulate_groups`. Raises TwinError where it cannot be simulated."""
-    return all_or_raise(simulate_groups([Ask(view, axes, machine_of, settings, noise_seed)]))[0]
+    return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, settings, noise_seed)]))[0]
 
 
 @overload
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
+def simulate_groups(requests: Sequence[SimulationRequest], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
 @overload
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper, of: Callable[[int, Run], Answer]) -> list[Answer | TwinError]: ...
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run) -> list[Any]:
+def simulate_groups(
+    requests: Sequence[SimulationRequest], mapper: Mapper, of: Callable[[int, Run], Result]
+) -> list[Result | TwinError]: ...
+def simulate_groups(
+    requests: Sequence[SimulationRequest], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run
+) -> list[Any]:
     """Each ask in the decoupled plant, side by side where they can be, at the times of its run's record; or its error.
 
     `of` takes from each run (its number among the asks is given) what is wanted of it; `mapper` maps over batches of simulations.
     """
     jobs, bars, outcomes = [], [], {}
-    for i, ask in enumerate(asks):
+    for i, request in enumerate(requests):
         try:
-            job, bar = _job_of(ask)
+            job, bar = _job_of(request)
         except TwinError as error:
             outcomes[i] = error
             continue
@@ -78,25 +82,25 @@ def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn, of: Callable[
         bars.append((i, bar))
 
     def recorded(at: int, run: Run) -> Any:
-        (i, bar), ask = bars[at], asks[bars[at][0]]
-        times = ask.view.trace.time
-        trace = as_recorded(run.trace, times, bar, ask.noise_seed)
+        (i, bar), request = bars[at], requests[bars[at][0]]
+        times = request.view.trace.time
+        trace = as_recorded(run.trace, times, bar, request.noise_seed)
         return of(i, replace(run, trace=trace, without_noise=as_recorded(run.without_noise, times, bar)))
 
     for (i, _), outcome in zip(bars, simulate_each(jobs, mapper, recorded)):
         outcomes[i] = outcome
-    return [outcomes[i] for i in range(len(asks))]
+    return [outcomes[i] for i in range(len(requests))]
 
 
-def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
+def _job_of(request: SimulationRequest) -> tuple[SimulationJob, Ballbar | None]:
     """The simulation of an ask, and the ballbar that sees it."""
-    view, machine = ask.view, ask.view.machine if ask.machine_of is None else ask.machine_of(ask.view.machine)
-    changed = with_added(machine, ask.settings)
+    view, machine = request.view, request.view.machine if request.machine_of is None else request.machine_of(request.view.machine)
+    changed = with_added(machine, request.settings)
     hidden = settings_of(changed)
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
     # what is clamped on the table moves every rotary axis, whichever of them the run moves
-    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in ask.axes)
-    needed = {*ask.axes, *(rotary if clamped else ())}
+    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in request.axes)
+    needed = {*request.axes, *(rotary if clamped else ())}
     bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
     if bar is not None:
         needed.update(bar.axes)
@@ -115,6 +119,6 @@ def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
         lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
         simulated_period(machine, view.trace.period, bar),
         view.started_at,
-        ask.noise_seed,
+        request.noise_seed,
     )
     return job, bar

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit, Sizes, answers, no_effect
+from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.simulations import Mapper, in_turn
@@ -51,7 +51,7 @@ class Candidate:
         return self.setting.key
 
 
-class Answer(NamedTuple):
+class CachedResponse(NamedTuple):
     """Simulated change that a setting makes (row,), and the weights of its rows."""
 
     column: np.ndarray
@@ -68,7 +68,7 @@ class Screened(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
+class GroupState:
     """State of the diagnosis of one group of axes. A step takes one and returns the next; none is ever changed.
 
     `memory` holds simulated answers of starts. It saves time and changes no result.
@@ -83,10 +83,12 @@ class Found:
     accepted: tuple[Fit, ...] = ()  # with one effect, with two, ...
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
-    unseen: Mapping[Key, float] | None = None  # effects that would not show, with the multiple of their usual size from which they would
+    not_visible: Mapping[Key, float] | None = (
+        None  # effects that would not show, with the multiple of their usual size from which they would
+    )
     zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> motor encoder minus scale that is no fault [SI]
     unknown: bool = False  # is something left that no effect explains?
-    memory: dict[str, Answer | TwinError] = field(default_factory=dict, repr=False, compare=False)
+    response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def thresholds(self) -> Thresholds:
@@ -98,31 +100,33 @@ class Found:
         """Effects of the final fit, each with its axis."""
         return {s.key for s in self.fit.settings}
 
-    def remembered(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+    def cached_responses(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
         """What each setting alone changes (row,), simulated once and weighted as the group is now; or its error."""
         keys = [repr(setting.table()) for setting in settings]
-        missing = {key: setting for key, setting in zip(keys, settings) if key not in self.memory}
-        for key, column in zip(missing, answers(self.group, [[setting] for setting in missing.values()], mapper)):
-            self.memory[key] = column if isinstance(column, TwinError) else Answer(column.astype(np.float32), self.group.weights)
+        missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
+        for key, column in zip(missing, simulated_responses(self.group, [[setting] for setting in missing.values()], mapper)):
+            self.response_cache[key] = (
+                column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
+            )
         return [self._as_weighted(key) for key in keys]
 
     def _as_weighted(self, key: str) -> np.ndarray | TwinError:
-        known, weights = self.memory[key], self.group.weights
+        known, weights = self.response_cache[key], self.group.weights
         if isinstance(known, TwinError):
             return known
         if known.weights is not weights:
-            self.memory[key] = known = Answer((known.column * (weights / known.weights)).astype(np.float32), weights)
+            self.response_cache[key] = known = CachedResponse((known.column * (weights / known.weights)).astype(np.float32), weights)
         return known.column
 
-    def with_fit(self, fit: Fit) -> Found:
+    def with_fit(self, fit: Fit) -> GroupState:
         """The state with this fit as its last one, which replaces the last accepted one."""
         return replace(self, fit=fit, accepted=(*self.accepted[:-1], fit) if self.accepted else ())
 
-    def inflated(self) -> Found:
+    def inflated(self) -> GroupState:
         """The state with the inflation of its own fit."""
         return replace(self, inflation=inflation(self.group, self.fit))
 
-    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> Found:
+    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> GroupState:
         """The state where effects that change the rows by `change` (row,) are trusted to a share of that, and the twin less where they
         leave `left` (row,); both weighted. All fits are weighed anew."""
         old = self.group.weights
@@ -130,8 +134,8 @@ class Found:
         rigid, group = self.rigid.doubted(change, left), self.group.doubted(change, left)
         scale = group.weights / old
         shared = {id(t): t for t in (self.tuning, self.fit.about, *(f.about for f in self.accepted))}
-        tunings = {key: tuning.reweighed(scale) for key, tuning in shared.items()}
-        fit, *accepted = (f.reweighed(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
+        tunings = {key: tuning.reweighted(scale) for key, tuning in shared.items()}
+        fit, *accepted = (f.reweighted(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
         tuning = tunings[id(self.tuning)]
         return replace(self, rigid=rigid, group=group, tuning=tuning, fit=fit, accepted=tuple(accepted), retuned=no_effect(group, tuning))
 
@@ -147,24 +151,24 @@ def expected_of(group: Group, axis: str) -> float:
     return 0.5 * sum(float(group.expected[c.rows].sum()) for c in group.channels if c.axis == axis)
 
 
-def closed_share(found: Found, gain: float) -> float:
+def closed_share(state: GroupState, gain: float) -> float:
     """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
-    noise = found.group.expected_loss
-    return float(np.clip(gain / max(found.fit.loss - noise, found.thresholds.near_noise * noise), 0.0, 1.0))
+    noise = state.group.expected_loss
+    return float(np.clip(gain / max(state.fit.loss - noise, state.thresholds.near_noise * noise), 0.0, 1.0))
 
 
-def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
+def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
     """Every channel with what the fit leaves of it over noise and doubt, where nothing shows any more how the axis was stuck (sample,)."""
-    group = found.group
-    left = found.fit.left(group) / group.weights
+    group = state.group
+    left = state.fit.left(group) / group.weights
     for c in group.channels:
         yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
 
 
-def localised_on(found: Found) -> set[str]:
+def localised_on(state: GroupState) -> set[str]:
     """Axes of which something is left in one channel of one run, although the whole looks like noise."""
-    axes, t = set(), found.thresholds
-    for channel, u in settled_channels(found):
+    axes, t = set(), state.thresholds
+    for channel, u in settled_channels(state):
         if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.local_square:
             axes.add(channel.axis)
         if channel.name == "controller" and float(np.mean(u**2)) > t.local_law_square:
@@ -172,14 +176,14 @@ def localised_on(found: Found) -> set[str]:
     return axes
 
 
-def is_systematic(found: Found) -> bool:
+def is_systematic(state: GroupState) -> bool:
     """Does a channel of an axis keep more than noise and doubt in most of its runs? The law found is then a relative of the true one.
 
     Chance (which flank, when it broke away) leaves much in one run; a wrong law in all.
     """
-    t = found.thresholds
+    t = state.thresholds
     levels: dict[tuple[str, str], list[float]] = {}
-    for c, u in settled_channels(found):
+    for c, u in settled_channels(state):
         if len(u) > t.enough_samples:
             levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
     return any(len(runs) > 1 and float(np.median(runs)) > t.systematic for runs in levels.values())
@@ -191,17 +195,17 @@ def is_cut(group: Group, setting: Setting) -> bool:
     return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
-def unexplained(found: Found) -> float:
+def unexplained(state: GroupState) -> float:
     """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
     standing_out = 0.0
-    for c, u in settled_channels(found):
-        if len(u) and float(np.mean(u**2)) > found.thresholds.stands_out:
-            weight = (c.spread * c.weight)[c.settled(found.group.views[c.run])]
+    for c, u in settled_channels(state):
+        if len(u) and float(np.mean(u**2)) > state.thresholds.stands_out:
+            weight = (c.spread * c.weight)[c.settled(state.group.views[c.run])]
             standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
-    return max(sum(excess_of(found.group, found.fit).values()), standing_out)
+    return max(sum(excess_of(state.group, state.fit).values()), standing_out)
 
 
-def loud_axes(group: Group, left: np.ndarray) -> set[str]:
+def axes_above_noise(group: Group, left: np.ndarray) -> set[str]:
     """Axes of which `left` (row,), weighted, is more than noise and doubt in some channel. Where an axis was stuck counts as little as for
     evidence."""
     left = left / group.weights

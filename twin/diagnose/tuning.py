@@ -65,7 +65,7 @@ class Tuning:
     def of(self, nuisances: Sequence[Nuisance], columns: np.ndarray) -> Tuning:
         """The tuning with these nuisances instead, which change `columns` (row, nuisance) at their spread, and the same further columns."""
         n = len(self.nuisances)
-        return tuning_from(nuisances, beside(columns, self.jacobian[:, n:]), self.spread, self.prior_weight, self.further)
+        return tuning_from(nuisances, stacked_columns(columns, self.jacobian[:, n:]), self.spread, self.prior_weight, self.further)
 
     def with_free(self, columns: np.ndarray, prior: float = FREE) -> Tuning:
         """The tuning with further columns (row, n) beside the nuisances, free to take any size: effects as they answer to a small change."""
@@ -75,7 +75,7 @@ class Tuning:
         own = columns.T @ columns + prior * np.eye(columns.shape[1])
         further = np.concatenate([self.further, np.full(columns.shape[1], prior)])
         normal = np.block([[self.normal, cross], [cross.T, own]])
-        jacobian = beside(self.jacobian, columns)
+        jacobian = stacked_columns(self.jacobian, columns)
         return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, self)
 
     def holding(self, columns: Sequence[int]) -> Tuning:
@@ -111,9 +111,9 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, which changes `column` (row,) at its spread."""
-        return self.of([*self.nuisances, nuisance], beside(self.jacobian[:, : len(self.nuisances)], column[:, None]))
+        return self.of([*self.nuisances, nuisance], stacked_columns(self.jacobian[:, : len(self.nuisances)], column[:, None]))
 
-    def reweighed(self, scale: np.ndarray) -> Tuning:
+    def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning where every row weighs `scale` (row,) times as much."""
         return replace(
             tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread, self.prior_weight, self.further),
@@ -130,7 +130,7 @@ def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
     step = max(group.thresholds.nearby, spread)
     variations = [Variation(functools.partial(n.apply, factor=1.0 + step), axes=n.axes(group.axes)) for n in nuisances]
     columns = all_or_raise(group.responses(variations, mapper=mapper))
-    plain = tuning_from(nuisances, beside(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
+    plain = tuning_from(nuisances, stacked_columns(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
     return _with_zeros(plain, group)
 
 
@@ -157,7 +157,7 @@ def zeros_of(group: Group) -> np.ndarray:
         when = np.array([[0.0 if rotary else group.views[c.run].started_at for c in channels]])
         when -= when.mean()
         blocks.append(each @ (null_space(when) if when.any() else np.eye(len(channels))))
-    return beside(*blocks)
+    return stacked_columns(*blocks)
 
 
 class Trial(NamedTuple):
@@ -175,7 +175,7 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
 
 
-def beside(*blocks: np.ndarray) -> np.ndarray:
+def stacked_columns(*blocks: np.ndarray) -> np.ndarray:
     """Blocks of columns (row, n) side by side, column after column in memory."""
     out = np.empty((len(blocks[0]), sum(b.shape[1] for b in blocks)), order="F")
     at = 0

@@ -16,14 +16,14 @@ import numpy as np
 
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.fit import Fit
-from twin.diagnose.state import Found, Key
+from twin.diagnose.state import GroupState, Key
 from twin.diagnose.wording import effect_title
 
 Ends = Mapping[str, tuple[float, float]]
 """Axis -> squared gap over noise before and after correction."""
 
 
-def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
+def waterfall(state: Sequence[GroupState], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
     """Levels of the gap in multiples of noise: before, re-tuned, after each effect. The last is the gap that is left.
 
     `state` is the last state of each group of axes, `tolerance` that of the machine's parameters (a fraction).
@@ -31,7 +31,7 @@ def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tupl
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
 
-    def step(label: str, found: Found | None = None, fit: Fit | None = None) -> None:
+    def step(label: str, found: GroupState | None = None, fit: Fit | None = None) -> None:
         if found is not None:
             current.update(_levels_after(found, fit, ends))
         square = float(np.mean(list(current.values()))) if current else 1.0
@@ -55,9 +55,9 @@ def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
     return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
 
 
-def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]:
+def _levels_after(state: GroupState, fit: Fit | None, ends: Ends) -> dict[str, float]:
     """Squared level of each axis of a group after a step: the fit's share between the measured ends."""
-    first, now, last = (_axis_squares(found, f) for f in (None, fit, found.fit))
+    first, now, last = (_axis_squares(state, f) for f in (None, fit, state.fit))
     out = {}
     for axis, (before, after) in ends.items():
         if axis in now:
@@ -67,30 +67,30 @@ def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]
     return out
 
 
-def _accepted(found: Found) -> list[tuple[str, Fit]]:
+def _accepted(state: GroupState) -> list[tuple[str, Fit]]:
     """The fits of the rounds by which effects came in; the last is the final one."""
     steps: list[tuple[str, Fit]] = []
     known: set[Key] = set()
-    for fit in found.accepted:
-        new = [s for s in fit.settings if s.key in found.keys - known]
+    for fit in state.accepted:
+        new = [s for s in fit.settings if s.key in state.keys - known]
         known |= {s.key for s in fit.settings}
         if not new:
             continue
         title = effect_title({"effect": new[0].effect.name, "axis": new[0].axis, "from_axis": new[0].from_axis})
         steps.append((title if len(new) == 1 else f"{title} and {len(new) - 1} more", fit))
-    return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
+    return [*steps[:-1], (steps[-1][0], state.fit)] if steps else []
 
 
-def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
+def _axis_squares(state: GroupState, fit: Fit | None) -> dict[str, float]:
     """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
-    left = found.group.residual.copy()
+    left = state.group.residual.copy()
     if fit is not None:
         left -= fit.response
         # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
-        known = len(fit.tuning) == found.tuning.jacobian.shape[1]
-        left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
+        known = len(fit.tuning) == state.tuning.jacobian.shape[1]
+        left -= fit.retuning if known else state.tuning.jacobian @ state.tuning.solve(left)
     squares: dict[str, list[float]] = {}
-    for channel in found.group.channels:
+    for channel in state.group.channels:
         if channel.name != "controller":  # motor_minus_scale stands for the motor encoder
             normed = left[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))

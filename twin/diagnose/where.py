@@ -10,19 +10,19 @@ import numpy as np
 
 from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
 from twin.diagnose.cross_validation import retuned_within
+from twin.diagnose.gap_share import share_of_gap
 from twin.diagnose.observe import Group
-from twin.diagnose.seen import share_of_gap
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
-NOT_SEEN = 1e-3
+LEAST_SHARE = 1e-3
 """Share given to the block of a found effect when its own residual shows nothing."""
 
 
 def places(
-    found: Sequence[Found], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
+    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first. Blocks in which an effect was found lead their axis.
 
@@ -33,9 +33,9 @@ def places(
     makes a noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
-    least = max((f.thresholds.next_to_none for f in found), default=0.0) * max(weights.values(), default=0.0)
+    least = max((f.thresholds.next_to_none for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
-        for f in found:
+        for f in states:
             group = f.group
             if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
                 continue
@@ -48,8 +48,8 @@ def places(
                 if level > f.thresholds.noticed_square and share > f.thresholds.place_share:
                     listed.append(_place(group, axis, block, parts, share, level))
     for setting in settings:
-        _lead(listed, setting, machine)
-    _gather(listed, found[0].thresholds.echo if found else 0.0)
+        _assign_effect(listed, setting, machine)
+    _merge_echoes(listed, states[0].thresholds.echo if states else 0.0)
     # each axis gets the weight of its gap; its blocks divide it by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -62,10 +62,10 @@ def places(
     return sorted(listed, key=lambda p: -p["share"])
 
 
-def left_of(found: Found, axis: str) -> tuple[str, str]:
+def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
     """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
-    group = found.group
-    left = found.fit.left(group) / group.weights
+    group = state.group
+    left = state.fit.left(group) / group.weights
     parts: dict[str, list[BlockResidual]] = {}
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
@@ -80,7 +80,7 @@ def left_of(found: Found, axis: str) -> tuple[str, str]:
     return block, _scales_with(group, axis, parts[block])
 
 
-def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
+def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
     """Assign a listed place to the block of a found effect.
 
     The recorded signals do not separate every block: current loop and mechanics share the force balance, transmission and measurement
@@ -110,7 +110,7 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
         {
             "axis": axis,
             "block": block,
-            "_share": NOT_SEEN,
+            "_share": LEAST_SHARE,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
@@ -120,7 +120,7 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
     )
 
 
-def _gather(listed: list[dict[str, Any]], echo: float) -> None:
+def _merge_echoes(listed: list[dict[str, Any]], echo: float) -> None:
     """Move most of the share of the other blocks of an axis to its largest block with an effect: what they show is mostly its echo.
 
     `echo` is the share that they keep.

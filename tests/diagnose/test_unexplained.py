@@ -8,9 +8,9 @@ import pytest
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free, no_effect
-from twin.diagnose.search import loud_near_tolerance
+from twin.diagnose.search import axes_above_noise_within_tolerance
 from twin.diagnose.settings import DEFAULT
-from twin.diagnose.state import is_systematic, loud_axes
+from twin.diagnose.state import axes_above_noise, is_systematic
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import differs_between_runs
@@ -101,9 +101,9 @@ def test_only_axes_above_their_noise_are_loud():
     found = found_with(noise(4) * np.array((1.0, 1.5, 1.0))[:, None], np.ones((RUNS, SAMPLES)))
     found.group.channels = [replace(channel, axis=axis) for channel, axis in zip(found.group.channels, "XYZ")]
     found.group.credit = np.ones(found.group.size)
-    assert loud_axes(found.group, found.group.residual) == {"Y"}
+    assert axes_above_noise(found.group, found.group.residual) == {"Y"}
     found.group.credit[found.group.channels[1].rows] = 0.03  # the axis was stuck
-    assert loud_axes(found.group, found.group.residual) == set()
+    assert axes_above_noise(found.group, found.group.residual) == set()
 
 
 @pytest.mark.parametrize(("size", "loud"), [(30.0, {"X"}), (3.0, set())])
@@ -115,4 +115,4 @@ def test_what_only_a_far_off_machine_explains_is_loud(size, loud):
     group = found.group
     group.credit, group.residual = np.ones(group.size), group.residual + size * wave
     found.fit = no_effect(group, tuning)
-    assert loud_near_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud
+    assert axes_above_noise_within_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud

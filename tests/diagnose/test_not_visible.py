@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose import unseen
+from twin.diagnose import not_visible
 from twin.diagnose.candidates import Start
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import Nuisance
@@ -26,14 +26,15 @@ def sizes_of(columns, monkeypatch, moving=None):
     found = found_of(group_of([np.zeros(ROWS)], moving=moving), tuning)
     axes = dict(zip("XYZ", columns))
 
-    def remembered(found, settings, mapper):
+    def cached_responses(found, settings, mapper):
         columns = [axes[setting.axis] for setting in settings]
         return [SimulationError("unstable") if column is None else column for column in columns]
 
-    monkeypatch.setattr(type(found), "remembered", remembered)
+    monkeypatch.setattr(type(found), "cached_responses", cached_responses)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
     return {
-        axis: sizes for (_, axis, _), sizes in unseen.unseen_effects(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
+        axis: sizes
+        for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
     }
 
 
@@ -64,5 +65,5 @@ def test_a_limit_is_asked_at_a_usual_level_not_at_the_measured_one():
     machine = load_machine()
     start = Start((Setting(EFFECTS["current_limit"], "Y", {"limit_a": 0.5}),))
     low, high = EFFECTS["current_limit"].parameter("limit_a").usual_range(machine, machine.axis("Y"))
-    (setting,) = unseen._usual(start, machine)
+    (setting,) = not_visible._usual(start, machine)
     assert low <= setting.parameters["limit_a"] <= high

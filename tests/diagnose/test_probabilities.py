@@ -11,7 +11,7 @@ from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Sizes, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import DEFAULT
-from twin.diagnose.state import Candidate, Found
+from twin.diagnose.state import Candidate, GroupState
 from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
@@ -57,7 +57,7 @@ def test_a_size_that_no_machine_has_is_not_probable():
 
 def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: pytest.MonkeyPatch):
     """An effect that, sized, has no plausible size is taken out: the verdict may not be that nothing is there."""
-    before, after = (Found(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
+    before, after = (GroupState(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
     monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
     monkeypatch.setattr(verdict, "sized", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
@@ -76,7 +76,7 @@ def test_an_axis_with_less_noise_hides_nothing_of_the_next(monkeypatch: pytest.M
     group = Group(("A", "C"), [None], channels, [{}], [{}], 0)
     tuning = tuning_from((), np.zeros((group.size, 0)), 0.01)
     fit = no_effect(group, tuning)
-    assert verdict.is_unknown(Found(group, group, tuning, fit, fit, 1.0)) is unknown
+    assert verdict.is_unknown(GroupState(group, group, tuning, fit, fit, 1.0)) is unknown
 
 
 def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -> dict:

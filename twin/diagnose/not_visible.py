@@ -17,14 +17,14 @@ import numpy as np
 from twin.diagnose.candidates import Start
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def unseen_effects(
-    found: Found,
+def effects_not_visible(
+    state: GroupState,
     starts: Sequence[Start],
     machine: Machine,
     folds: int,
@@ -38,10 +38,10 @@ def unseen_effects(
     for start in starts:
         by_key.setdefault(start.key, []).append(start)
     middle = [_usual(same[len(same) // 2], machine) for same in by_key.values()]
-    answered = iter(found.remembered([s for settings in middle for s in settings], mapper))
+    answered = iter(state.cached_responses([s for settings in middle for s in settings], mapper))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
-    shares = mapper(lambda item: _share(found, item[0], item[1], folds), columns)
-    return {key: math.inf if share < found.thresholds.shows_nothing else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    shares = mapper(lambda item: _share(state, item[0], item[1], folds), columns)
+    return {key: math.inf if share < state.thresholds.shows_nothing else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
@@ -53,11 +53,11 @@ def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)
 
 
-def _share(found: Found, settings: Sequence[Setting], answers: Sequence[np.ndarray | TwinError], folds: int) -> float:
+def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[np.ndarray | TwinError], folds: int) -> float:
     """What the effect could bring over what it needs; of one that cannot be simulated enough: no machine runs with it."""
-    tuning = found.tuning
+    tuning = state.tuning
     columns = [column for column in answers if isinstance(column, np.ndarray)]
     if len(columns) < len(answers):
         return math.inf
     left = [column - tuning.jacobian @ tuning.solve(column) for column in columns]
-    return min(0.5 * float(found.group.credit @ np.square(rows)) for rows in left) / evidence_needed(found, settings[0], folds)
+    return min(0.5 * float(state.group.credit @ np.square(rows)) for rows in left) / evidence_needed(state, settings[0], folds)
