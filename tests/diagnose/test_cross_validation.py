@@ -28,7 +28,7 @@ def linear(told_in: range = range(RUNS)):
         about=tuning_from([Nuisance("X", name) for name in "abc"], x[:, EFFECTS:], 0.01),
         tuning=best[EFFECTS:],
         free=[None] * EFFECTS,
-        left=lambda group: y - x @ best,
+        residual=lambda group: y - x @ best,
     )
     group = SimpleNamespace(channels=channels, credit=np.ones(len(x)), thresholds=DEFAULT)
     return SimpleNamespace(group=group, fit=fit, thresholds=DEFAULT), fit, x, y, best
@@ -45,7 +45,7 @@ def test_each_run_is_predicted_as_by_a_fit_of_the_others():
         effects, tuning = leave_out(found, [k])
         np.testing.assert_allclose(np.concatenate([effects, tuning]), without - best, atol=1e-9)
     assert held_out_loss(found, fit, folds_of(RUNS)) == pytest.approx(loss, rel=1e-9)
-    assert loss > 1.02 * 0.5 * np.sum(fit.left(None) ** 2)  # it is no fit's own loss
+    assert loss > 1.02 * 0.5 * np.sum(fit.residual(None) ** 2)  # it is no fit's own loss
 
 
 def test_a_run_that_alone_tells_a_parameter_cannot_be_left_out():
@@ -54,7 +54,7 @@ def test_a_run_that_alone_tells_a_parameter_cannot_be_left_out():
     effects, tuning = leave_out(found, [0])
     assert not effects.any()
     assert not tuning.any()
-    own = 0.5 * np.sum(fit.left(None)[:SAMPLES] ** 2)
+    own = 0.5 * np.sum(fit.residual(None)[:SAMPLES] ** 2)
     others = held_out_loss(found, fit, [[1], [2]])
     assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(
         own + others + DEFAULT.evidence_in_sample - DEFAULT.evidence, rel=1e-9

@@ -49,7 +49,7 @@ def found_with(left, slope):
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
-            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], left=lambda group: rows
+            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], residual=lambda group: rows
         ),
     )
 

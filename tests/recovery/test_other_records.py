@@ -105,7 +105,7 @@ def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_p
 
 
 def transmission_residuals(found):
-    left = found.fit.left(found.group) / found.group.weights
+    left = found.fit.residual(found.group) / found.group.weights
     return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "motor_minus_scale")]
 
 

@@ -95,12 +95,12 @@ class Channel:
         many = max(len(self.sigma) / self.thresholds.shapes, 1.0)
         return 1.0 / np.sqrt(self.sigma**2 * self.correlation + faults * many)
 
-    def doubted(self, change: np.ndarray, left: np.ndarray, period: float) -> Channel:
+    def doubted(self, change: np.ndarray, residual: np.ndarray, period: float) -> Channel:
         """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s].
 
         `left` (sample,) is what they do not explain: as far as it stands out of noise around a sample, the twin is wrong there.
         """
         t = self.thresholds
         doubt = t.doubt * maximum_filter1d(np.abs(change), 2 * round(t.lag_s / period) + 1)
-        around = uniform_filter1d(np.square(left), 2 * round(0.5 * t.event_s / period) + 1)
+        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * t.event_s / period) + 1)
         return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - t.by_chance * (self.sigma**2 + doubt**2), 0.0)))

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
@@ -24,10 +25,6 @@ from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_e
 
 FEWER_REALISATIONS = 2
 """Realisations of noise where the decoupled plant alone is simulated."""
-
-
-CHANCE = 0.3
-"""Gap over noise by which a machine without faults may look worse once it is re-tuned."""
 
 
 def uncorrected(state: GroupState) -> GroupState:
@@ -88,7 +85,7 @@ class HeldOut:
         """What is expected of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def left(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
+    def mean_square(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
         """Mean square of the gap over noise after correction, over runs, axes and signals."""
         squares = list(itertools.chain(*self._squares(machine, runs).values()))
         return float(np.mean(squares)) if squares else 0.0
@@ -118,10 +115,10 @@ class HeldOut:
         return found
 
 
-def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float], thresholds: Thresholds = DEFAULT) -> bool:
     """Has correction made the gap of these axes larger, by more than chance? `before` and `after` it: gap over noise by axis."""
     was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
-    return now > was + CHANCE
+    return now > was + thresholds.worse_by_chance
 
 
 def held_out_gaps(

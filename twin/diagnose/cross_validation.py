@@ -59,7 +59,7 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
     return theta
 
 
-def left_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
+def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
     """What a fit leaves (row,), weighted, when the nuisances cost nothing inside the tolerance and cannot leave it.
 
     `normal` False: normal imperfections are as free as they were found.
@@ -76,7 +76,7 @@ def left_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = Tr
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
     """Half the squares of that, counted as evidence."""
-    return 0.5 * float(state.group.credit @ left_within(state, fit, tolerance, normal) ** 2)
+    return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance, normal) ** 2)
 
 
 def beyond_tolerance(state: GroupState) -> float:
@@ -165,18 +165,18 @@ def _linear(group: Group, fit: Fit) -> _Linear:
     rows = [[c.rows for c in group.channels if c.run == run] for run in range(runs)]
     jacobian, own = fit.about.jacobian, fit.columns.shape[1]
     n = own + jacobian.shape[1]
-    products, slopes, left = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.left(group)
+    products, slopes, residual = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.residual(group)
     products[:, own:, own:] = fit.about.products(rows)
     for run, slices in enumerate(rows):
         for part in slices:
             columns = fit.columns[part]
             products[run, :own, :own] += columns.T @ columns
             products[run, own:, :own] += jacobian[part].T @ columns
-            slopes[run, :own] += columns.T @ left[part]
-            slopes[run, own:] += jacobian[part].T @ left[part]
+            slopes[run, :own] += columns.T @ residual[part]
+            slopes[run, own:] += jacobian[part].T @ residual[part]
         products[run, :own, own:] = products[run, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
-    return _Linear(rows, own, products, slopes, normal, left)
+    return _Linear(rows, own, products, slopes, normal, residual)
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:

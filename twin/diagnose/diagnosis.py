@@ -29,7 +29,7 @@ from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction, SignalGap
 
 
-@dataclass
+@dataclass(frozen=True)
 class Diagnosis:
     """Everything that was found; `document()` is `diagnosis.json`."""
 

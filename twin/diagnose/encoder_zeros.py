@@ -20,9 +20,6 @@ from twin.simulation.gap import encoders_noise
 from twin.simulation.two_encoders import has_both, motor_minus_scale, shifted
 from twin.units import ARCSEC
 
-FEWEST_RUNS = 5
-"""Runs from which a trend over time and place, three numbers, says something."""
-
 
 def with_common_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, thresholds: Thresholds = DEFAULT
@@ -113,14 +110,14 @@ def _is_of_zeros(
     noise = encoders_noise(machine, axis)
     if largest < thresholds.zero_least * noise or np.any(deviations > thresholds.zero_constant * largest):
         return False
-    left = means - means.mean()
-    if len(runs) < FEWEST_RUNS or float(left @ left) < 0.01 * float(means @ means):
+    residual = means - means.mean()
+    if len(runs) < thresholds.trend_runs or float(residual @ residual) < 0.01 * float(means @ means):
         return True
     when = [run.started_at + 0.5 * float(run.trace.time[-1] - run.trace.time[0]) for run in runs]
     place = [float(np.mean(run.trace.get(axis.name, "position"))) for run in runs]
     trend = np.column_stack([np.ones(len(runs)), when, place])
     rest = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
-    return float(rest @ rest) > (1.0 - thresholds.zero_by_trend) * float(left @ left)
+    return float(rest @ rest) > (1.0 - thresholds.zero_by_trend) * float(residual @ residual)
 
 
 def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:

@@ -122,7 +122,7 @@ class Fit:
         """What the tuning changes (row,)."""
         return self.about.jacobian @ self.tuning
 
-    def left(self, group: Group) -> np.ndarray:
+    def residual(self, group: Group) -> np.ndarray:
         """What effects and tuning leave of a group's residual (row,), weighted."""
         return group.residual - self.response - self.retuning
 
@@ -160,8 +160,8 @@ def no_effect(group: Group, tuning: Tuning) -> Fit:
 
 def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
     """Re-tuning beside effects that stay as they are and change the channels by `response` (row,)."""
-    left = group.residual - response
-    return Fit(settings, [], tuning.loss(left), tuning.solve(left), response, np.zeros((group.size, 0)), tuning)
+    residual = group.residual - response
+    return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, np.zeros((group.size, 0)), tuning)
 
 
 def fit_effects(

@@ -26,9 +26,9 @@ KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
 """Group of each normal imperfection: those of one group on an axis are left out together."""
 
 
-def channels_above_noise(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
+def channels_above_noise(group: Group, residual: np.ndarray) -> set[tuple[str, str]]:
     """(axis, channel) of which `left` (row,), not weighted, is more than noise, or may be: a circle is long beside what its reversals show."""
-    return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=left[c.rows]).is_clean}
+    return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=residual[c.rows]).is_clean}
 
 
 def shows_slip(dirty: Collection[tuple[str, str]], axis: str) -> bool:

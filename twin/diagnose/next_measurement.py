@@ -54,12 +54,12 @@ def propose(machine: Machine, states: Sequence[GroupState], verdict: str) -> Pro
 
 def _most_left(states: Sequence[GroupState]) -> str:
     """The axis of which most is left over noise."""
-    left: dict[str, float] = {}
+    residual: dict[str, float] = {}
     for f in states:
-        rows = f.group.in_noise(f.fit.left(f.group))
+        rows = f.group.in_noise(f.fit.residual(f.group))
         for c in f.group.channels:
-            left[c.axis] = left.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
-    return max(left, key=lambda axis: left[axis])
+            residual[c.axis] = residual.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
+    return max(residual, key=lambda axis: residual[axis])
 
 
 def move_of(kind: str, axes: Sequence[Axis]) -> Trace:

@@ -166,10 +166,10 @@ class Group:
         """The group where no effect is doubted."""
         return replace(self, channels=[replace(c, doubt=0.0) for c in self.channels])
 
-    def doubted(self, change: np.ndarray, left: np.ndarray) -> Group:
+    def doubted(self, change: np.ndarray, residual: np.ndarray) -> Group:
         """The group where effects that change its channels by `change` (row,) are trusted to a share of that, and the twin less where
         they leave it with more than noise, `left` (row,); both weighted."""
-        plain, remaining = change / self.weights, left / self.weights
+        plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
         return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
 
@@ -328,7 +328,7 @@ def _least(view: RunView, axis: Axis, channel: str) -> float:
     return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
 
 
-def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Group, Group]:
+def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
     """Both with the noise of each channel as it is about the machine of `group`, whose drive trains give; `left` (row,) is what its
     tuning leaves, weighted.
 
@@ -345,7 +345,7 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
                 "position": c.scatter,
                 "motor_minus_scale": Scatter(c.scatter.deviations + rings, np.zeros(len(rings))),  # of a rigid one, sensors alone
             }.get(c.name, Scatter(c.scatter.deviations + rings, c.scatter.jitter))
-            c = _with_noise(c, scatter, left[c.rows] / c.weight, group.views[c.run])
+            c = _with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
         seen.append(c)
     plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
     return replace(rigid, channels=plain), replace(group, channels=seen)

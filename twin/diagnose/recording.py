@@ -56,10 +56,10 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
     view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
     machines = one_by_one(diagnosis, name)
     traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], in_turn, lambda i, trace: trace)
-    left = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
-    if len(left) < len(machines):
+    residual = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
+    if len(residual) < len(machines):
         return []
-    return step_curves(diagnosis.machine.axis(name), run.trace.time, left)
+    return step_curves(diagnosis.machine.axis(name), run.trace.time, residual)
 
 
 def one_by_one(diagnosis: Diagnosis, axis: str) -> dict[str, Machine]:

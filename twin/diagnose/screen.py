@@ -77,7 +77,7 @@ class Screening:
         return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
 
 
-def screening(state: GroupState, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
+def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, mapper: Mapper) -> Screening:
     """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
 
     answered = iter(state.cached_responses([s for start in starts for s in start.settings], mapper))
@@ -86,7 +86,7 @@ def screening(state: GroupState, starts: Sequence[Start], left: np.ndarray, mapp
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
     before = (state.tuning.jacobian, state.fit.columns)
-    gram = _gram(before, columns, left, mapper)
+    gram = _gram(before, columns, residual, mapper)
     first = sum(b.shape[1] for b in before)
     prior = np.concatenate([state.tuning.prior, np.full(state.fit.columns.shape[1], FREE)])
     own = np.diag(gram)[first:-1].copy()
@@ -103,13 +103,13 @@ def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarra
     return gram - gram[at].T @ solved(gram[np.ix_(at, at)] + np.diag(prior), gram[at])
 
 
-def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], left: np.ndarray, mapper: Mapper) -> np.ndarray:
+def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], residual: np.ndarray, mapper: Mapper) -> np.ndarray:
     def part(start: int) -> np.ndarray:
         rows = slice(start, start + CHUNK)
-        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), left[rows]]).astype(float)
+        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), residual[rows]]).astype(float)
         return x.T @ x
 
-    return np.asarray(sum(mapper(part, range(0, len(left), CHUNK))))
+    return np.asarray(sum(mapper(part, range(0, len(residual), CHUNK))))
 
 
 def _best_size(start: Start, inner: np.ndarray, target: np.ndarray, t: Thresholds) -> Gain:

@@ -49,6 +49,10 @@ class Thresholds:
     zero_constant: float = _of(0.25, "share", "deviation within a run, over the largest difference, up to which the difference is constant")
     zero_by_trend: float = _of(0.9, "share", "variance between runs by time and place from which it is an effect: drift, lead error")
 
+    trend_runs: int = _of(5, "runs", "runs from which a trend over time and place, which has three parameters, is tested")
+    followed: float = _of(0.8, "share", "share of motor minus scale that the motion of other axes explains if one of them pushes this axis")
+    pushed: float = _of(5.0, "encoder noises", "motion of motor minus scale from which an axis at rest counts as pushed")
+
     # a channel that holds nothing but noise
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
     clean_spread: float = _of(6.0, "1", "standard deviations of that mean square that are chance")
@@ -134,7 +138,19 @@ class Thresholds:
     no_size: float = _of(5.0, "sizes", "half a 95 % interval from which an effect has no size")
     shows_nothing: float = _of(1e-9, "share of the evidence", "less is no change at all")
 
+    smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
+    smallest_set_size: float = _of(
+        0.12, "smallest usual size", "the same for what is set or normal if small: controller laws, factors, springs, clamped masses"
+    )
+    largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
+    usual_shape: float = _of(4.5, "1", "factor outside the usual range from which a speed, wavelength or frequency is implausible")
+    imitated: float = _of(5.0, "tolerances", "size up to which an effect is not accepted next to a normal imperfection that imitates it")
+
     # verdict
+    worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
+    undecided: float = _of(
+        6.0, "1", "held-out gap over noise above which 'none' becomes 'unknown'; a control that interpolates in its own way leaves 3"
+    )
     temperature: float = _of(3.0, "nat", "divides evidence before it becomes a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     left_over: float = _of(1.5, "1", "gap over noise of an axis from which something of it is listed as unexplained")

@@ -20,7 +20,7 @@ from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 Variant = Callable[[Machine], Machine]
 """Turns a run's machine into another one."""
 
-Result = TypeVar("Answer")
+Result = TypeVar("Result")
 
 Mapper = Callable[..., list[Any]]
 """Maps a function over items, in their order; on threads where it is not `in_turn`."""

@@ -31,7 +31,7 @@ def sized(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
         state = replace(state, tuning=relinearised_tuning(state.group, state.fit, machine, mapper))
     change = state.fit.response / state.group.weights
     for _ in range(t.size_rounds):
-        state = state.doubted(change * state.group.weights, state.fit.left(state.group))
+        state = state.doubted(change * state.group.weights, state.fit.residual(state.group))
         known = state.fit.linear_effect_slopes
         fit = fit_effects(state.group, machine, state.tuning, state.fit.settings, mapper, t.size_steps, narrowest=t.slope, known=known)
         if fit is None:
@@ -45,7 +45,7 @@ def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> 
     if not state.fit.settings:
         return state
     known = _sizes_are_known(state, machine)
-    rest = [s for s, sure in zip(state.fit.settings, known) if sure and is_plausible(s, machine, is_cut(state.group, s))]
+    rest = [s for s, sure in zip(state.fit.settings, known) if sure and is_plausible(s, machine, is_cut(state.group, s), state.thresholds)]
     if len(rest) == len(state.fit.settings):
         return state
     fit = fit_effects(state.group, machine, state.tuning, rest, mapper, state.thresholds.size_steps)

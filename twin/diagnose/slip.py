@@ -39,8 +39,8 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
     if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.little_left * state.group.expected_loss:
         return state
     for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes]:
-        left = state.fit.left(state.group) / state.group.weights
-        if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, left), slip.owner):
+        residual = state.fit.residual(state.group) / state.group.weights
+        if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, residual), slip.owner):
             state = _sized(state, machine, slip, mapper)
     return state
 
@@ -53,7 +53,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
     i = nuisances.index(slip)
     rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in state.group.channels if c.axis == slip.owner])
     deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
-    left_by_fit = state.fit.left(state.group)
+    left_by_fit = state.fit.residual(state.group)
 
     @functools.cache
     def response(deviation: float) -> np.ndarray:
@@ -64,12 +64,12 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
 
     @functools.cache
     def loss(deviation: float) -> float:
-        left = left_by_fit.copy()
+        residual = left_by_fit.copy()
         try:
-            left[rows] = state.rigid.residual[rows] - response(deviation)
+            residual[rows] = state.rigid.residual[rows] - response(deviation)
         except TwinError:  # a spring that no tick can follow
             return math.inf
-        return tuning.loss(left)
+        return tuning.loss(residual)
 
     least, largest = t.least_slip * tolerance, tolerance
     start = 0.0 if new else min(max(float(deviations[i]), least), largest)

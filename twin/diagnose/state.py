@@ -126,12 +126,12 @@ class GroupState:
         """The state with the inflation of its own fit."""
         return replace(self, inflation=inflation(self.group, self.fit))
 
-    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> GroupState:
+    def doubted(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
         """The state where effects that change the rows by `change` (row,) are trusted to a share of that, and the twin less where they
         leave `left` (row,); both weighted. All fits are weighed anew."""
         old = self.group.weights
-        left = np.zeros(self.group.size) if left is None else left
-        rigid, group = self.rigid.doubted(change, left), self.group.doubted(change, left)
+        residual = np.zeros(self.group.size) if residual is None else residual
+        rigid, group = self.rigid.doubted(change, residual), self.group.doubted(change, residual)
         scale = group.weights / old
         shared = {id(t): t for t in (self.tuning, self.fit.about, *(f.about for f in self.accepted))}
         tunings = {key: tuning.reweighted(scale) for key, tuning in shared.items()}
@@ -142,7 +142,7 @@ class GroupState:
 
 def excess_of(group: Group, fit: Fit) -> dict[str, float]:
     """Half the squares above noise that a fit leaves of each axis; where an axis was stuck they count as little as for evidence."""
-    above = 0.5 * group.credit * (fit.left(group) ** 2 - group.expected)
+    above = 0.5 * group.credit * (fit.residual(group) ** 2 - group.expected)
     return {axis: sum(float(above[c.rows].sum()) for c in group.channels if c.axis == axis) for axis in group.axes}
 
 
@@ -160,9 +160,9 @@ def closed_share(state: GroupState, gain: float) -> float:
 def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
     """Every channel with what the fit leaves of it over noise and doubt, where nothing shows any more how the axis was stuck (sample,)."""
     group = state.group
-    left = state.fit.left(group) / group.weights
+    residual = state.fit.residual(group) / group.weights
     for c in group.channels:
-        yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
+        yield c, (residual[c.rows] / c.spread)[c.settled(group.views[c.run])]
 
 
 def localised_on(state: GroupState) -> set[str]:
@@ -205,21 +205,21 @@ def unexplained(state: GroupState) -> float:
     return max(sum(excess_of(state.group, state.fit).values()), standing_out)
 
 
-def axes_above_noise(group: Group, left: np.ndarray) -> set[str]:
+def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
     """Axes of which `left` (row,), weighted, is more than noise and doubt in some channel. Where an axis was stuck counts as little as for
     evidence."""
-    left = left / group.weights
+    residual = residual / group.weights
     loud = set()
     for c in group.channels:
         if c.name == "controller":
-            if not replace(c, residual=left[c.rows]).is_clean:
+            if not replace(c, residual=residual[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
+        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
             loud.add(c.axis)
     return loud
 
 
 def inflation(group: Group, fit: Fit) -> float:
     """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
-    left = fit.left(group)
-    return max(1.0, 0.5 * float(left @ left) / group.expected_loss)
+    residual = fit.residual(group)
+    return max(1.0, 0.5 * float(residual @ residual) / group.expected_loss)

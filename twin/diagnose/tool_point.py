@@ -39,11 +39,11 @@ class ToolPoint:
             return 0.0
         return float(np.mean(self.distance(base, other, axes) ** 2))
 
-    def squares_of(self, base: Trace | None, left: Trace | None, axes: Sequence[str]) -> float:
+    def squares_of(self, base: Trace | None, residual: Trace | None, axes: Sequence[str]) -> float:
         """Mean square [m2] that deviations of positions (a trace of `position`) make at the tool."""
-        if base is None or left is None:
+        if base is None or residual is None:
             return 0.0
-        return float(np.mean(self._moved_by(base, {a: left.get(a, "position") for a in axes if left.has(a, "position")}) ** 2))
+        return float(np.mean(self._moved_by(base, {a: residual.get(a, "position") for a in axes if residual.has(a, "position")}) ** 2))
 
     def at(self, base: Trace, sample: int) -> tuple[float, ...]:
         """Tool point [m] in the part frame at a sample of a motion; the linear axes where a machine has no such chain."""

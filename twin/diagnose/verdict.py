@@ -37,7 +37,7 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
     """Effects of all groups, most certain first, with their probability in the round that accepted them."""
     out = []
     for f in states:
-        left = excess_of(f.group, f.fit)
+        residual = excess_of(f.group, f.fit)
         for setting in f.fit.settings:
             probability, gain = f.thresholds.confidence, math.inf
             for candidates in f.rounds:
@@ -45,7 +45,7 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
             # what stands in for an unlisted law leaves about as much as it explains
-            over = max(left[setting.axis], 0.0) if f.unknown else 0.0
+            over = max(residual[setting.axis], 0.0) if f.unknown else 0.0
             out.append((setting, f, probability * (gain / (gain + over) if math.isfinite(gain) else 1.0), gain))
     return [(s, f, p) for s, f, p, gain in sorted(out, key=lambda item: -item[3])]
 
@@ -103,7 +103,7 @@ def differs_between_runs(state: GroupState) -> bool:
     an axis was stuck: a break-away is another one in each run.
     """
     group, t = state.group, state.thresholds
-    left = state.fit.left(group)
+    residual = state.fit.residual(group)
     settled = np.zeros(group.size, bool)
     for c in group.channels:
         settled[c.rows] = c.settled(group.views[c.run])
@@ -117,7 +117,7 @@ def differs_between_runs(state: GroupState) -> bool:
             slope = state.fit.columns[rows, i]
             known = float(slope @ slope)
             if known > 0.0:
-                step = float(slope @ left[rows]) / known
+                step = float(slope @ residual[rows]) / known
                 if abs(step) * math.sqrt(known) > t.beyond_chance:
                     steps.append(step)
                     gain += 0.5 * step**2 * known

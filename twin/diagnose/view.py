@@ -108,13 +108,6 @@ def _motion(position: np.ndarray, period: float) -> Motion:
     return Motion(position, speed, np.gradient(speed, period, axis=0), period)
 
 
-FOLLOWED = 0.8
-"""Share of the squares of motor minus scale that the motion of other axes must explain where an axis is pushed by one."""
-
-PUSHED = 5.0
-"""Multiple of the noise of both encoders that motor minus scale must move by."""
-
-
 def _follows_another(view: RunView, name: str) -> bool:
     trace = view.trace
     if trace.moves(name) or not has_both(trace, name):
@@ -122,11 +115,11 @@ def _follows_another(view: RunView, name: str) -> bool:
     moving = [other for other in trace.axes if trace.moves(other)]
     apart = motor_minus_scale(trace, name)
     apart = apart - apart.mean()
-    if not moving or float(np.std(apart)) < PUSHED * encoders_noise(view.machine, view.machine.axis(name)):
+    if not moving or float(np.std(apart)) < view.thresholds.pushed * encoders_noise(view.machine, view.machine.axis(name)):
         return False
     columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
-    left = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
-    return float(left @ left) < (1.0 - FOLLOWED) * float(apart @ apart)
+    residual = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
+    return float(residual @ residual) < (1.0 - view.thresholds.followed) * float(apart @ apart)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:

@@ -83,15 +83,15 @@ def _accepted(state: GroupState) -> list[tuple[str, Fit]]:
 
 def _axis_squares(state: GroupState, fit: Fit | None) -> dict[str, float]:
     """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
-    left = state.group.residual.copy()
+    residual = state.group.residual.copy()
     if fit is not None:
-        left -= fit.response
+        residual -= fit.response
         # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
         known = len(fit.tuning) == state.tuning.jacobian.shape[1]
-        left -= fit.retuning if known else state.tuning.jacobian @ state.tuning.solve(left)
+        residual -= fit.retuning if known else state.tuning.jacobian @ state.tuning.solve(residual)
     squares: dict[str, list[float]] = {}
     for channel in state.group.channels:
         if channel.name != "controller":  # motor_minus_scale stands for the motor encoder
-            normed = left[channel.rows] / channel.weight / channel.sigma
+            normed = residual[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
     return {axis: float(np.mean(values)) for axis, values in squares.items()}

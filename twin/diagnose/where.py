@@ -65,15 +65,15 @@ def places(
 def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
     """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
     group = state.group
-    left = state.fit.left(group) / group.weights
+    residual = state.fit.residual(group) / group.weights
     parts: dict[str, list[BlockResidual]] = {}
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
             continue  # they follow what the others show
         index = samples_of(c, group.views[c.run])
-        if len(index) == len(left[c.rows]):
+        if len(index) == len(residual[c.rows]):
             block = CHANNEL_SHOWS.get(c.name, "mechanics")
-            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, left[c.rows], float(np.mean(c.sigma)), index))
+            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
     if not parts:
         return "mechanics", "-"
     block = max(parts, key=lambda b: sum(p.excess for p in parts[b]))

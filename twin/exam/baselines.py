@@ -43,7 +43,7 @@ def _above_noise(group: Group, rows: np.ndarray) -> bool:
 
 
 def _retuning(found: Sequence[GroupState]) -> dict[str, Any]:
-    left = any(_above_noise(f.group, f.retuned.left(f.group)) for f in found)
+    left = any(_above_noise(f.group, f.retuned.residual(f.group)) for f in found)
     return {**NOTHING, "verdict": "unknown" if left else "none"}
 
 
