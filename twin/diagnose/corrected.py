@@ -1,4 +1,4 @@
-"""The corrected machine, and how far the gap shrinks with it on runs left out of the fit."""
+"""The corrected machine, and its gap on held-out runs."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
-"""Realisations of noise where the decoupled plant alone is simulated."""
+"""Realisations of noise in a quick look, which uses the decoupled plant only."""
 
 
 def uncorrected(state: GroupState) -> GroupState:
-    """The state of a group whose axes stay as the machine file says: what was found predicts other runs worse than that."""
+    """The state of a group whose axes keep the values of the machine file, because the correction predicts held-out runs worse."""
     group = state.rigid
     nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight)
     fit = no_effect(group, nothing)
@@ -52,7 +52,7 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
 
 
 def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:
-    """What every machine has a little of and this one shows, as settings of the effects that it would be if it were large."""
+    """Normal imperfections found on this machine, as settings of the effects that they are if they are large."""
     for f in states:
         normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
         shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
@@ -61,7 +61,7 @@ def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list
 
 
 def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
-    """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
+    """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them."""
     t = state.thresholds
     known = len(state.tuning.nuisances)
     deviations = state.fit.tuning[:known] * state.tuning.spread
@@ -75,37 +75,37 @@ def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What was simulated of the recorded runs, `before` and `after` correction, by run; the runs that took no part in their own fit."""
+    """Predictions of the recorded runs, `before` and `after` correction, by run; and the names of the held-out runs."""
 
     predictions: dict[str, dict[str, Prediction]]
     runs: list[str]
 
     @property
     def traces(self) -> dict[str, Trace]:
-        """What is expected of each run after correction."""
+        """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
     def mean_square(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
-        """Mean square of the gap over noise after correction, over runs, axes and signals."""
+        """Mean square of gap over noise after correction, over runs, axes and signals."""
         squares = list(itertools.chain(*self._squares(machine, runs).values()))
         return float(np.mean(squares)) if squares else 0.0
 
     def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
-        """RMS of the gap over noise of each axis before or after correction, over runs and signals."""
+        """RMS of gap over noise of each axis before or after correction, over runs and signals."""
         of_axis: dict[str, list[float]] = {}
         for (axis, _), squares in self._squares(machine, runs, which).items():
             of_axis.setdefault(axis, []).extend(squares)
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
     def loudest(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-        """RMS of the gap over noise of each axis after correction, over runs, in the signal where it is largest."""
+        """RMS of gap over noise of each axis after correction, over runs, in its worst signal."""
         of_axis: dict[str, float] = {}
         for (axis, _), squares in self._squares(machine, runs).items():
             of_axis[axis] = max(of_axis.get(axis, 0.0), float(np.sqrt(np.mean(squares))))
         return of_axis
 
     def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[float]]:
-        """Squares of the gap over noise before or after correction, one a run: of each axis and signal."""
+        """Squares of gap over noise before or after correction, by axis and signal, one per run."""
         found: dict[tuple[str, str], list[float]] = {}
         for run in runs:
             for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
@@ -116,7 +116,7 @@ class HeldOut:
 
 
 def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float], thresholds: Thresholds = DEFAULT) -> bool:
-    """Has correction made the gap of these axes larger, by more than chance? `before` and `after` it: gap over noise by axis."""
+    """Does the correction increase the gap of these axes by more than chance? `before` and `after`: gap over noise by axis."""
     was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
     return now > was + thresholds.worse_by_chance
 
@@ -130,10 +130,10 @@ def held_out_gaps(
     engine: bool,
     threads: int,
 ) -> HeldOut:
-    """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo.
+    """Predictions of each run by the nominal machine and by the machine fitted without that run, in MuJoCo.
 
-    `motions` are the runs' nominal ones, for what noise makes; without `engine` only the decoupled plant along them is simulated. Where the machine
-    fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one fitted to all.
+    `motions` are the nominal motions of the runs, for the realisations of noise. Without `engine` only the decoupled plant is simulated. If the
+    machine fitted without a fold cannot be simulated (it is nearly unstable), the machine fitted to all runs predicts that fold.
     """
     left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
@@ -147,7 +147,7 @@ def held_out_gaps(
     jobs = [*nominal, *itertools.chain(*by_fold)]
     try:
         simulated = predict_each(jobs, threads=threads)
-    except TwinError:  # unstable, or a size that no tick can follow
+    except TwinError:  # unstable, or too stiff for the simulation step
         left_out = [without if _can_run(of_fold, threads) else [] for without, of_fold in zip(left_out, by_fold)]
         jobs = [*nominal, *itertools.chain(*(corrected(without, fold) for without, fold in zip(left_out, folds)))]
         simulated = predict_each(jobs, threads=threads)
@@ -167,7 +167,7 @@ def _can_run(jobs: Sequence[Job], threads: int) -> bool:
 
 
 def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequence[int]) -> Machine:
-    """The corrected machine as it is when the runs of a fold are left out of the fit."""
+    """The corrected machine with the runs of a fold held out of the fit."""
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
     for f in states:
@@ -178,7 +178,7 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
             moved = free.moved(moved, float(step))
         settings += moved
         deviations = limited_deviations(f, tolerance)
-        # what all runs together say is not there does not appear because the one that says so is left out
+        # an imperfection that is absent in the fit to all runs stays absent
         absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)
         variant = tuned(f.tuning.nuisances, np.clip(deviations, -t.widest * tolerance, t.widest * tolerance))(variant)

@@ -1,4 +1,4 @@
-"""Fits judged on runs that they did not see, and inside the tolerance."""
+"""Cross-validation of a fit, and its loss with the nuisances bounded by the tolerance."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
 
 FOLDS = 3
-"""Parts into which the runs are divided; each is predicted by a fit of the others."""
+"""Number of cross-validation folds."""
 
 DESCENTS = 200
-"""Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
+"""Sweeps of the bounded least squares; a dozen parameters have converged after these."""
 
 
 def folds_of(runs: int) -> list[list[int]]:
-    """Runs left out together; a single run cannot be left out."""
+    """Runs that are held out together. A single run cannot be held out."""
     count = min(FOLDS, runs)
     return [[i for i in range(runs) if i % count == k] for k in range(count)]
 
 
 def retuned_within(state: GroupState, tolerance: float) -> Fit:
-    """Re-tuning alone with every parameter inside +-tolerance."""
+    """Re-tuning alone with all parameters within +-tolerance."""
     return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
+    """Tuning (nuisance,) within +-tolerance that fits a residual best: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
     return _inside(tuning, residual, start, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
 def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
-    """Largest size of each column in units of its spread: nuisances end at the tolerance, further columns nowhere."""
+    """Bound of each column in spreads: the tolerance for nuisances, infinite for further columns."""
     bound = np.full(tuning.jacobian.shape[1], np.inf)
     bound[: len(tuning.nuisances)] = tolerance / tuning.spread if tuning.spread else 0.0
     return bound
 
 
 def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
-    """The same inside +-bound (nuisance,) spreads."""
+    """Bounded least squares with bounds +-bound (column,) in spreads and prior weight `weight` of the nuisances."""
     slope = tuning.jacobian.T @ residual
     normal = tuning.normal + np.diag(np.where(np.arange(len(start)) < len(tuning.nuisances), weight - tuning.prior_weight, 0.0))
     theta = np.clip(start, -bound, bound)
@@ -60,9 +60,9 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
 
 
 def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
-    """What a fit leaves (row,), weighted, when the nuisances cost nothing inside the tolerance and cannot leave it.
+    """Residual of a fit (row,), weighted, with flat priors for the nuisances inside the tolerance and hard bounds at its edge.
 
-    `normal` False: normal imperfections are as free as they were found.
+    With `normal` False normal imperfections are not bounded.
     """
     tuning = fit.about
     residual = state.group.residual - fit.response
@@ -75,12 +75,12 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
 
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
-    """Half the squares of that, counted as evidence."""
+    """Half the squares of that residual, weighted as evidence."""
     return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance, normal) ** 2)
 
 
 def beyond_tolerance(state: GroupState) -> float:
-    """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind."""
+    """Half the squared residual above noise if no parameter may exceed its tolerance by more than `widest`."""
     tolerance = state.fit.about.spread / float(UNIFORM)
     return loss_within(state, state.fit, state.thresholds.widest * tolerance, normal=False) - 0.5 * float(
         state.group.credit @ state.group.expected
@@ -88,9 +88,9 @@ def beyond_tolerance(state: GroupState) -> float:
 
 
 def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
-    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate.
+    """Evidence that an effect needs. It grows with the length of the record, because a small model error can imitate more of it.
 
-    Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
+    It is largest if the block of the effect is not isolated: then all model errors of the loop are visible in the same channels.
     """
     t = state.thresholds
     least = t.evidence if folds > 1 else t.evidence_in_sample
@@ -98,10 +98,10 @@ def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
 
 
 def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
-    """Half the squares on runs left out, each fold predicted by the fit without it.
+    """Robust loss on held-out runs, each fold predicted by the fit without it.
 
-    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
-    -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
+    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: holding out rows f moves the optimum by
+    -(N - X_f'X_f)^-1 X_f' r_f, so that the held-out residual is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
     group, t = state.group, state.thresholds
     linear = _linear(group, fit)
@@ -120,7 +120,7 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
 
 
 def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of free parameters and tuning when the runs of a fold are left out."""
+    """Shift of free parameters and tuning if the runs of a fold are held out."""
     fit, group = state.fit, state.group
     linear = _linear(group, fit)
     alone = group.thresholds.known_alone
@@ -130,28 +130,28 @@ def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.nd
 
 @dataclass(frozen=True)
 class _Linear:
-    """A fit about its optimum, X = [columns, jacobian]: by run X'X (run, column, column) and X'r (run, column), r the residual `left`."""
+    """A linearised fit, X = [columns, jacobian]: X'X of each run (run, column, column) and X'r (run, column), r the residual."""
 
     rows: Sequence[Sequence[slice]]  # of each run
-    own: int  # columns of the fit, the first ones
+    own: int  # number of leading columns that belong to the fit
     products: np.ndarray
     slopes: np.ndarray
     normal: np.ndarray  # N = X'X + prior
     left: np.ndarray
 
     def of(self, fold: Sequence[int]) -> list[int]:
-        """The runs of a fold in which something was measured."""
+        """Runs of a fold in which something was measured."""
         return [run for run in fold if run < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
-        """How far the optimum moves without these runs. What they alone know stays where it is: only this share of them is left out."""
+        """Shift of the optimum without these runs. Only `share` of their information is removed, so that a direction known from them alone stays."""
         information = share * self.products[self.of(fold)].sum(axis=0)
         return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
-        """Is some direction of the fit's own parameters p known from these runs alone?
+        """Is a direction of the fit's own parameters p determined by these runs alone?
 
-        Information about p beside the other columns q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
+        Information about p with the other columns q eliminated: S = N_pp - N_pq N_qq^-1 N_qp, of all runs compared with that of the others.
         """
         if not self.own:
             return False
@@ -180,6 +180,6 @@ def _linear(group: Group, fit: Fit) -> _Linear:
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:
-    """Information about the first p parameters with the others free; never quite none, so that no direction divides by zero."""
+    """Information about the first p parameters with the others free; regularised, so that no direction divides by zero."""
     information = normal[:p, :p] - normal[:p, p:] @ solved(normal[p:, p:], normal[p:, :p])
     return information + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)

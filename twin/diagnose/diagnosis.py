@@ -1,4 +1,4 @@
-"""The diagnosis of a campaign: where, which, how far; and its contract, `diagnosis.json`."""
+"""The diagnosis of a campaign and its document, `diagnosis.json`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from twin.simulation.gap import COMPARED, Prediction, SignalGap
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that was found; `document()` is `diagnosis.json`."""
+    """All results of a diagnosis; `document()` is `diagnosis.json`."""
 
     campaign: Campaign
     machine: Machine
@@ -49,10 +49,10 @@ class Diagnosis:
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
-    decided: bool = True  # False: a quick look found no effect, and left a gap
+    decided: bool = True  # False: a quick look found no effect but a gap remains
 
     def document(self) -> dict[str, Any]:
-        """The contract."""
+        """The document of `diagnosis.json`."""
         before, after = self._pooled("before"), self._pooled("after")
         return {
             "verdict": self.verdict,
@@ -63,7 +63,7 @@ class Diagnosis:
             "gap": {
                 "before": before,
                 "after": after,
-                "noise_floor": 1.0,  # what the others are multiples of
+                "noise_floor": 1.0,  # unit of the other gaps
                 "unit": "RMS over axes and signals, in multiples of what noise alone makes",
                 "retuning_share": retuning_share(self.waterfall),
                 "held_out_runs": self.held_out,
@@ -83,7 +83,7 @@ class Diagnosis:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
 
     def _budget_on_program(self, program: str, budget: Budget) -> dict[str, Any]:
-        """The contributions on a program that was not measured: what is left there nobody knows."""
+        """The contributions on a program that was not measured. The unexplained gap is not known there."""
         document = self._contributions(budget)
         return {"program": program, "unit": document["unit"], "change": document["before"], "rows": document["rows"]}
 
@@ -97,7 +97,7 @@ class Diagnosis:
         return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves)
 
     def _unexplained(self) -> list[dict[str, Any]]:
-        """What the corrected machine leaves of each axis on runs left out, above noise."""
+        """Gap above noise of each axis that the corrected machine leaves on held-out runs."""
         rows = []
         for found in self.found:
             for axis in found.group.axes:
@@ -109,7 +109,7 @@ class Diagnosis:
         return sorted(rows, key=lambda row: -row["times_noise"])
 
     def axis_level(self, which: str, axis: str) -> float:
-        """RMS over runs and signals of gap over noise, on one axis."""
+        """RMS over runs and signals of gap over noise of one axis."""
         values = [
             (g.rms / g.noise) ** 2
             for run, axes in self.gaps[which].items()
@@ -121,25 +121,22 @@ class Diagnosis:
         return float(np.sqrt(np.mean(values))) if values else 1.0
 
     def explained(self, axes: Collection[str]) -> float:
-        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over the axes on which an effect acts, on runs left out of the fit.
-
-        From 0 to 1: a gap below the floor, or one that grew, is no share.
-        """
+        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over axes, on held-out runs; clipped to 0 to 1."""
         before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def keeps_its_gap(self, axis: str) -> bool:
-        """Does correction leave so much of an axis' gap that effects are no answer?"""
+        """Does the correction leave so much of an axis' gap that its effects do not explain it?"""
         return keeps_its_gap(self.axis_level("before", axis), self.axis_level("after", axis))
 
     @property
     def axes(self) -> list[str]:
-        """Axes of which something was measured."""
+        """Measured axes."""
         return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
 
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
-        """Levels of the gap step by step, see `twin.diagnose.waterfall`."""
+        """Gap after each step of the correction, see `twin.diagnose.waterfall`."""
         ends = {axis: (self.axis_level("before", axis) ** 2, self.axis_level("after", axis) ** 2) for axis in self.axes}
         return waterfall(self.found, ends, self.machine.parameter_tolerance)
 
@@ -178,9 +175,9 @@ class Diagnosis:
         }
 
     def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
-        """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `sizes`.
+        """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
 
-        One that was screened only has no width: nothing was fitted.
+        A candidate that was only screened has no interval.
         """
         axis = self.machine.axis(setting.axis)
         of = state.fit.sizes() if setting.key in state.keys else sizes if sizes is not None and setting in sizes.settings else None
@@ -209,7 +206,7 @@ class Diagnosis:
         return out
 
     def _candidates(self) -> list[dict[str, Any]]:
-        """Every effect and axis tried, best first: fitted ones with their evidence, the others as screened."""
+        """All effects and axes tried, best first: fitted ones with their evidence, the others with their gain in screening."""
         rows: list[tuple[tuple[bool, float, float], dict[str, Any]]] = []
         chosen = {s.key: (s, p) for s, _, p in self.settings}
         for found in self.found:
@@ -241,9 +238,9 @@ class Diagnosis:
         }
 
     def _not_visible(self) -> list[dict[str, Any]] | None:
-        """Effects that these runs and signals would not show if the machine had them: by how much they would have to be larger than usual.
+        """Effects that would not be visible in these runs and signals, with the multiple of their usual size from which they would.
 
-        `usual_sizes` None: whatever their size. None at all: not asked, in a quick look.
+        `usual_sizes` None: at no size. None instead of the list: not computed, in a quick look.
         """
         if any(found.not_visible is None for found in self.found):
             return None
@@ -261,7 +258,7 @@ class Diagnosis:
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
-        """Rivals that this campaign cannot separate from what was found."""
+        """Rivals that the campaign does not separate from the effects found."""
         out = []
         for setting, found, _ in self.settings:
             for candidates in found.rounds:

@@ -1,8 +1,8 @@
-"""Two encoders of an axis whose zeros differ: a constant of each run that is fitted, never a fault.
+"""Motor encoder and scale whose zeros differ: a constant in each run that is fitted and is no fault.
 
-The difference d of motor encoder and scale has in run k the mean m_k and the deviation w_k. It is one of zeros where it is more than
-noise in some run, constant in each run (w_k small beside the largest |m|), and does not follow time or place from run to run, as a
-screw that grows or a wrong lead does: m_k = a + b t_k + c x_k explains little more than its mean.
+The difference d of motor encoder and scale has the mean m_k and the standard deviation w_k in run k. It is a difference of zeros if it
+exceeds noise in some run, is constant within each run (w_k small compared with the largest |m|), and does not follow time or position from
+run to run, as thermal growth of the screw or a lead error does: m_k = a + b t_k + c x_k explains little more than the mean.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.units import ARCSEC
 def with_common_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, thresholds: Thresholds = DEFAULT
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
-    """The runs with differences of zeros taken out, and the largest difference of each axis that has one [m or rad]."""
+    """The runs without differences of zeros, and the largest difference of each axis that has one [m or rad]."""
     found: dict[str, float] = {}
     for axis in machine.axes:
         mine = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
@@ -41,7 +41,7 @@ def with_common_zeros(
 def without_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, zeros: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
-    """The runs with fitted differences of zeros, by axis and run [m or rad], taken out; and the largest of each axis that has a clear one."""
+    """The runs without fitted differences of zeros, given by axis and run [m or rad]; and the largest clear one of each axis."""
     clear: dict[str, float] = {}
     for (name, k), offset in zeros.items():
         axis = machine.axis(name)
@@ -55,7 +55,7 @@ def without_zeros(
 def zeros_left(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> dict[tuple[str, int], float]:
-    """The constants (axis, run) [m or rad] that predictions leave between two encoders of these axes: what is no trend of a screw that grows."""
+    """Constants (axis, run) [m or rad] that predictions leave between the two encoders of these axes, without the trend of a growing screw."""
     found: dict[tuple[str, int], float] = {}
     for name in sorted(axes):
         mine = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
@@ -71,7 +71,7 @@ def zeros_left(
 def at_rest_without_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> tuple[MeasuredRun, ...]:
-    """The runs where one of these axes stands still, with the constant that a prediction leaves between its two encoders taken out."""
+    """The runs in which one of these axes is at rest, without the constant that the prediction leaves between its two encoders."""
 
     def aligned(run: MeasuredRun) -> MeasuredRun:
         for name in axes:
@@ -91,7 +91,7 @@ def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
     for name, offset in found.items():
         unit, factor = units[machine.axis(name).kind]
         lines.append(
-            f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; fitted in each run, no fault"
+            f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; this is fitted in each run and is no fault"
         )
     return lines
 
@@ -121,5 +121,5 @@ def _is_of_zeros(
 
 
 def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:
-    """The run with the encoder that does not close the position loop brought to the zero of the other one."""
+    """The run with the encoder that does not close the position loop shifted to the zero of the other one."""
     return replace(run, trace=shifted(run.trace, axis, offset))

@@ -1,9 +1,9 @@
-"""Effects of usual size that these runs and signals would not show. The verdict "none" does not rule them out.
+"""Effects of usual size that these runs and signals would not show. The verdict "none" does not exclude them.
 
-    s = 1/2 sum of credit (a - J theta)^2        a: what the effect changes, over noise; J theta: what re-tuning takes up of it
+    s = 1/2 sum of credit (a - J theta)^2        a: response to the effect, over noise; J theta: its projection on re-tuning
 
-is what a fit could gain. What an effect changes grows with its size and s with the square, so that it would bring the evidence that it
-needs from sqrt(needed / s) times the usual size on.
+is the largest gain that a fit could reach. s grows with the square of the size, so the effect would have the evidence it needs from
+sqrt(needed / s) times its usual size.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def effects_not_visible(
     folds: int,
     mapper: Mapper,
 ) -> dict[tuple[str, str, str | None], float]:
-    """Effects that would not show at their usual size, each with the multiple of it from which it would (inf: at no size).
+    """Effects that are not visible at their usual size, with the multiple of it from which they would be (inf: at no size).
 
-    Asked with the middle one of an effect's starts, and the worse of two phases.
+    The middle start of each effect is used, and the worse of two phases.
     """
     by_key: dict[tuple[str, str, str | None], list[Start]] = {}
     for start in starts:
@@ -45,7 +45,7 @@ def effects_not_visible(
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
-    """Settings of usual size. A size that starts at what was measured, as a limit of the current does, may be far from any."""
+    """Settings of usual size. The start of a size that is read from the record, such as a current limit, may be far from it."""
     first, size = start.settings[0], start.effect.size
     if size.scan is None:
         return start.settings
@@ -54,7 +54,7 @@ def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
 
 
 def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[np.ndarray | TwinError], folds: int) -> float:
-    """What the effect could bring over what it needs; of one that cannot be simulated enough: no machine runs with it."""
+    """Possible evidence over needed evidence; infinite if the effect cannot be simulated, because no machine runs with it."""
     tuning = state.tuning
     columns = [column for column in answers if isinstance(column, np.ndarray)]
     if len(columns) < len(answers):

@@ -1,4 +1,4 @@
-"""Which effects are believed: sizes that are found on machines and are more than their normal spread, in blocks that are not clean."""
+"""Plausibility of effects: their size is found on machines and exceeds the normal spread, and their block is not healthy."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from twin.effects import Parameter, Setting
 from twin.machine.machine import Machine
 
 CONTROL_BLOCKS = ("position controller", "speed controller")
-"""Blocks whose laws are set: a control has a filter or has none."""
+"""Blocks whose law is set by parameters of the control."""
 
 
 def is_ruled_out(group: Group, start: Start) -> bool:
-    """An effect that must show in a cut channel which is clean on its axis: the block's own law holds, whatever else is wrong."""
+    """True for an effect of a block that is isolated by a channel, if this channel is clean on its axis."""
     channel = SHOWS_IN.get(start.effect.block)
     mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
     return bool(mine) and all(c.is_clean for c in mine)
 
 
 def is_plausible(setting: Setting, machine: Machine, cut: bool = True, thresholds: Thresholds = DEFAULT) -> bool:
-    """True for a size that is found on machines and is more than their normal spread, and a shape next to the usual ones.
+    """True for a size that is found on machines and exceeds their normal spread, with a shape near the usual ones.
 
-    Less than a usual size is believed only of a block that the signals cut out of the loop.
+    Sizes below the usual ones are plausible only in a block that the signals isolate (`cut`).
     """
     t = thresholds
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
@@ -53,7 +53,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True, threshold
 
 
 def within_tolerance(setting: Setting, machine: Machine) -> float:
-    """Deviation of a size that the tolerance explains; 0 where nothing toleranced is like the effect."""
+    """Deviation of a size that the tolerance explains; 0 if no toleranced parameter resembles the effect."""
     size = setting.effect.size
     if not size.beyond_tolerance or not (size.is_factor or size.part_of):
         return 0.0
@@ -63,7 +63,7 @@ def within_tolerance(setting: Setting, machine: Machine) -> float:
 
 
 def _has_usual_shape(setting: Setting, machine: Machine, t: Thresholds) -> bool:
-    """Are speeds, waves and frequencies of an effect next to the usual ones?"""
+    """Are speeds, wavelengths and frequencies of an effect near the usual ones?"""
     effect, axis = setting.effect, machine.axis(setting.axis)
     for p in effect.parameters:
         if (
@@ -82,9 +82,9 @@ def _has_usual_shape(setting: Setting, machine: Machine, t: Thresholds) -> bool:
 
 
 def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> float:
-    """Standard deviation that the tolerance gives to the size of an effect which changes a toleranced parameter, 0 to any other.
+    """Standard deviation of the size of an effect due to the tolerance of the parameter that it changes; 0 for other parameters.
 
-    A friction of 1.30 times the nominal is one of 1.29 times that of a machine whose own is 1 % higher: no measurement parts these.
+    A friction of 1.30 times the nominal equals 1.29 times that of a machine whose own friction is 1 % higher: no measurement separates them.
     """
     if parameter is not setting.effect.size or not parameter.beyond_tolerance:
         return 0.0
@@ -93,7 +93,7 @@ def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> f
 
 
 def is_imitated(state: GroupState, setting: Setting, machine: Machine) -> bool:
-    """True for a little of an effect that a normal imperfection found on its axis looks like: a softer spring looks like more mass."""
+    """True for a small effect that a normal imperfection on its axis imitates: a softer spring looks like more mass."""
     size, imitators = setting.effect.size, setting.effect.imitated_by
     normal = {NORMAL.get(n.quantity) for n in state.tuning.nuisances if n.owner == setting.axis}
     if not normal.intersection(imitators) or size.part_of is None:

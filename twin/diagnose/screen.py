@@ -1,11 +1,11 @@
-"""Screening: what every start of every effect would close, all in one linear problem over remembered answers.
+"""Screening: the part of the residual that each start explains, as one linear problem over cached responses.
 
-Small effects answer in proportion to their size, so that one simulation of each start is enough. With the columns
+The response to a small effect is proportional to its size, so one simulation per start is sufficient. With the columns
 
-    X = [re-tuning | slopes of the effects found | answers of all starts | what is left]
+    X = [re-tuning | slopes of the effects found | responses to all starts | residual]
 
-every question of the form "what would this close beside those?" is algebra on X'X: columns are eliminated from it one after
-another (the Schur complement), and what a start gains is read from the row of what is left.
+the gain of a start next to others follows from X'X: columns are eliminated one after another (Schur complement), and the gain is read
+from the row of the residual.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from twin.effects import Setting
 from twin.machine.machine import Machine
 
 CHUNK = 40_000
-"""Rows whose products are summed at once: bounds the memory that they take."""
+"""Rows per partial product; limits memory."""
 
 
 class Gain(NamedTuple):
-    """What a start closes (half the drop of the squares) with its size scaled linearly, and those sizes, as multiples of the start's."""
+    """Gain of a start (drop of the loss) with its best sizes, as multiples of the start's."""
 
     gain: float
     sizes: tuple[float, ...]
@@ -37,31 +37,31 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True)
 class Screening:
-    """Inner products of what is left and of the answers of starts, with re-tuning and other columns eliminated.
+    """Inner products of the residual and the responses to starts, with re-tuning and other columns eliminated.
 
-    `gram` (column, column): the starts' columns, `at` says where, and what is left as the last one.
+    `gram` (column, column) holds the columns of the starts at the slices `at`, and the residual as its last column.
     """
 
     starts: tuple[Start, ...]
     at: tuple[slice, ...]
     gram: np.ndarray
-    own: np.ndarray  # (column,) squares of the columns before anything was eliminated
+    own: np.ndarray  # (column,) squares of the columns before elimination
     thresholds: Thresholds
 
     def gain(self, i: int) -> Gain:
-        """What start i closes of what is left."""
+        """Gain of start i."""
         inner, target = self.gram[self.at[i], self.at[i]], self.gram[self.at[i], -1]
         if not np.all(np.diag(inner) > self.thresholds.alike * self.own[self.at[i]]):
             return Gain(0.0, ())
         return _best_size(self.starts[i], inner, target, self.thresholds)
 
     def without(self, i: int) -> Screening:
-        """The same with start i eliminated: it may take any size."""
+        """The screening with start i eliminated, at any size."""
         at = np.arange(self.at[i].start, self.at[i].stop)
         return Screening(self.starts, self.at, eliminated(self.gram, at, np.full(len(at), FREE)), self.own, self.thresholds)
 
     def best(self) -> dict[Key, tuple[int, Gain]]:
-        """The best start of each effect and axis that closes anything."""
+        """The best start of each effect and axis with a positive gain."""
         found: dict[Key, tuple[int, Gain]] = {}
         for i, start in enumerate(self.starts):
             gain = self.gain(i)
@@ -70,7 +70,7 @@ class Screening:
         return found
 
     def setting(self, i: int, gain: Gain, machine: Machine) -> Setting:
-        """The setting that start i stands for with those sizes."""
+        """The setting of start i at the sizes of `gain`."""
         start = self.starts[i]
         if start.effect.size.is_spring:
             return softened(start, machine, gain.sizes[0])
@@ -78,7 +78,7 @@ class Screening:
 
 
 def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, mapper: Mapper) -> Screening:
-    """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
+    """All starts that can be simulated, next to the tuning and the effects of the last fit; `residual` (row,) weighted."""
 
     answered = iter(state.cached_responses([s for start in starts for s in start.settings], mapper))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
@@ -99,7 +99,7 @@ def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, 
 
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Inner products (column, column) of what remains of all columns when the columns `at`, of that prior, explain what they can."""
+    """Inner products (column, column) after eliminating the columns `at` with this prior."""
     return gram - gram[at].T @ solved(gram[np.ix_(at, at)] + np.diag(prior), gram[at])
 
 

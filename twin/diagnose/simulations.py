@@ -1,4 +1,4 @@
-"""Simulations that a diagnosis asks for: axes of a measured run on variants of its machine, side by side in the decoupled plant."""
+"""Simulations for the diagnosis: axes of a measured run on variants of its machine, batched in the decoupled plant."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from twin.simulation.gap import as_recorded, simulated_period
 from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 
 Variant = Callable[[Machine], Machine]
-"""Turns a run's machine into another one."""
+"""Maps the machine of a run to another machine."""
 
 Result = TypeVar("Result")
 
 Mapper = Callable[..., list[Any]]
-"""Maps a function over items, in their order; on threads where it is not `in_turn`."""
+"""Maps a function over items in order, on threads unless it is `in_turn`."""
 
 
 def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
@@ -37,7 +37,7 @@ def on_threads(pool: ThreadPoolExecutor) -> Mapper:
 
 
 class SimulationRequest(NamedTuple):
-    """Some axes of a run to be simulated, and those that effects push them with, on a variant of the run's machine with further effects."""
+    """Axes of a run to simulate on a variant of the run's machine with added effects. Axes that push them are added."""
 
     view: RunView
     axes: Sequence[str]
@@ -54,7 +54,7 @@ def simulate_group(
     *,
     noise_seed: int | None = None,
 ) -> Run:
-    """Simulate one `Ask`, see `simulate_groups`. Raises TwinError where it cannot be simulated."""
+    """Simulate one request, see `simulate_groups`. Raises TwinError if it cannot be simulated."""
     return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, settings, noise_seed)]))[0]
 
 
@@ -67,9 +67,9 @@ def simulate_groups(
 def simulate_groups(
     requests: Sequence[SimulationRequest], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run
 ) -> list[Any]:
-    """Each ask in the decoupled plant, side by side where they can be, at the times of its run's record; or its error.
+    """Simulate each request in the decoupled plant at the sample times of its run, batched; the result or its error.
 
-    `of` takes from each run (its number among the asks is given) what is wanted of it; `mapper` maps over batches of simulations.
+    `of` extracts the result from the index of the request and its run; `mapper` maps over batches.
     """
     jobs, bars, outcomes = [], [], {}
     for i, request in enumerate(requests):
@@ -93,12 +93,12 @@ def simulate_groups(
 
 
 def _job_of(request: SimulationRequest) -> tuple[SimulationJob, Ballbar | None]:
-    """The simulation of an ask, and the ballbar that sees it."""
+    """The simulation job of a request, and the ballbar that measures it."""
     view, machine = request.view, request.view.machine if request.machine_of is None else request.machine_of(request.view.machine)
     changed = with_added(machine, request.settings)
     hidden = settings_of(changed)
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
-    # what is clamped on the table moves every rotary axis, whichever of them the run moves
+    # a mass clamped on the table acts on every rotary axis
     clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in request.axes)
     needed = {*request.axes, *(rotary if clamped else ())}
     bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
@@ -109,7 +109,7 @@ def _job_of(request: SimulationRequest) -> tuple[SimulationJob, Ballbar | None]:
     driven = [name for name in machine.axis_names if name in needed]
     index = [machine.axis_names.index(name) for name in driven]
     part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
-    # gravity and inertia of a rotary axis depend on where the others are, simulated or not
+    # gravity and inertia of a rotary axis depend on the positions of the others, simulated or not
     turning = any(axis.kind == "rotary" for axis in part.axes)
     carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
     motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))

@@ -1,9 +1,9 @@
-"""The sizes of the effects found, fitted once more with less weight where the twin is wrong.
+"""Final fit of the sizes of the effects found, with less weight where the twin does not follow the record.
 
-If an axis breaks away a few milliseconds earlier than the twin predicts, a few samples are far off and depend steeply on every
-parameter. A fit that follows them distorts all sizes. The final fit therefore takes the residual around a sample as doubt of the twin
-there, a fault that many samples share (`Channel.weight`). It also re-tunes the machine with the effects in place: a current filter, for
-example, can be traded for the damping of a drive train.
+If an axis breaks away a few milliseconds earlier than predicted, a few samples have large residuals and depend steeply on every parameter.
+A fit that follows them biases all sizes. The final fit therefore adds the residual around a sample to the model error, which is correlated
+over many samples (`Channel.weight`). It also re-tunes the machine with its effects: a current filter, for example, trades off against the
+damping of a drive train.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from twin.machine.machine import Machine
 
 
 def sized(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
-    """The state with its effects fitted with these doubts; unchanged if it has none."""
+    """The state with its effects fitted with this model error; unchanged without effects."""
     if not state.fit.settings:
         return state
     state, t = replace(state, response_cache={}), state.thresholds
-    with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning of the machine without effects
+    with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
         state = replace(state, tuning=relinearised_tuning(state.group, state.fit, machine, mapper))
     change = state.fit.response / state.group.weights
     for _ in range(t.size_rounds):
@@ -41,7 +41,7 @@ def sized(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
 
 
 def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
-    """The state without the effects whose final size no machine has, or is too uncertain."""
+    """The state without effects whose final size is implausible or too uncertain."""
     if not state.fit.settings:
         return state
     known = _sizes_are_known(state, machine)
@@ -56,9 +56,9 @@ def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> 
 
 
 def _sizes_are_known(state: GroupState, machine: Machine) -> list[bool]:
-    """Of each effect: is its size known well enough, given its shape, and more than nothing and than what the tolerance explains?
+    """For each effect: is its size determined, given its shape, and larger than zero and than the tolerance explains?
 
-    A size on a scale of ratios has no nothing in its 95 % interval: only the first is asked of it, where no tolerance is like the effect.
+    The interval of a logarithmic size never contains zero: without a similar toleranced parameter only the first condition applies.
     """
     sizes = state.fit.sizes()
     given_shape = np.diag(sizes.information) / (sizes.prior_weight * state.inflation)

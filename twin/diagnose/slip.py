@@ -1,8 +1,8 @@
-"""Slip before break-away, sized once more on the machine that has all effects and normal imperfections found.
+"""Slip before break-away, fitted again on the machine with all effects and normal imperfections found.
 
-The search sizes slip on a machine without either, where an axis at rest carries nothing. On the whole machine a drive train that starts wound up,
-or a force that holds, makes an axis creep where it stands: that shows how soft its contact is better than any reversal. Slip that is missed
-there may be found here. What creeps, creeps because of the noise in the loop, so that everything is simulated with it.
+The search fits slip on a machine without effects, where an axis at rest carries no load. On the complete machine a drive train that starts
+wound up, or a constant force, makes a resting axis creep. The creep determines the stiffness of its contact better than any reversal, and may
+reveal slip that the search missed. Creep depends on noise in the loop, so everything is simulated with noise.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 STRETCH = 1.8
-"""Factor from one size that is tried to the next."""
+"""Ratio of successive trial sizes."""
 
 NEARBY = 1.1
-"""Factor over which the slope of a slip is taken."""
+"""Ratio for the finite-difference slope of slip."""
 
 FIRST = (0.2, 0.8)
-"""Sizes tried first on an axis without slip, beside the least one, as shares of the largest normal one."""
+"""First trial sizes on an axis without slip, besides the smallest one, as shares of the largest normal one."""
 
 
 def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
-    """The state with the slip of each axis as it predicts best beside all that was found; unchanged where that gains nothing, while so
-    much is left that effects must be missing, and of a machine without tolerance, which has no normal imperfection."""
+    """The state with the slip of each axis fitted again. Unchanged if the loss does not improve, if the residual is so large that effects must be
+    missing, or for a machine without tolerance, which has no normal imperfections.
+    """
     if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.little_left * state.group.expected_loss:
         return state
     for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes]:
@@ -46,7 +47,7 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
 
 
 def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) -> GroupState:
-    """The state with a slip at its best size."""
+    """The state with one slip at its best size."""
     t, tolerance, tuning = state.thresholds, machine.parameter_tolerance, state.tuning
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
@@ -67,7 +68,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
         residual = left_by_fit.copy()
         try:
             residual[rows] = state.rigid.residual[rows] - response(deviation)
-        except TwinError:  # a spring that no tick can follow
+        except TwinError:  # too stiff for the simulation step
             return math.inf
         return tuning.loss(residual)
 
@@ -92,7 +93,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
 def _moved(
     state: GroupState, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
 ) -> GroupState:
-    """The state about the machine with nuisance `i` at this deviation, where it changes `column` (row,) at its spread; effects fitted anew."""
+    """The state about the machine with nuisance `i` at this deviation, where its response at its spread is `column` (row,); effects are refitted."""
     tuning, known = state.tuning, len(state.tuning.nuisances)
     missing = np.zeros(len(nuisances) - known)
     base = np.append(tuning.base, missing)
@@ -106,6 +107,6 @@ def _moved(
         fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
     except TwinError:
         return state
-    if fit is None or fit.loss > state.fit.loss:  # what creeps is better for it, and all else worse
+    if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse
         return state
     return replace(state, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()

@@ -1,4 +1,4 @@
-"""The state of a diagnosis of one group of axes, and what its fit leaves above noise."""
+"""State of the diagnosis of one group of axes, and measures of the residual that its fit leaves."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from twin.effects import Setting
 from twin.errors import TwinError
 
 Key = tuple[str, str, str | None]
-"""Effect, axis, and the axis that it comes from."""
+"""Effect, axis, and the axis that drives the effect (or None)."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
-"""The cut channel in which every effect of a block shows."""
+"""Block -> channel in which every effect of the block is visible. The channel isolates the block from the loop."""
 
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
-"""The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
+"""Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect on one axis, fitted together with the effects accepted before it.
+    """An effect on an axis, fitted next to the effects accepted before it.
 
-    `evidence` is its log likelihood on runs left out, `needed` what it must reach, `closes` the share of what was left above noise that the
-    fit closes.
+    `evidence` is the gain in log likelihood on held-out runs [nat], `needed` its threshold, `closes` the share of the remaining residual above
+    noise that the fit explains.
     """
 
     sizes: Sizes
@@ -40,7 +40,7 @@ class Candidate:
     needed: float
     plausible: bool
     closes: float
-    gain: float  # half the drop of the squares
+    gain: float  # drop of the loss on all runs
 
     @property
     def setting(self) -> Setting:
@@ -52,14 +52,14 @@ class Candidate:
 
 
 class CachedResponse(NamedTuple):
-    """Simulated change that a setting makes (row,), and the weights of its rows."""
+    """Simulated response (row,) to a setting, and the row weights it was scaled with."""
 
     column: np.ndarray
     weights: np.ndarray
 
 
 class Screened(NamedTuple):
-    """A start as it was screened: effect and axis, gain, the setting it stands for, the share that it would close."""
+    """A start after screening: its key, gain, the setting with the best size, and the share of the residual that it would explain."""
 
     key: Key
     gain: float
@@ -69,25 +69,23 @@ class Screened(NamedTuple):
 
 @dataclass(frozen=True)
 class GroupState:
-    """State of the diagnosis of one group of axes. A step takes one and returns the next; none is ever changed.
+    """State of the diagnosis of one group of axes. A step takes a state and returns the next one; states are never modified.
 
-    `memory` holds simulated answers of starts. It saves time and changes no result.
+    `response_cache` holds simulated responses to starts. It saves time and does not affect the result.
     """
 
-    group: Group  # about the machine with its normal imperfections
-    rigid: Group  # about the machine as its file says
+    group: Group  # linearised about the machine with its normal imperfections
+    rigid: Group  # linearised about the machine file
     tuning: Tuning
     fit: Fit
     retuned: Fit  # re-tuning alone
-    inflation: float  # power of the residual over that of noise, at least 1
-    accepted: tuple[Fit, ...] = ()  # with one effect, with two, ...
+    inflation: float  # loss over the loss of noise, at least 1
+    accepted: tuple[Fit, ...] = ()  # the fit after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
-    not_visible: Mapping[Key, float] | None = (
-        None  # effects that would not show, with the multiple of their usual size from which they would
-    )
-    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> motor encoder minus scale that is no fault [SI]
-    unknown: bool = False  # is something left that no effect explains?
+    not_visible: Mapping[Key, float] | None = None  # invisible effects: multiple of the usual size from which each is visible
+    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> constant motor encoder minus scale [m or rad]
+    unknown: bool = False  # is there a residual that no effect explains?
     response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -97,11 +95,11 @@ class GroupState:
 
     @property
     def keys(self) -> set[Key]:
-        """Effects of the final fit, each with its axis."""
+        """Keys of the effects of the fit."""
         return {s.key for s in self.fit.settings}
 
     def cached_responses(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
-        """What each setting alone changes (row,), simulated once and weighted as the group is now; or its error."""
+        """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
         keys = [repr(setting.table()) for setting in settings]
         missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
         for key, column in zip(missing, simulated_responses(self.group, [[setting] for setting in missing.values()], mapper)):
@@ -119,16 +117,17 @@ class GroupState:
         return known.column
 
     def with_fit(self, fit: Fit) -> GroupState:
-        """The state with this fit as its last one, which replaces the last accepted one."""
+        """The state with another fit, which also replaces the last accepted one."""
         return replace(self, fit=fit, accepted=(*self.accepted[:-1], fit) if self.accepted else ())
 
     def inflated(self) -> GroupState:
-        """The state with the inflation of its own fit."""
+        """The state with the inflation computed from its fit."""
         return replace(self, inflation=inflation(self.group, self.fit))
 
     def doubted(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
-        """The state where effects that change the rows by `change` (row,) are trusted to a share of that, and the twin less where they
-        leave `left` (row,); both weighted. All fits are weighed anew."""
+        """The state with the model error of effects whose response is `change` (row,) added to the noise, and more where the fit leaves
+        `residual` (row,); both weighted. All fits are reweighted.
+        """
         old = self.group.weights
         residual = np.zeros(self.group.size) if residual is None else residual
         rigid, group = self.rigid.doubted(change, residual), self.group.doubted(change, residual)
@@ -141,24 +140,24 @@ class GroupState:
 
 
 def excess_of(group: Group, fit: Fit) -> dict[str, float]:
-    """Half the squares above noise that a fit leaves of each axis; where an axis was stuck they count as little as for evidence."""
+    """Half the squared residual above noise of each axis, weighted as evidence."""
     above = 0.5 * group.credit * (fit.residual(group) ** 2 - group.expected)
     return {axis: sum(float(above[c.rows].sum()) for c in group.channels if c.axis == axis) for axis in group.axes}
 
 
 def expected_of(group: Group, axis: str) -> float:
-    """Half the squares that noise alone makes of an axis."""
+    """Half the squares that noise alone causes on an axis."""
     return 0.5 * sum(float(group.expected[c.rows].sum()) for c in group.channels if c.axis == axis)
 
 
 def closed_share(state: GroupState, gain: float) -> float:
-    """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
+    """Share of the residual above noise that a drop of the loss by `gain` explains, from 0 to 1."""
     noise = state.group.expected_loss
     return float(np.clip(gain / max(state.fit.loss - noise, state.thresholds.near_noise * noise), 0.0, 1.0))
 
 
 def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
-    """Every channel with what the fit leaves of it over noise and doubt, where nothing shows any more how the axis was stuck (sample,)."""
+    """Each channel with its residual over noise and model error (sample,), without samples that depend on how the axis stuck."""
     group = state.group
     residual = state.fit.residual(group) / group.weights
     for c in group.channels:
@@ -166,7 +165,7 @@ def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
 
 
 def localised_on(state: GroupState) -> set[str]:
-    """Axes of which something is left in one channel of one run, although the whole looks like noise."""
+    """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise."""
     axes, t = set(), state.thresholds
     for channel, u in settled_channels(state):
         if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.local_square:
@@ -177,9 +176,9 @@ def localised_on(state: GroupState) -> set[str]:
 
 
 def is_systematic(state: GroupState) -> bool:
-    """Does a channel of an axis keep more than noise and doubt in most of its runs? The law found is then a relative of the true one.
+    """Does a channel of an axis keep a large residual in most of its runs? Then the accepted law only resembles the true one.
 
-    Chance (which flank, when it broke away) leaves much in one run; a wrong law in all.
+    Chance (direction of contact, moment of break-away) leaves a large residual in one run; a wrong law does so in all runs.
     """
     t = state.thresholds
     levels: dict[tuple[str, str], list[float]] = {}
@@ -190,13 +189,13 @@ def is_systematic(state: GroupState) -> bool:
 
 
 def is_cut(group: Group, setting: Setting) -> bool:
-    """Is the block of an effect cut out of the loop, where a channel can do that?"""
+    """Is the block of an effect isolated by a channel? True for blocks that no channel can isolate."""
     channel = CUT_BY.get(setting.effect.block)
     return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
 def unexplained(state: GroupState) -> float:
-    """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
+    """Half the squared residual above noise: in total, or in the channels that stand out, whichever is larger."""
     standing_out = 0.0
     for c, u in settled_channels(state):
         if len(u) and float(np.mean(u**2)) > state.thresholds.stands_out:
@@ -206,8 +205,7 @@ def unexplained(state: GroupState) -> float:
 
 
 def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
-    """Axes of which `left` (row,), weighted, is more than noise and doubt in some channel. Where an axis was stuck counts as little as for
-    evidence."""
+    """Axes with a channel whose `residual` (row,), weighted, exceeds noise and model error. Samples that depend on how the axis stuck hardly count."""
     residual = residual / group.weights
     loud = set()
     for c in group.channels:
@@ -220,6 +218,6 @@ def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
 
 
 def inflation(group: Group, fit: Fit) -> float:
-    """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
+    """Loss of a fit over the loss of noise, at least 1. Unmodelled behaviour discounts all evidence by this factor."""
     residual = fit.residual(group)
     return max(1.0, 0.5 * float(residual @ residual) / group.expected_loss)

@@ -1,4 +1,4 @@
-"""The verdict on the last state: which effects, how probable, and whether something is left that no effect explains."""
+"""The verdict on the final state: effects, their probabilities, and whether an unexplained residual remains."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from twin.machine.machine import Machine
 
 
 def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list[float]:
-    """Probability of each candidate of a round against its rivals and against none of them, which has what the best one needs.
+    """Probability of each candidate of a round compared with its rivals and with "no effect", whose evidence is what the best candidate needs.
 
-    All are 0 where the best candidate had the evidence and was refused all the same, or was accepted and removed later.
+    All are 0 if the best candidate had the evidence but was refused, or was removed later.
     """
     t = state.thresholds
     best = next((c for c in candidates if c.plausible), None)
@@ -34,7 +34,7 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
 
 
 def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
-    """Effects of all groups, most certain first, with their probability in the round that accepted them."""
+    """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
     for f in states:
         residual = excess_of(f.group, f.fit)
@@ -44,26 +44,26 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
-            # what stands in for an unlisted law leaves about as much as it explains
+            # an effect that only resembles the true law leaves about as much as it explains
             over = max(residual[setting.axis], 0.0) if f.unknown else 0.0
             out.append((setting, f, probability * (gain / (gain + over) if math.isfinite(gain) else 1.0), gain))
     return [(s, f, p) for s, f, p, gain in sorted(out, key=lambda item: -item[3])]
 
 
 def judged(state: GroupState, machine: Machine, mapper: Mapper, quick: bool = False) -> GroupState:
-    """The last state: without effects of sizes that no machine has, sized (unless `quick`), and with whether something is unexplained."""
+    """The final state: without implausible effects, sized (unless `quick`), and with the flag for an unexplained residual."""
     state = without_implausible(state, machine, mapper)
     unknown = is_unknown(state)
     if quick:
         return with_zeros_out(replace(state, unknown=unknown))
     final = sized(state, machine, mapper)
-    if len(final.fit.settings) < len(state.fit.settings):  # what was explained by one that is gone is left again
+    if len(final.fit.settings) < len(state.fit.settings):  # the residual of a removed effect is unexplained again
         unknown = unknown or is_unknown(final)
     return with_zeros_out(replace(final, unknown=unknown))
 
 
 def with_zeros_out(state: GroupState) -> GroupState:
-    """The state about records whose encoders have a common zero: a constant of each run between them is fitted, never a fault."""
+    """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
     group, known = state.group, len(state.tuning.nuisances)
     columns, theta = state.tuning.jacobian[:, known:], state.fit.tuning[known:]
     offset = columns @ theta / group.weights
@@ -79,10 +79,10 @@ def with_zeros_out(state: GroupState) -> GroupState:
 
 
 def is_unknown(state: GroupState) -> bool:
-    """Is something left of a group of axes that no effect found explains?
+    """Is there a residual on an axis of the group that the effects found do not explain?
 
-    Also where an effect has another size in each run, or where only parameters far outside the tolerance explain the gap. Each axis is
-    judged by itself: a quiet one does not make up for a loud one.
+    Also true if an effect has different sizes in different runs, or if only parameters far outside the tolerance explain the gap. Each axis is
+    judged by itself: an axis with a small residual does not compensate one with a large residual.
     """
     group, t = state.group, state.thresholds
     before, after = excess_of(group, state.retuned), excess_of(group, state.fit)
@@ -95,12 +95,12 @@ def is_unknown(state: GroupState) -> bool:
 
 
 def differs_between_runs(state: GroupState) -> bool:
-    """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
+    """Do single runs give an effect a different size, by more than chance and model error?
 
-    With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
-    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Together these steps must bring the
-    evidence that an effect has to. Not asked where the block was not cut: there all that is imperfect in the loop bends the size. Nor where
-    an axis was stuck: a break-away is another one in each run.
+    With c the slope of the fit over the size and r its residual, run k alone gives the step (c_k' r_k) / (c_k' c_k) with the standard deviation
+    1 / sqrt(c_k' c_k). An effect has one size; an effect that resembles another law has one for each motion. Together the steps must have the
+    evidence that an effect needs. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
+    Samples that depend on how an axis stuck are excluded: each break-away is different.
     """
     group, t = state.group, state.thresholds
     residual = state.fit.residual(group)
@@ -129,7 +129,7 @@ def differs_between_runs(state: GroupState) -> bool:
 
 
 def verdict_of(states: Sequence[GroupState], settings: Sequence[Any]) -> str:
-    """'effect', 'none', or 'unknown' where something is left that no effect explains."""
+    """'effect', 'none', or 'unknown' if a residual remains that no effect explains."""
     if any(f.unknown for f in states):
         return "unknown"
     return "effect" if settings else "none"

@@ -1,4 +1,4 @@
-"""Where the gap lies: axis, block, regime, runs, stretch, frequency band, and what the residual scales with."""
+"""Location of the gap: axis, block, regime, runs, interval, frequency band, and the regressor of the residual."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from twin.effects import Setting
 from twin.machine.machine import Machine
 
 LEAST_SHARE = 1e-3
-"""Share given to the block of a found effect when its own residual shows nothing."""
+"""Share of the block of an effect whose own residual is that of noise."""
 
 
 def places(
     states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
 ) -> list[dict[str, Any]]:
-    """Places of the gap, largest share first. Blocks in which an effect was found lead their axis.
+    """Places of the gap, largest share first. Blocks with an effect lead their axis.
 
-    Each group's machine is first re-tuned within its tolerance, because that is no fault of a block. `weights` is the squared gap above
-    noise of each axis. A group is skipped if nothing was found in it and its gap is negligible.
+    The machine of each group is first re-tuned within its tolerance, because that is no fault of a block. `weights` is the squared gap above
+    noise of each axis. Groups without an effect and with a negligible gap are skipped.
 
-    A fault in one block changes the inputs of the other blocks, but not their laws. A block is listed if its law fails and if that failure
-    makes a noticeable share of the gap in position or current (`share_of_gap`).
+    A fault in one block changes the inputs of the other blocks, but not their laws. A block is listed if its law fails and if this causes a
+    noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
     least = max((f.thresholds.next_to_none for f in states), default=0.0) * max(weights.values(), default=0.0)
@@ -50,7 +50,7 @@ def places(
     for setting in settings:
         _assign_effect(listed, setting, machine)
     _merge_echoes(listed, states[0].thresholds.echo if states else 0.0)
-    # each axis gets the weight of its gap; its blocks divide it by their shares
+    # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         total = sum(p["_share"] for p in mine) or 1.0
@@ -63,13 +63,13 @@ def places(
 
 
 def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
-    """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
+    """Block of an axis with the largest residual of the last fit, and the regressor of that residual ('-': none)."""
     group = state.group
     residual = state.fit.residual(group) / group.weights
     parts: dict[str, list[BlockResidual]] = {}
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
-            continue  # they follow what the others show
+            continue  # they follow the other channels
         index = samples_of(c, group.views[c.run])
         if len(index) == len(residual[c.rows]):
             block = CHANNEL_SHOWS.get(c.name, "mechanics")
@@ -81,10 +81,9 @@ def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
 
 
 def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
-    """Assign a listed place to the block of a found effect.
+    """Assign an effect to a listed place on its axis, and name the place after the block of the effect.
 
-    The recorded signals do not separate every block: current loop and mechanics share the force balance, transmission and measurement
-    share motor minus scale. Among such neighbours the block of the found effect is the right one. A block without a place gets one.
+    An effect without a matching place is listed as a new one with the share `LEAST_SHARE`.
     """
     block, axis = setting.effect.block, setting.axis
     # two P controllers in series are recorded as one law
@@ -105,7 +104,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
                 place["effect"] = setting.effect.name
                 return
     if any(place["block"] == block for place in mine):
-        return  # a larger effect leads there
+        return  # a larger effect is already assigned to it
     listed.append(
         {
             "axis": axis,
@@ -121,7 +120,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
 
 
 def _merge_echoes(listed: list[dict[str, Any]], echo: float) -> None:
-    """Move most of the share of the other blocks of an axis to its largest block with an effect: what they show is mostly its echo.
+    """Move most of the share of blocks without an effect to the largest block of the axis with one: their residual is mostly a consequence of it.
 
     `echo` is the share that they keep.
     """
@@ -160,7 +159,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
 
 
 def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regime that holds most of the excess, also per sample; 'all' if none stands out."""
+    """The regime with most of the excess, in total or per sample; 'all' if none dominates."""
     energy, count = dict.fromkeys(REGIMES, 0.0), dict.fromkeys(REGIMES, 0)
     for part in parts:
         masks = regime_masks(group.views[part.run], axis)
@@ -180,7 +179,7 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 
 
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regressor that explains most of a block's residual; '-' where none explains a tenth."""
+    """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
     best, best_share = "-", group.thresholds.scales_share
     shares: dict[str, list[float]] = {}
@@ -188,7 +187,7 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
         view = group.views[part.run]
-        # only a force can have a constant residual: encoders have arbitrary zeros
+        # only a force has a meaningful constant residual: zeros of encoders are arbitrary
         force = part.block in ("mechanics", "current loop")
         residual = part.residual if force else part.residual - part.residual.mean()
         for name, regressor in scaling(view, axis, part.index, names).items():
@@ -206,11 +205,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 
 
 def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int, int]:
-    """First and last sample of the stretch with the most excess: `stretch_s` long, at most a third of the run."""
+    """First and last sample of the interval with the largest excess: `stretch_s` long, at most a third of the run."""
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
     width = max(10, min(n // 3, round(stretch_s / step)))
-    # a changing residual counts more than a constant one
+    # a varying residual counts more than a constant one
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
     at = int(np.argmax(energy)) if len(energy) else 0
