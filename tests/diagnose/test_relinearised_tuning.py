@@ -1,4 +1,4 @@
-"""Re-tuning beside an effect: what it changes on the machine that has the effect, and nothing else."""
+"""Re-tuning linearised on a machine with an effect: it changes the re-tuned axis only."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,14 @@ def rows(group, axis):
     return np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.axis == axis])
 
 
-def test_an_unbalance_on_the_tilting_axis_shows_on_the_table_as_well(table):
+def test_an_unbalance_on_the_tilting_axis_changes_the_table_axis(table):
     group, fit = table
     assert np.abs(fit.response[rows(group, "C")]).max() > 10.0
 
 
 @pytest.mark.parametrize("quantity", ["torque_constant", "coulomb_friction"])
-def test_a_motor_changes_its_own_axis_beside_an_effect_that_changes_both(table, mikron: Machine, quantity: str):
-    """Before, the column of one axis held minus the effect on the other: re-tuning could undo the effect."""
+def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, quantity: str):
+    """Regression: the column of one axis contained minus the effect on the other, so that re-tuning could cancel the effect."""
     group, fit = table
     beside = relinearised_tuning(group, fit, mikron, in_turn)
     (i,) = (i for i, n in enumerate(beside.nuisances) if (n.owner, n.quantity) == ("A", quantity))

@@ -1,4 +1,4 @@
-"""Answers that a search simulates once, and weighs as the group weighs when they are asked for again."""
+"""Cached responses of a search: simulated once, returned with the current row weights."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ START = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})
 UNSTABLE = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 9.0})
 
 
-def test_an_answer_is_simulated_once_and_follows_the_weights(monkeypatch):
+def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
     rng = np.random.default_rng(0)
     column, doubt = rng.normal(size=ROWS), rng.uniform(0.2, 1.0, ROWS)
     found = GroupState(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)

@@ -1,4 +1,4 @@
-"""The order of a search: effects first, then slip before break-away, which would stand in for effects that are missing."""
+"""Order of a search: effects first, then slip before break-away, which would otherwise absorb missing effects."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from twin.diagnose.state import GroupState
 
 
 def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: bool = False) -> list[str]:
-    """What a search did, in order, whose rounds find these winners, and whose slip changes so many times."""
+    """Steps of a search in order. Its rounds accept these winners, and its slip changes this many times."""
     done: list[str] = []
     rounds, changes = iter(winners), iter([True] * slips)
 
@@ -35,11 +35,11 @@ def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: b
     return done
 
 
-def test_slip_is_sized_when_no_effect_earns_its_place(monkeypatch, mikron):
+def test_slip_is_sized_when_no_effect_is_accepted(monkeypatch, mikron):
     assert searched(monkeypatch, mikron, [["backlash"], ["stribeck"]], 0) == ["round", "backlash", "round", "stribeck", "round", "slip"]
 
 
-def test_effects_are_looked_for_again_beside_another_slip(monkeypatch, mikron):
+def test_effects_are_searched_again_after_slip_changes(monkeypatch, mikron):
     assert searched(monkeypatch, mikron, [["backlash"], [], ["stribeck"]], 1) == [
         "round", "backlash", "round", "slip", "round", "stribeck", "round", "slip",
     ]  # fmt: skip
