@@ -106,7 +106,7 @@ def test_missed_slip_is_found(group):
     plain = tuning_of(group, X, in_turn)
     bare = no_effect(group, plain)
     missed = GroupState(group, group, plain, bare, bare, 1.0, ())
-    assert missed.fit.loss < DEFAULT.little_left * group.expected_loss
+    assert missed.fit.loss < DEFAULT.small_residual * group.expected_loss
     found = with_refitted_slip(missed, X, in_turn)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
@@ -114,5 +114,5 @@ def test_missed_slip_is_found(group):
 
 def test_slip_is_not_fitted_while_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
-    assert bare.fit.loss > DEFAULT.little_left * wound_up.group.expected_loss
+    assert bare.fit.loss > DEFAULT.small_residual * wound_up.group.expected_loss
     assert with_refitted_slip(bare, X, in_turn) is bare

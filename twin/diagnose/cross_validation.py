@@ -108,10 +108,10 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     loss = 0.0
     for fold in folds:
         shift = np.zeros(len(linear.normal))
-        if len(folds) > 1 and linear.knows_alone(fold, t.known_alone):
+        if len(folds) > 1 and linear.knows_alone(fold, t.information_in_fold):
             loss += t.evidence_in_sample - t.evidence
         elif len(folds) > 1:
-            shift = linear.shift(fold, t.known_alone)
+            shift = linear.shift(fold, t.information_in_fold)
         for run in linear.of(fold):
             for rows in linear.rows[run]:
                 rf = linear.left[rows] - fit.columns[rows] @ shift[: linear.own] - fit.about.jacobian[rows] @ shift[linear.own :]
@@ -123,7 +123,7 @@ def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.nd
     """Shift of free parameters and tuning if the runs of a fold are held out."""
     fit, group = state.fit, state.group
     linear = _linear(group, fit)
-    alone = group.thresholds.known_alone
+    alone = group.thresholds.information_in_fold
     shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)
     return shift[: linear.own], shift[linear.own :]
 

@@ -102,7 +102,7 @@ class Diagnosis:
         for found in self.found:
             for axis in found.group.axes:
                 level = self.axis_level("after", axis)
-                if axis in self.axes and level > self.thresholds.left_over and self.budget is not None:
+                if axis in self.axes and level > self.thresholds.unexplained_gap and self.budget is not None:
                     block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})

@@ -105,21 +105,21 @@ def with_drive_train(
     near_cycle = [r / machine.position_cycle for r in MEETING]
     modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_earned:
+    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_evidence:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
     for step in (t.train_finer, 0.5 * t.train_finer):
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
-    share, damped = found
+    share, damping = found
     if share >= largest:
         return tuning
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
-    points = [(share, 0.0), found] if damped and worth >= t.imperfection_earned else [(share, 0.0)]
-    plain, *beside = responses_of(group, axis, points, tolerance, mapper)
-    whole = beside[0] if beside else None
+    points = [(share, 0.0), found] if damping and worth >= t.imperfection_evidence else [(share, 0.0)]
+    plain, *damped_response = responses_of(group, axis, points, tolerance, mapper)
+    whole = damped_response[0] if damped_response else None
     if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in one of the other runs
         return tuning
     tuning = tuning.with_column(Nuisance(axis, "elasticity", t), plain * (UNIFORM / share))
-    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damped))
+    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damping))

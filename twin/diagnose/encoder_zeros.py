@@ -110,14 +110,14 @@ def _is_of_zeros(
     noise = encoders_noise(machine, axis)
     if largest < thresholds.zero_least * noise or np.any(deviations > thresholds.zero_constant * largest):
         return False
-    residual = means - means.mean()
-    if len(runs) < thresholds.trend_runs or float(residual @ residual) < 0.01 * float(means @ means):
+    centred = means - means.mean()
+    if len(runs) < thresholds.trend_runs or float(centred @ centred) < 0.01 * float(means @ means):
         return True
     when = [run.started_at + 0.5 * float(run.trace.time[-1] - run.trace.time[0]) for run in runs]
     place = [float(np.mean(run.trace.get(axis.name, "position"))) for run in runs]
     trend = np.column_stack([np.ones(len(runs)), when, place])
-    rest = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
-    return float(rest @ rest) > (1.0 - thresholds.zero_by_trend) * float(residual @ residual)
+    detrended = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
+    return float(detrended @ detrended) > (1.0 - thresholds.zero_by_trend) * float(centred @ centred)
 
 
 def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:

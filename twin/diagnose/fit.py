@@ -193,14 +193,14 @@ def fit_effects(
         return None
     best = tuning.loss(residual - response)
     free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
-    columns, reach = (
+    columns, step_sizes = (
         stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
         np.full(len(free), t.slope),
     )
-    asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
+    outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     for _ in range(t.fit_steps if steps is None else steps):
         try:
-            for i, column in zip(asked, _slopes(group, settings, response, [(free[i], reach[i]) for i in asked], mapper)):
+            for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated], mapper)):
                 columns[:, i] = column
         except TwinError:
             return None
@@ -209,26 +209,26 @@ def fit_effects(
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
-            gain, promised = best - lower.loss, _promised(gradient, information, lower.move)
+            gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
             best, settings, response = lower.loss, lower.settings, lower.response
-            reach = np.clip(np.abs(lower.move), narrowest, t.slope)
+            step_sizes = np.clip(np.abs(lower.move), narrowest, t.slope)
             if gain < t.converged * max(1.0, 0.002 * best):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
-            holds = gain > t.slopes_hold * promised or promised - gain < t.price
-            asked = [] if holds else list(range(len(free)))
-        elif len(asked) < len(free):
-            if _promised(gradient, information, move) < t.price:
+            valid = gain > t.slopes_hold * predicted or predicted - gain < t.price
+            outdated = [] if valid else list(range(len(free)))
+        elif len(outdated) < len(free):
+            if _predicted_gain(gradient, information, move) < t.price:
                 break
-            asked = list(range(len(free)))  # the known slopes did not reduce the loss
-        elif best < t.above_noise * group.expected_loss or np.all(reach <= narrowest):
+            outdated = list(range(len(free)))  # the known slopes did not reduce the loss
+        elif best < t.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
             break
         else:
-            reach = np.full(len(free), narrowest)
+            step_sizes = np.full(len(free), narrowest)
     return Fit(settings, free, best, tuning.solve(residual - response), response, columns, tuning)
 
 
-def _promised(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
+def _predicted_gain(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
     """Predicted drop of the loss for a move."""
     return float(gradient @ move - 0.5 * move @ information @ move)
 
@@ -314,12 +314,12 @@ def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper
 
 
 def _slopes(
-    group: Group, settings: tuple[Setting, ...], response: np.ndarray, asked: Sequence[tuple[Free, float]], mapper: Mapper
+    group: Group, settings: tuple[Setting, ...], response: np.ndarray, step_sizes: Sequence[tuple[Free, float]], mapper: Mapper
 ) -> list[np.ndarray]:
     """Finite-difference slope per scale unit of each parameter for the given step, taken towards the inside of the bounds."""
     steps = []
-    for f, reach in asked:
-        both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (reach, -reach))]
+    for f, size in step_sizes:
+        both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (size, -size))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
     changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None], mapper)))
     return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]

@@ -41,7 +41,7 @@ def effects_not_visible(
     answered = iter(state.cached_responses([s for settings in middle for s in settings], mapper))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
     shares = mapper(lambda item: _share(state, item[0], item[1], folds), columns)
-    return {key: math.inf if share < state.thresholds.shows_nothing else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    return {key: math.inf if share < state.thresholds.invisible else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:

@@ -85,9 +85,9 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
     whole = ("gap of the machine file", budget["before"]) if measured else ("all together", budget["change"])
     bars: list[tuple[str, float, str]] = [(*whole, NOMINAL)]
     bars += [(effect_title(r), r["tool_point"], CORRECTED) for r in shown]
-    for label, rest in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
-        if rest:
-            bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in rest))), CLOSED))
+    for label, group in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
+        if group:
+            bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in group))), CLOSED))
     names, values = [name for name, _, _ in bars], [value for _, value, _ in bars]
     figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + measured)), layout="constrained")
     ax = figure.add_subplot()
@@ -212,8 +212,8 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
     """A signal of a panel in its unit (sample,); the following error without the position delay."""
     unit, factor = gap_unit(axis, "position")
     if signal == "following error":
-        asked = delayed_set_point(measured, axis)
-        return (asked - trace.get(axis.name, "position")) * factor, unit
+        delayed = delayed_set_point(measured, axis)
+        return (delayed - trace.get(axis.name, "position")) * factor, unit
     if signal == "motor_minus_scale":
         return motor_minus_scale(trace, axis.name) * factor, unit
     unit, factor = gap_unit(axis, signal)

@@ -82,7 +82,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], c
         first, needed = first or gain.gain, evidence_needed(state, setting, len(context.folds))
         if gain.gain < max(t.span * first, t.promising * needed):
             break
-        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.sure * needed:
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.promising_single * needed:
             continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
         others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
@@ -96,7 +96,7 @@ def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, G
     t = screened.thresholds
 
     def is_rival(i: int, g: Gain) -> bool:
-        within = t.rivals_within if screened.starts[i].effect.is_linear else t.bent_within
+        within = t.rivals_within if screened.starts[i].effect.is_linear else t.nonlinear_rivals_within
         return g.gain > within * gain.gain and after.gain(i).gain < t.same_gain * g.gain
 
     return [(i, g) for i, g in others if is_rival(i, g)][: t.most_rivals]

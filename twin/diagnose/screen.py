@@ -51,7 +51,7 @@ class Screening:
     def gain(self, i: int) -> Gain:
         """Gain of start i."""
         inner, target = self.gram[self.at[i], self.at[i]], self.gram[self.at[i], -1]
-        if not np.all(np.diag(inner) > self.thresholds.alike * self.own[self.at[i]]):
+        if not np.all(np.diag(inner) > self.thresholds.collinear * self.own[self.at[i]]):
             return Gain(0.0, ())
         return _best_size(self.starts[i], inner, target, self.thresholds)
 

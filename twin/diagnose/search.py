@@ -63,7 +63,7 @@ def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
     t, residual = state.thresholds, state.group.in_noise(state.fit.residual(state.group))
     normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.imperfection_earned * normal
+    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.imperfection_evidence * normal
 
 
 def _search_rounds(state: GroupState, context: Context) -> GroupState:
@@ -102,7 +102,7 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
         if not context.quick:
             not_visible = effects_not_visible(state, starts, context.machine, len(context.folds), context.mapper)
             state = replace(state, not_visible=not_visible)
-    refused = {key for key, times in times_fitted.items() if times >= t.most_asked}
+    refused = {key for key, times in times_fitted.items() if times >= t.most_fits}
     picks = picks_of(state, screened, refused, context)
     if not picks:
         return state, []
@@ -133,7 +133,7 @@ def _initial_state(group: Group, machine: Machine, mapper: Mapper) -> GroupState
 def _imperfections_need_refit(state: GroupState) -> bool:
     """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
     t, noise = state.thresholds, state.group.expected_loss
-    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > t.little_left * noise:
+    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > t.small_residual * noise:
         return False
     return state.fit.loss > (1.0 + t.near_noise) * noise or bool(localised_on(state))
 
@@ -141,7 +141,7 @@ def _imperfections_need_refit(state: GroupState) -> bool:
 def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
     t, group = state.thresholds, state.group
-    for _ in range(t.looks):
+    for _ in range(t.joint_refits):
         before = state.fit.loss
         try:
             tuning = relinearised_tuning(state.group, state.fit, machine, mapper)

@@ -83,7 +83,7 @@ class Thresholds:
     normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    imperfection_earned: float = _of(14.0, "nat", "evidence that a normal imperfection needs")
+    imperfection_evidence: float = _of(14.0, "nat", "evidence that a normal imperfection needs")
     imperfect_worse: float = _of(0.02, "share", "increase of the loss allowed when all imperfections are simulated together")
     slip_unchanged: float = _of(0.15, "share", "change of slip below which it is not simulated again")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
@@ -110,7 +110,7 @@ class Thresholds:
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     rounds: int = _of(8, "rounds", "largest number of rounds")
-    most_asked: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
+    most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
     span: float = _of(
         0.01, "share of the best gain", "gain from which an effect enters in the same round; responses are not exactly linear"
@@ -118,8 +118,8 @@ class Thresholds:
     promising: float = _of(
         0.5, "share of the evidence needed", "gain in screening from which an effect is fitted; its shape parameters are not optimised yet"
     )
-    sure: float = _of(0.9, "share of the evidence needed", "the same for an effect with one parameter")
-    alike: float = _of(
+    promising_single: float = _of(0.9, "share of the evidence needed", "the same for an effect with one parameter")
+    collinear: float = _of(
         1e-6, "share of its squares", "share of a response that re-tuning leaves; below it, effect and re-tuning are collinear"
     )
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
@@ -127,7 +127,7 @@ class Thresholds:
         0.5, "share of its gain", "a rival explains the same if its gain falls below this share with the effect eliminated"
     )
     rivals_within: float = _of(0.25, "share of the best gain", "gain in screening from which a rival is fitted")
-    bent_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
+    nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
     evidence: float = _of(14.0, "nat", "evidence on held-out runs that an effect needs")
@@ -135,16 +135,16 @@ class Thresholds:
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
-    looks: int = _of(3, "times", "largest number of joint refits of effects and imperfections")
-    little_left: float = _of(1.3, "1", "loss over the loss of noise up to which imperfections are refitted")
+    joint_refits: int = _of(3, "times", "largest number of joint refits of effects and imperfections")
+    small_residual: float = _of(1.3, "1", "loss over the loss of noise up to which imperfections are refitted")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
-    known_alone: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
+    information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
     near_noise: float = _of(0.02, "share", "relative excess over noise that counts as noise")
     quiet: float = _of(0.25, "1", "mean square above noise up to which a quick look skips an axis")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
     size_steps: int = _of(3, "steps", "largest number of Gauss-Newton steps after each update")
-    no_size: float = _of(5.0, "sizes", "half width of a 95 % interval from which the size is undetermined")
-    shows_nothing: float = _of(1e-9, "share of the evidence", "possible gain below which an effect is invisible at any size")
+    undetermined_size: float = _of(5.0, "sizes", "half width of a 95 % interval from which the size is undetermined")
+    invisible: float = _of(1e-9, "share of the evidence", "possible gain below which an effect is invisible at any size")
 
     smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
     smallest_set_size: float = _of(
@@ -161,7 +161,7 @@ class Thresholds:
     )
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
-    left_over: float = _of(1.5, "1", "gap over noise of an axis from which it is listed as unexplained")
+    unexplained_gap: float = _of(1.5, "1", "gap over noise of an axis from which it is listed as unexplained")
     remaining: float = _of(0.1, "share", "remaining share of the excess over noise from which the verdict is 'unknown'")
     noticed_excess: float = _of(0.12, "1", "mean square above noise from which a residual remains", IMITATION)
     stands_out: float = _of(1.3, "1", "mean square from which a single channel counts as unexplained")
@@ -180,7 +180,7 @@ class Thresholds:
 
     # where
     noticed_square: float = _of(1.6, "1", "mean square of a block's residual from which the block is listed")
-    next_to_none: float = _of(0.01, "share", "squared gap, over that of the worst axis, below which an axis is skipped")
+    negligible_gap: float = _of(0.01, "share", "squared gap, over that of the worst axis, below which an axis is skipped")
     place_share: float = _of(0.02, "share", "share of the gap from which a block is listed")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")
     most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")

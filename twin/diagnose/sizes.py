@@ -44,18 +44,22 @@ def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> 
     """The state without effects whose final size is implausible or too uncertain."""
     if not state.fit.settings:
         return state
-    known = _sizes_are_known(state, machine)
-    rest = [s for s, sure in zip(state.fit.settings, known) if sure and is_plausible(s, machine, is_cut(state.group, s), state.thresholds)]
-    if len(rest) == len(state.fit.settings):
+    determined = _sizes_are_determined(state, machine)
+    kept = [
+        s
+        for s, is_determined in zip(state.fit.settings, determined)
+        if is_determined and is_plausible(s, machine, is_cut(state.group, s), state.thresholds)
+    ]
+    if len(kept) == len(state.fit.settings):
         return state
-    fit = fit_effects(state.group, machine, state.tuning, rest, mapper, state.thresholds.size_steps)
+    fit = fit_effects(state.group, machine, state.tuning, kept, mapper, state.thresholds.size_steps)
     if fit is None:
         return state
-    accepted = (*state.accepted[: len(rest)][:-1], fit) if rest else ()
+    accepted = (*state.accepted[: len(kept)][:-1], fit) if kept else ()
     return replace(state, fit=fit, accepted=accepted).inflated()
 
 
-def _sizes_are_known(state: GroupState, machine: Machine) -> list[bool]:
+def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
     """For each effect: is its size determined, given its shape, and larger than zero and than the tolerance explains?
 
     The interval of a logarithmic size never contains zero: without a similar toleranced parameter only the first condition applies.
@@ -63,7 +67,7 @@ def _sizes_are_known(state: GroupState, machine: Machine) -> list[bool]:
     sizes = state.fit.sizes()
     given_shape = np.diag(sizes.information) / (sizes.prior_weight * state.inflation)
     deviations = np.sqrt(np.maximum(np.diag(sizes.covariance(state.inflation)), 0.0))
-    known = [True] * len(sizes.settings)
+    determined = [True] * len(sizes.settings)
     for free, precision, deviation in zip(sizes.free, given_shape, deviations):
         setting = sizes.settings[free.setting]
         size = setting.effect.size
@@ -71,8 +75,8 @@ def _sizes_are_known(state: GroupState, machine: Machine) -> list[bool]:
             continue
         value, within = size.deviation(setting.size), within_tolerance(setting, machine)
         relative = free.unit if free.logarithmic else free.unit / max(value, 1e-30)
-        has_size = 1.96 * relative < state.thresholds.no_size * math.sqrt(float(precision))
+        has_size = 1.96 * relative < state.thresholds.undetermined_size * math.sqrt(float(precision))
         half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
         is_more = value - half > within or (free.logarithmic and not within)
-        known[free.setting] = has_size and is_more
-    return known
+        determined[free.setting] = has_size and is_more
+    return determined

@@ -37,7 +37,7 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
     """The state with the slip of each axis fitted again. Unchanged if the loss does not improve, if the residual is so large that effects must be
     missing, or for a machine without tolerance, which has no normal imperfections.
     """
-    if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.little_left * state.group.expected_loss:
+    if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.small_residual * state.group.expected_loss:
         return state
     for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes]:
         residual = state.fit.residual(state.group) / state.group.weights
@@ -83,7 +83,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
         curve = np.polyfit(around, losses, 2)
         best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
     beyond = best * NEARBY
-    if not loss(start) - loss(best) > t.imperfection_earned or not math.isfinite(loss(beyond)):
+    if not loss(start) - loss(best) > t.imperfection_evidence or not math.isfinite(loss(beyond)):
         return state
     column = np.zeros(state.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
@@ -94,17 +94,17 @@ def _moved(
     state: GroupState, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
 ) -> GroupState:
     """The state about the machine with nuisance `i` at this deviation, where its response at its spread is `column` (row,); effects are refitted."""
-    tuning, known = state.tuning, len(state.tuning.nuisances)
-    missing = np.zeros(len(nuisances) - known)
+    tuning, count = state.tuning, len(state.tuning.nuisances)
+    missing = np.zeros(len(nuisances) - count)
     base = np.append(tuning.base, missing)
-    theta = np.append(state.fit.tuning[:known], missing)
+    theta = np.append(state.fit.tuning[:count], missing)
     theta[i] = (deviation - base[i]) / tuning.spread
-    columns = stacked_columns(tuning.jacobian[:, :known], np.zeros((state.group.size, len(missing))))
+    columns = stacked_columns(tuning.jacobian[:, :count], np.zeros((state.group.size, len(missing))))
     columns[:, i] = column
     shown = replace(tuning.of(nuisances, columns), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta, mapper)
-        fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
+        fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, count=state.fit.slopes)
     except TwinError:
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse

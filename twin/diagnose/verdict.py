@@ -115,15 +115,15 @@ def differs_between_runs(state: GroupState) -> bool:
         for run in range(len(group.views)):
             rows = group.run_rows(run) & settled
             slope = state.fit.columns[rows, i]
-            known = float(slope @ slope)
-            if known > 0.0:
-                step = float(slope @ residual[rows]) / known
-                if abs(step) * math.sqrt(known) > t.beyond_chance:
+            information = float(slope @ slope)
+            if information > 0.0:
+                step = float(slope @ residual[rows]) / information
+                if abs(step) * math.sqrt(information) > t.beyond_chance:
                     steps.append(step)
-                    gain += 0.5 * step**2 * known
+                    gain += 0.5 * step**2 * information
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
-        earned = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
-        if earned and (max(steps) - min(steps)) * relative > t.one_size:
+        has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
+        if has_evidence and (max(steps) - min(steps)) * relative > t.one_size:
             return True
     return False
 

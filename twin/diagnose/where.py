@@ -33,7 +33,7 @@ def places(
     noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
-    least = max((f.thresholds.next_to_none for f in states), default=0.0) * max(weights.values(), default=0.0)
+    least = max((f.thresholds.negligible_gap for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
         for f in states:
             group = f.group
