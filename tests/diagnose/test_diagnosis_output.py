@@ -130,7 +130,7 @@ def test_the_budget_is_computed_for_a_program(diagnosed: Path, document: dict[st
     setpoint = read_trace(ROOT / "examples" / "x_200mm.csv", axes=load_machine().kinds, need=("setpoint",))
     assert len(row["at_mm"]) == 3
     assert 0.0 <= row["at_s"] <= setpoint.time[-1]
-    assert "The same on x_200mm.csv" in (diagnosed / "report.html").read_text(encoding="utf-8")
+    assert "Gap budget on x_200mm.csv" in (diagnosed / "report.html").read_text(encoding="utf-8")
 
 
 def test_every_number_is_plain_json(diagnosed: Path) -> None:

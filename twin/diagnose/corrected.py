@@ -63,11 +63,11 @@ def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list
 def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them."""
     t = state.thresholds
-    known = len(state.tuning.nuisances)
-    deviations = state.fit.tuning[:known] * state.tuning.spread
+    count = len(state.tuning.nuisances)
+    deviations = state.fit.tuning[:count] * state.tuning.spread
     if np.any(np.abs(deviations) > t.widest * tolerance):
         inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, t.widest * tolerance)
-        deviations = inside[:known] * state.tuning.spread
+        deviations = inside[:count] * state.tuning.spread
     deviations = state.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)

@@ -25,17 +25,17 @@ def with_common_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, thresholds: Thresholds = DEFAULT
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
     """The runs without differences of zeros, and the largest difference of each axis that has one [m or rad]."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for axis in machine.axes:
-        mine = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
-        offsets = {k: _difference(runs[k].trace, axis.name) for k in mine}
-        if offsets and _is_of_zeros([runs[k] for k in mine], list(offsets.values()), axis, machine, thresholds):
-            found[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
+        runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
+        offsets = {k: _difference(runs[k].trace, axis.name) for k in runs_of_axis}
+        if offsets and _is_of_zeros([runs[k] for k in runs_of_axis], list(offsets.values()), axis, machine, thresholds):
+            largest[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
             runs = [
                 replace(_shifted(run, axis, offsets[k][0]), own_zeros=run.own_zeros | {axis.name}) if k in offsets else run
                 for k, run in enumerate(runs)
             ]
-    return tuple(runs), found
+    return tuple(runs), largest
 
 
 def without_zeros(
@@ -56,16 +56,16 @@ def zeros_left(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> dict[tuple[str, int], float]:
     """Constants (axis, run) [m or rad] that predictions leave between the two encoders of these axes, without the trend of a growing screw."""
-    found: dict[tuple[str, int], float] = {}
+    zeros: dict[tuple[str, int], float] = {}
     for name in sorted(axes):
-        mine = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
-        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in mine])
-        when = np.array([runs[k].started_at for k in mine])
-        when = when - when.mean() if mine else when
-        if machine.axis(name).kind == "linear" and when.any():
-            means = means - when * float(when @ means) / float(when @ when)
-        found |= {(name, k): float(mean) for k, mean in zip(mine, means)}
-    return found
+        runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
+        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in runs_of_axis])
+        started_at = np.array([runs[k].started_at for k in runs_of_axis])
+        started_at = started_at - started_at.mean() if runs_of_axis else started_at
+        if machine.axis(name).kind == "linear" and started_at.any():
+            means = means - started_at * float(started_at @ means) / float(started_at @ started_at)
+        zeros |= {(name, k): float(mean) for k, mean in zip(runs_of_axis, means)}
+    return zeros
 
 
 def at_rest_without_zeros(

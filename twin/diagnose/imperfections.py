@@ -55,15 +55,15 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     t = group.thresholds
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
-    left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
-    dirty = channels_above_noise(group, left)
+    remaining = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
+    above_noise = channels_above_noise(group, remaining)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
-    giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(dirty, a)]
+    elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
+    tried = [Nuisance(a, "elasticity", t) for a in elastic] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(above_noise, a)]
     current = plain
-    for nuisance in wanted:
+    for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
-        best = max(trials(SHARES), key=lambda tried: tried.gain, default=None)
+        best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
         if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_evidence:
             continue

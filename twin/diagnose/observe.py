@@ -116,14 +116,14 @@ class Group:
         of_request: list[
             tuple[int, int, Mapping[str, Characteristic]]
         ] = []  # variation, run, what its controllers have beyond the machine file
-        known = self.views[0].machine
+        machine_of_runs = self.views[0].machine
         out: list[np.ndarray | TwinError] = []
         for v, (machine_of, settings, axes) in enumerate(variations):
             if not axes or any(view.ballbar is not None for view in self.views):  # a radius depends on all of its axes
                 axes = self.axes
             try:
-                effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
-                added = {a: found for a in axes if (found := characteristic_of(effects, known.axis(a))) is not None}
+                effects = (*settings_of(machine_of_runs if machine_of is None else machine_of(machine_of_runs)), *settings)
+                added = {a: values_of for a in axes if (values_of := characteristic_of(effects, machine_of_runs.axis(a))) is not None}
             except TwinError as error:
                 out.append(error)
                 continue
@@ -137,15 +137,15 @@ class Group:
 
         def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
             view, moving, added = requests[i].view, requests[i].axes, of_request[i][2]
-            found = channels_of(simulation.without_noise, view, moving, added)
+            values_of = channels_of(simulation.without_noise, view, moving, added)
             for a in (
                 moving if shaken else ()
             ):  # the control law is compared at the inputs that the controller read, with noise and rounding
-                if (a, "controller") in found:
+                if (a, "controller") in values_of:
                     seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
                     assert seen is not None
-                    found[a, "controller"] = seen
-            return found
+                    values_of[a, "controller"] = seen
+            return values_of
 
         nominal = self.shaken if shaken else self.nominal
         for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, mapper, channels)):

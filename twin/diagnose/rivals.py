@@ -126,12 +126,12 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], con
 def _fit_with_rivals(state: GroupState, base: Base, settings: Sequence[Setting], context: Context) -> tuple[Fitted, ...]:
     """A pick and its rivals, each fitted by itself next to the base, best first; implausible ones last."""
     with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
-        fits = [fit for fit in pool.map(lambda setting: _fit_beside(state, base, setting, context), settings) if fit is not None]
+        fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, context), settings) if fit is not None]
     candidates = _candidates(state, base.fit, fits, context)
     return tuple(sorted(candidates, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
 
 
-def _fit_beside(state: GroupState, base: Base, setting: Setting, context: Context) -> Fit | None:
+def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: Context) -> Fit | None:
     """One setting fitted next to the base: first with the nonlinear effects only, then simulated once with all effects.
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.

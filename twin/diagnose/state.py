@@ -109,12 +109,12 @@ class GroupState:
         return [self._as_weighted(key) for key in keys]
 
     def _as_weighted(self, key: str) -> np.ndarray | TwinError:
-        known, weights = self.response_cache[key], self.group.weights
-        if isinstance(known, TwinError):
-            return known
-        if known.weights is not weights:
-            self.response_cache[key] = known = CachedResponse((known.column * (weights / known.weights)).astype(np.float32), weights)
-        return known.column
+        cached, weights = self.response_cache[key], self.group.weights
+        if isinstance(cached, TwinError):
+            return cached
+        if cached.weights is not weights:
+            self.response_cache[key] = cached = CachedResponse((cached.column * (weights / cached.weights)).astype(np.float32), weights)
+        return cached.column
 
     def with_fit(self, fit: Fit) -> GroupState:
         """The state with another fit, which also replaces the last accepted one."""

@@ -64,8 +64,8 @@ def judged(state: GroupState, machine: Machine, mapper: Mapper, quick: bool = Fa
 
 def with_zeros_out(state: GroupState) -> GroupState:
     """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
-    group, known = state.group, len(state.tuning.nuisances)
-    columns, theta = state.tuning.jacobian[:, known:], state.fit.tuning[known:]
+    group, count = state.group, len(state.tuning.nuisances)
+    columns, theta = state.tuning.jacobian[:, count:], state.fit.tuning[count:]
     offset = columns @ theta / group.weights
     zeros = {(c.axis, c.run): float(offset[c.rows][0]) for c in group.channels if c.name == "motor_minus_scale"}
 
@@ -73,7 +73,7 @@ def with_zeros_out(state: GroupState) -> GroupState:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
 
     group, rigid = shifted(state.group), shifted(state.rigid)
-    tuning = np.concatenate([state.fit.tuning[:known], np.zeros(len(theta))])
+    tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
     fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
     return replace(state, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, state.tuning), zeros=zeros)
 

@@ -70,10 +70,10 @@ def _levels_after(state: GroupState, fit: Fit | None, ends: Ends) -> dict[str, f
 def _accepted(state: GroupState) -> list[tuple[str, Fit]]:
     """The fits of the rounds that accepted effects; the last one is the final fit."""
     steps: list[tuple[str, Fit]] = []
-    known: set[Key] = set()
+    seen: set[Key] = set()
     for fit in state.accepted:
-        new = [s for s in fit.settings if s.key in state.keys - known]
-        known |= {s.key for s in fit.settings}
+        new = [s for s in fit.settings if s.key in state.keys - seen]
+        seen |= {s.key for s in fit.settings}
         if not new:
             continue
         title = effect_title({"effect": new[0].effect.name, "axis": new[0].axis, "from_axis": new[0].from_axis})
@@ -87,8 +87,8 @@ def _axis_squares(state: GroupState, fit: Fit | None) -> dict[str, float]:
     if fit is not None:
         residual -= fit.response
         # a later round may have other normal imperfections, so that the coefficients belong to other nuisances
-        known = len(fit.tuning) == state.tuning.jacobian.shape[1]
-        residual -= fit.retuning if known else state.tuning.jacobian @ state.tuning.solve(residual)
+        same_nuisances = len(fit.tuning) == state.tuning.jacobian.shape[1]
+        residual -= fit.retuning if same_nuisances else state.tuning.jacobian @ state.tuning.solve(residual)
     squares: dict[str, list[float]] = {}
     for channel in state.group.channels:
         if channel.name != "controller":  # motor_minus_scale represents the motor encoder
