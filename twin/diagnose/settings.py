@@ -164,7 +164,6 @@ class Thresholds:
     unexplained_gap: float = _of(1.5, "1", "gap over noise of an axis from which it is listed as unexplained")
     remaining: float = _of(0.1, "share", "remaining share of the excess over noise from which the verdict is 'unknown'")
     noticed_excess: float = _of(0.12, "1", "mean square above noise from which a residual remains", IMITATION)
-    stands_out: float = _of(1.3, "1", "mean square from which a single channel counts as unexplained")
     systematic: float = _of(
         5.0, "1", "median mean square over the runs from which the law is wrong: true laws leave 3.3, the most similar wrong laws 60"
     )

@@ -194,16 +194,6 @@ def is_cut(group: Group, setting: Setting) -> bool:
     return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
-def unexplained(state: GroupState) -> float:
-    """Half the squared residual above noise: in total, or in the channels that stand out, whichever is larger."""
-    standing_out = 0.0
-    for c, u in settled_channels(state):
-        if len(u) and float(np.mean(u**2)) > state.thresholds.stands_out:
-            weight = (c.spread * c.weight)[c.settled(state.group.views[c.run])]
-            standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
-    return max(sum(excess_of(state.group, state.fit).values()), standing_out)
-
-
 def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
     """Axes with a channel whose `residual` (row,), weighted, exceeds noise and model error. Samples that depend on how the axis stuck hardly count."""
     residual = residual / group.weights
